@@ -171,7 +171,6 @@ class TestStuck:
     ("name", "values"),
     [
         ("axis_speed", (0.0, -1.0, -math.inf, math.nan, "fast", None)),
-        ("stuck_share", (-0.1, 1.1, math.nan, True)),
         ("stuck", (((1, 2, 3),), ((1,),), (3, 5), 3, None, "all")),
         ("stuck", (((-1, 2),), ((1.0, 2),), ((True, 2),))),
     ],

@@ -124,7 +124,6 @@ BAD_LINES: tuple[tuple[type[BaseLine], dict[str, Any], str], ...] = (
     (Field, {"orientations": (0.0,)}, "orientations"),
     (Field, {"origin": (0.0,)}, "origin"),
     (Line, {"line_y": 1.05}, "line_y must lie halfway between two rows"),
-    (Line, {"line_y": 9.0}, "line_y"),
     (Line, {"zone_rows": 3}, "zone_rows must be even"),
     (Line, {"zone_columns": 30}, "zone_columns"),
     (Pattern, {"rotor": np.ones((3, 4))}, "rotor must be an array of booleans"),

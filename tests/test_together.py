@@ -114,22 +114,10 @@ SPOILT = [
     ({"poses": POSES[0]}, r"poses must have the shape \(2, 3\), got \(3,\)"),
     ({"velocities": TOWARDS[:1]}, r"velocities must have the shape \(2, 3\), got \(1, 3\)"),
     ({"dt": 1e-6, "duration": 1000.0}, "dt must be at least duration / 100_000_000, got 1e-06"),
-    (
-        {"poses": [POSES[0], (9.0, 1.0, 0.0)]},
-        r"poses must be on the surface, got \(9.0, 1.0, 0.0\) of parcel 1",
-    ),
-    (
-        {"parcels": [sg.Parcel(sg.Disc(0.04)), BOX]},
-        r"poses must be over an element, got \(1.0, 1.0, 0.0\) of parcel 0",
-    ),
-    (
-        {"poses": [(1.0, 1.0, 0.0), (1.2, 1.1, 0.0)]},
-        "poses must leave parcels apart, got 0 and 1 that overlap by 0.05 m",
-    ),
-    (
-        {"velocities": [(0.0, 30.0, 0.0)] * 2},
-        r"dt must be so short that no step moves the parcel past a pitch, 0.1 m, got 0.005",
-    ),
+    ({"poses": [POSES[0], (9.0, 1.0, 0.0)]}, r"poses must be on the surface, .* of parcel 1"),
+    ({"parcels": [sg.Parcel(sg.Disc(0.04)), BOX]}, "poses must be over an element, .* of parcel 0"),
+    ({"poses": [POSES[0], (1.2, 1.1, 0.0)]}, "poses must leave parcels apart, got 0 and 1 that"),
+    ({"velocities": [(0.0, 30.0, 0.0)] * 2}, "dt must be so short that no step moves the parcel"),
 ]
 
 

@@ -186,10 +186,7 @@ def test_only_what_can_be_read_back_is_written(path: Path, parcel: sg.Parcel) ->
         (lambda: Trace(()), r"arrivals must be at least one Arrival in a tuple, got \(\)"),
         (lambda: Trace(ARRIVAL), "arrivals must be at least one Arrival in a tuple, got Arrival"),
         (lambda: Trace((ARRIVAL, 3.0)), "arrivals must be Arrival objects, got 3.0"),
-        (
-            lambda: Trace((ARRIVAL, replace(ARRIVAL, time=1.0))),
-            "time must not fall, got 1.0 after 2.0",
-        ),
+        (lambda: Trace((ARRIVAL, replace(ARRIVAL, time=1.0))), "time must not fall, got 1.0 after"),
     ],
 )
 def test_a_bad_arrival_or_trace_is_refused(make: Callable[[], Any], message: str) -> None:

@@ -39,7 +39,6 @@ BAD_ARGUMENTS = {
 }  # fmt: skip
 
 BAD_OPTIONS = {
-    "sort": {"side": (2, 0.0, 1.0, "left", None, True)},
     "slow": {"ratio": (-0.1, 1.1, math.nan, "half", None)},
     "stop": {"position": (-0.1, 3.1, math.inf, "there", None)},
     "orient": {"angle": (-3.2, 3.2, math.nan, "left", None)},
@@ -53,10 +52,6 @@ BAD_OPTIONS = {
         "speed": (0.05,),
     },
 }  # fmt: skip
-OF_EVERY_TASK = {
-    "speed": (-0.1, 5.1, math.nan, "fast", None, True),
-    "parcel": ("M", None, 3, sg.Rectangle(0.2, 0.2)),
-}
 
 every_task = pytest.mark.parametrize("name", TASKS)
 
@@ -80,16 +75,14 @@ class TestOptions:
         for free, held in zip(draws(task, 9), draws(task, 9, parcel="B"), strict=True):
             assert (held.velocity[0], held.tilt) == (free.velocity[0], free.tilt)
 
-    @every_task
-    def test_bad_ones_are_named(self, name):
+    @pytest.mark.parametrize("name", BAD_OPTIONS)
+    def test_bad_ones_of_a_task_are_named(self, name):
+        """Those of every task, and of Sort: tests/test_env_starts.py."""
         env = bare(env_id(name))
-        with pytest.raises(ValueError, match=r"options must be one of .*'colour'"):
-            env.reset(options={"colour": 1})
-        for wrong in (OF_EVERY_TASK, BAD_OPTIONS[name]):
-            for option, values in wrong.items():
-                for value in values:
-                    with pytest.raises(ValueError, match=option):
-                        env.reset(options={option: value})
+        for option, values in BAD_OPTIONS[name].items():
+            for value in values:
+                with pytest.raises(ValueError, match=option):
+                    env.reset(options={option: value})
 
     def test_helpers(self):
         assert parcel_option(TRIANGLE) is TRIANGLE
