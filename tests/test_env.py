@@ -163,11 +163,7 @@ class TestDrawing:
         env = make()
         env.reset(seed=0)
         assert env.render() is None
+        env.close()
+        env.close()  # twice is fine
         with pytest.raises(gym.error.ResetNeeded):
             make(render_mode="rgb_array").render()
-
-    def test_closing_twice_is_fine(self):
-        env = te.bare()
-        env.reset(seed=0)
-        env.close()
-        env.close()

@@ -119,15 +119,9 @@ class TestBadActions:
         if after[2]:
             te.assert_same(env.reset(), twin.reset())
 
-    def pair(self, **settings: Any) -> tuple[Any, Any]:
-        envs = te.pair(**settings)
-        for env in envs:
-            env.step(te.same_choice(env, te.ROLL))
-        return envs
-
     @te.every_cell
     def test_they_are_named(self, env_id, actions, sensor):
-        env, twin = self.pair(env_id=env_id, actions=actions, sensors=sensor())
+        env, twin = te.pair(env_id=env_id, actions=actions, sensors=sensor())
         if actions == "halves":
             for action in self.OF_HALVES:
                 self.refused(env, twin, action)
@@ -146,7 +140,7 @@ class TestBadActions:
         self.refused(env, twin, np.full(len(good), np.nan))
 
     def test_any_whole_numbers_will_do(self):
-        env, twin = self.pair(**te.cell(te.SORT, "quadrants"))
+        env, twin = te.pair(**te.cell(te.SORT, "quadrants"))
         action = np.array([0, 1, 2, 3])
         wanted = action.tolist()
         for kind in (np.int8, np.uint8, np.int32, np.uint64):

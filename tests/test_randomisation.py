@@ -99,13 +99,11 @@ class TestLaws:
             parcel = each.parcel
             assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
 
-    def test_stiffness_is_log_normal_element_by_element(self):
+    def test_stiffness_is_log_normal_element_by_element_and_entries_are_normal(self):
         drawn = np.array([each.stiffness for each in draws(count=20, stiffness=0.4)])
         assert drawn.shape == (20, *SHAPE)
         assert_normal(np.log(drawn).ravel(), 0.0, 0.4)
         assert len(np.unique(drawn)) == drawn.size
-
-    def test_where_and_how_the_parcel_enters(self):
         drawn = draws(lateral=0.02, heading=0.1)
         assert_normal([each.aside for each in drawn], 0.0, 0.02)
         assert_normal([each.turned for each in drawn], 0.0, 0.1)

@@ -241,14 +241,12 @@ class TestExits:
         assert spans["c"] == pytest.approx((-1, 0.5, 2.0))
         assert spans["on"] == pytest.approx((0, 2.0, 2.6))  # and the surface's
 
-    def test_where_rotors_end_with_the_surface_the_way_on_is_the_last_column(self):
+    def test_no_exit_lies_past_the_rotors_but_the_way_on_which_takes_the_last_column(self):
         rotor = np.zeros((20, 20), dtype=bool)
         rotor[8:12] = True
         settings = EnvConfig("flow", line=Pattern(rotor=rotor, lead_in=5), exits="sides")
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
-
-    def test_a_chute_past_the_rotors_cannot_be_drawn(self):
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
         with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
             exit_marks(EnvConfig("flow", line=SHORT, exits=exits))

@@ -17,13 +17,11 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 class TestSurface:
-    def test_places_of_the_elements(self):
+    def test_places_of_the_elements_and_defaults_of_table_1(self):
         surface = sg.Surface(AXIS, ROTOR, pitch=0.2, origin=(1.0, -1.0))
         assert (surface.rows, surface.columns) == (3, 4)
         np.testing.assert_allclose(surface.x, [1.0, 1.2, 1.4, 1.6])
         np.testing.assert_allclose(surface.y, [-1.0, -0.8, -0.6])
-
-    def test_defaults_are_table_1_and_lists_and_integers_are_taken(self):
         surface = sg.Surface(AXIS, ROTOR)
         assert (surface.mu_max, surface.mu_min, surface.mu_support) == (0.5, 0.01, 0.005)
         assert (surface.pitch, surface.origin, surface.tilt) == (0.1, (0.05, 0.05), 0.0)

@@ -112,13 +112,9 @@ def test_nobody_comes_at_a_rate_of_nought(seed: int) -> None:
     np.testing.assert_allclose(times(Schedule(((0.0, 3600.0), (3.0, 0.0)))), [0.0, 1.0, 2.0])
 
 
-def test_a_schedule_of_one_rate_is_a_spread() -> None:
-    np.testing.assert_allclose(
-        times(Schedule(((0.0, 1200.0),), spread=0.7), 60.0), times(Spread(1200.0, 0.7), 60.0)
-    )
-
-
-def test_a_schedule_keeps_each_of_its_rates() -> None:
+def test_a_schedule_keeps_each_of_its_rates_and_is_a_spread_where_it_has_one() -> None:
+    one, spread = Schedule(((0.0, 1200.0),), spread=0.7), Spread(1200.0, 0.7)
+    np.testing.assert_allclose(times(one, 60.0), times(spread, 60.0))
     rates = ((0.0, 600.0), (0.25 * LONG, 1800.0), (0.5 * LONG, 0.0), (0.75 * LONG, 1200.0))
     seen, _ = np.histogram(times(Schedule(rates, spread=0.9)), bins=np.linspace(0.0, LONG, 5))
     np.testing.assert_allclose(seen, [3000, 9000, 0, 6000], rtol=0.04)

@@ -30,7 +30,7 @@ from tests.agents.test_policy import Trap
 from .envs_on_cpu import envs_on_cpu
 
 _STOP: dict[str, Any] = {
-    "task": "stop", "num_envs": 16, "steps": 20_000, "checkpoint_every": 6_000, "hidden": (8,),
+    "task": "stop", "num_envs": 16, "steps": 16_000, "checkpoint_every": 6_000, "hidden": (8,),
 }  # fmt: skip
 _SORT: dict[str, Any] = {"n_steps": 16, "batch_size": 64, "n_epochs": 2, "hidden": (8, 8)}
 _DQN: dict[str, Any] = {
