@@ -11,19 +11,15 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common import base_class, callbacks, vec_env
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES, PARCEL_TERMS, PRESENT, WAITS
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera, Exact
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
 from ..policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
@@ -77,7 +73,7 @@ def training_env_config(control_period: float) -> EnvConfig:
         gate=True,
         control_period=control_period,
         duration=DURATION,
-        sensors=Exact(),
+        sensors=sg.sensors.Exact(),
     )
 
 
@@ -113,7 +109,7 @@ class SlotVecEnv(BatchVecEnv):
             self._batch.seed(i, np.random.default_rng(self._rng.integers(2**63)))
         return [seed] * self.num_envs
 
-    def reset(self) -> VecEnvObs:
+    def reset(self) -> vec_env.base_vec_env.VecEnvObs:
         if not self._batch.is_seeded(0):
             self.seed(0)
         self._start(np.arange(self._streams))
@@ -128,7 +124,7 @@ class SlotVecEnv(BatchVecEnv):
         choices[i, self._row[i, slot]] = each[i, slot]
         self._batch.step(self._actions.to_env(self._batch.observation, choices))
 
-    def step_wait(self) -> VecEnvStepReturn:
+    def step_wait(self) -> vec_env.base_vec_env.VecEnvStepReturn:
         streams = self._batch.streams
         taken = self._arrival != NOBODY
         i, slot = np.nonzero(taken)
@@ -202,10 +198,12 @@ class SlotVecEnv(BatchVecEnv):
         """Do nothing; no resource is held."""
 
 
-def make_parcel_envs(config: ParcelsConfig) -> VecEnv:
+def make_parcel_envs(config: ParcelsConfig) -> vec_env.VecEnv:
     """Make the lines of a configuration, a share of them with a camera and varied friction."""
     exact = training_env_config(config.control_period)
-    camera = replace(exact, sensors=Camera(), randomisation=Randomisation(friction=config.friction))
+    camera = replace(
+        exact, sensors=sg.sensors.Camera(), randomisation=sg.Randomisation(friction=config.friction)
+    )
     by_camera = round(config.camera_share * config.num_envs)
     shares = ((exact, config.num_envs - by_camera), (camera, by_camera))
     return ConcatVecEnv(
@@ -217,7 +215,7 @@ def make_parcel_envs(config: ParcelsConfig) -> VecEnv:
     )
 
 
-class CriticFirst(BaseCallback):
+class CriticFirst(callbacks.BaseCallback):
     """Training of the value network alone, until it knows the value of the imitated policy.
 
     Advantages by an untrained value network would undo the imitation.
@@ -238,7 +236,7 @@ class CriticFirst(BaseCallback):
         return True
 
 
-def pretrain(model: BaseAlgorithm, config: ParcelsConfig) -> None:
+def pretrain(model: base_class.BaseAlgorithm, config: ParcelsConfig) -> None:
     """Let a new model imitate a reservation rule, if the configuration says so.
 
     Random choices would brake all parcels to rest.

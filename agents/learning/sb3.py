@@ -17,14 +17,10 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from surface_gym import SmartSurfaceVectorEnv
+import surface_gym as sg
 from surface_gym.config import PRESETS, Preset
 from surface_gym.flow.task import PARCEL_TERMS
-from surface_gym.layouts import box
-from surface_gym.lines import Line
-from surface_gym.parcel import Parcel, Rectangle, assortment
-from surface_gym.randomisation import Randomisation
-from surface_gym.tasks import Task, Track
+from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
@@ -36,16 +32,18 @@ from .parcels import CriticFirst, make_parcel_envs, pretrain
 from .ppo import CLIP_RANGE
 
 # Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
-_TASKS: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
+_TASKS: dict[str, sg.tasks.Task] = {
+    "track": sg.tasks.Track(tilts=(math.radians(10.0), math.radians(15.0)))
+}
 
 # For the lab: other parcels than in its evaluation, of the same distribution and a little beyond.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
 # With exact sensors beside it: squares of all sizes, and as often the study's boxes.
-_SQUARES = tuple(Parcel(Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
-_EXACT_PARCELS = (*_SQUARES, *(box("S"), box("B")) * (len(_SQUARES) // 2))
+_SQUARES = tuple(sg.Parcel(sg.Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
+_EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(_SQUARES) // 2))
 
 
-def training_task(name: str) -> Task:
+def training_task(name: str) -> sg.tasks.Task:
     """Return the task to train on, which may be narrower than the task of a name."""
     return _TASKS.get(name) or find_task(name)
 
@@ -79,7 +77,7 @@ def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
         parcels = assortment(_PARCELS, _PARCELS_SEED, _PARCEL_SIZES)
         return replace(exact, parcels=_EXACT_PARCELS), replace(lab, parcels=parcels)
     camera = PRESETS["camera"]
-    return exact, replace(camera, randomisation=Randomisation(friction=config.friction))
+    return exact, replace(camera, randomisation=sg.Randomisation(friction=config.friction))
 
 
 def _make_envs(
@@ -89,11 +87,11 @@ def _make_envs(
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
-        assert isinstance(line, Line)
+        assert isinstance(line, sg.lines.Line)
         periods = round(periods * time_for(line, columns))
         line = with_zone(line, columns)
     return SurfaceVecEnv(
-        SmartSurfaceVectorEnv(
+        sg.SmartSurfaceVectorEnv(
             num_envs=num_envs,
             max_episode_steps=periods,
             task=task,

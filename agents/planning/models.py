@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.seeding import np_random
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
-from surface_gym.lines import BaseLine
 from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
-from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Exact
 from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, OUT_OF_TIME, BodyTable, ParcelState
 from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import square_reach
@@ -49,7 +47,7 @@ class BrakingProfile:
 
 
 def braking_profile(
-    bodies: BodyTable, body: int, line: BaseLine, braking: float, rolling_loss: float
+    bodies: BodyTable, body: int, line: sg.lines.BaseLine, braking: float, rolling_loss: float
 ) -> BrakingProfile:
     """Compute the braking profile of a parcel, every element under it bearing as much.
 
@@ -137,7 +135,7 @@ class SearchNodes:
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] of the base
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
-    line: BaseLine
+    line: sg.lines.BaseLine
     conditions: Numbers  # (5,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
     corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
     profile: BrakingProfile | None = None  # None: that of rotors alone
@@ -249,7 +247,10 @@ class NominalModel(SearchModel):
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         nominal = replace(
-            config, sensors=Exact(), randomisation=Randomisation(), actuators=Actuators()
+            config,
+            sensors=sg.sensors.Exact(),
+            randomisation=sg.Randomisation(),
+            actuators=sg.Actuators(),
         )
         super().__init__(nominal, num_envs)
 
@@ -260,7 +261,7 @@ class TrueModel(SearchModel):
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
-        super().__init__(replace(config, sensors=Exact(), info=(), observe=()), num_envs)
+        super().__init__(replace(config, sensors=sg.sensors.Exact(), info=(), observe=()), num_envs)
         self._turns = config.actuators.axis_speed != math.inf
         self._profile: BrakingProfile | None = None
 

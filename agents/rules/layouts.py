@@ -12,8 +12,6 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.layouts import ROLLING
-from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
 from surface_gym.tasks import orient, slow, stop
 from surface_gym.tasks.base import BRAKING
@@ -43,7 +41,7 @@ def _run(
     zone_axis: Numbers,
     half_length: float,
     speed: float,
-    line: BaseLine,
+    line: sg.lines.BaseLine,
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
@@ -51,7 +49,7 @@ def _run(
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
-    axis = np.full(rotor.shape, ROLLING)
+    axis = np.full(rotor.shape, sg.layouts.ROLLING)
     axis[first_row : first_row + rows, first : first + columns] = zone_axis[margin : margin + rows]
     return sg.simulate(
         line.surface(axis, rotor),
@@ -65,7 +63,7 @@ def _run(
 
 @lru_cache(maxsize=1024)
 def loss_of_layout(
-    half_length: float, line: BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
+    half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
     """Compute how much of the squared entry speed a box has lost (places,) [m^2/s^2], by the way it
     went: 0, `FINE`, 2 `FINE` ... from the start.
@@ -161,7 +159,7 @@ class FixedStopping(FixedBraking):
 def angle_at_exit(
     half_length: float,
     speed: float,
-    line: BaseLine,
+    line: sg.lines.BaseLine,
     zone: tuple[int, int] | None,
     shape: tuple[int, int],
     turning: int,
@@ -174,7 +172,7 @@ def angle_at_exit(
         turning: first columns of the zone whose left half is at 45 deg.
     """
     rows, columns = shape
-    axis = np.full(shape, ROLLING)
+    axis = np.full(shape, sg.layouts.ROLLING)
     axis[rows // 2 :, :turning] = math.pi / 4.0
     run = _run(axis, half_length, speed, line, zone, STEP)
     theta = run.pose[:, 2]

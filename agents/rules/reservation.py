@@ -13,15 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Arrival, Trace
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import PRESENT
-from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Exact
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
@@ -37,7 +35,7 @@ BOOKED = 8  # the latest entries that a new one is held against
 SHUT = 0
 LONG_AGO = -1e6  # [s]
 
-Asked = tuple[Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
+Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +209,7 @@ def find_trajectories(
     make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked]
 ) -> Trajectories:
     """Find the trajectories of parcels, each alone on the line, seen as they are."""
-    exact = replace(config, sensors=Exact(), randomisation=Randomisation())
+    exact = replace(config, sensors=sg.sensors.Exact(), randomisation=sg.Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
     return Trajectories(
         tuple(asked),
@@ -221,7 +219,7 @@ def find_trajectories(
     )
 
 
-def _trajectory(parcel: Parcel, runs: LoneRuns, i: int) -> ParcelTrajectory:
+def _trajectory(parcel: sg.Parcel, runs: LoneRuns, i: int) -> ParcelTrajectory:
     """Cut a run to between entry and exit; the pose at the exit lasts until the next reading."""
     time, pose = runs.time[:, i], runs.pose[:, i]
     entered, departed = runs.entered[i], runs.departed[i]

@@ -17,13 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ANY
 from surface_gym.core.batch import Batch
-from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Base, Disc, Parcel, Polygon
+from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
@@ -62,7 +61,7 @@ class World:
                 actions="modules",
                 orientations=ANY,
                 control_period=self.dt,
-                sensors=Exact(),
+                sensors=sg.sensors.Exact(),
                 observe=(),
                 observe_axes=False,
                 info=(),
@@ -80,7 +79,7 @@ class World:
         self._number = -1
         self._present = False
         self._enters = begun + options.pause
-        self._command = np.full((1, kind.size), ROLLING)
+        self._command = np.full((1, kind.size), sg.layouts.ROLLING)
 
     @property
     def now(self) -> float:
@@ -120,7 +119,7 @@ class World:
         return messages
 
     def _enter(self) -> wire.Entered:
-        self._command[:] = ROLLING
+        self._command[:] = sg.layouts.ROLLING
         self._batch.reset(ONLY)
         self._present = True
         self._number += 1
@@ -164,16 +163,16 @@ class World:
         return wire.Frame(self._now, self._number, _triple(pose), axes)
 
 
-def _known_parcel(state: EnvState) -> Parcel:
+def _known_parcel(state: EnvState) -> sg.Parcel:
     """Return an environment's parcel, with its load evenly spread: a device does not know it."""
     corners: NDArray[np.float64] = state.corners
     base: Base
     if np.ptp(corners, axis=0).max() == 0.0:
-        base = Disc(float(state.body[RADIUS]))
+        base = sg.Disc(float(state.body[RADIUS]))
     else:
         apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
-        base = Polygon(corners[apart])
-    return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
+        base = sg.Polygon(corners[apart])
+    return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
 def _triple(values: NDArray[np.float64]) -> wire.Triple:

@@ -18,14 +18,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as ScreenTable
 
-from surface_gym import checks, design
+from surface_gym import checks, design, layouts, lines, parallel
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
 from surface_gym.design.runs import STEP, OnProgress
 from surface_gym.design.search import Effort
-from surface_gym.layouts import box
-from surface_gym.lines import ORIENTATIONS
-from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 STOPPED = 130  # status of a command that Ctrl-C ends
@@ -125,7 +122,7 @@ class Question:
     step: float = STEP
     """[s] of the simulation."""
 
-    workers: int = field(default_factory=usable_cores)
+    workers: int = field(default_factory=parallel.usable_cores)
     """Threads that share the runs; results do not depend on their number."""
     cluster: str | None = None
     """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
@@ -142,8 +139,8 @@ class Question:
         """Find the answer."""
 
     @property
-    def shared_by(self) -> Workers:
-        return choose_workers(self.cluster, self.workers)
+    def shared_by(self) -> parallel.Workers:
+        return parallel.choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
         checks.integer("workers", self.workers, least=1)
@@ -195,7 +192,7 @@ class Question:
             return Polygon(np.array([_numbers("polygon", corner) for corner in corners]))
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
-            return box(self.parcel).base
+            return layouts.box(self.parcel).base
         sides = self.parcel.split("x")
         if len(sides) != 2:
             raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
@@ -352,7 +349,7 @@ class AskLayout(Question):
             self.checkpoint.unlink(missing_ok=True)
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
-            self.rows, None if self.any_angle else ORIENTATIONS,
+            self.rows, None if self.any_angle else lines.ORIENTATIONS,
             Effort(members=self.members, epochs=self.epochs), self.shared_by, self.checkpoint,
             on_progress,
         )  # fmt: skip
@@ -401,7 +398,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import_module("matplotlib.figure")  # is needed last, but a missing library is known first
     try:
         ask(question)
-    except (ValueError, OSError, ImportError, WorkFailed) as error:
+    except (ValueError, OSError, ImportError, parallel.WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:

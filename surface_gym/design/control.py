@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, lines
 from surface_gym.design import report
 from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
 from surface_gym.design.runs import DesignLine, OnProgress
-from surface_gym.lines import Line
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Randomisation
 
@@ -209,7 +208,7 @@ def _make_config(
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
-    base_line = Line(
+    base_line = lines.Line(
         rows=line.shape[0], columns=line.shape[1], zone_rows=line.rows, zone_columns=line.columns,
         line_y=line.line_y, pitch=line.pitch, origin=(0.5 * line.pitch_x, 0.5 * line.pitch_y),
         mu_max=line.mu_max, mu_min=line.mu_min, mu_support=line.mu_support,
