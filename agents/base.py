@@ -31,12 +31,9 @@ class Controller(Protocol):
     """Chooses actions from observations, as Stable-Baselines3's models do."""
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Booleans | None = None,
+        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Choose an action for an observation (features,), or actions for (num_envs, features).
 
         Args:
@@ -52,12 +49,9 @@ class BatchController(ABC):
     _dims = 1  # of an observation
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Booleans | None = None,
+        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Choose the action for an observation, or actions for several; see `Controller`."""
         seen = np.asarray(observation)
         batch = seen.reshape(-1, *seen.shape[-self._dims :])

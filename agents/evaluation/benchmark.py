@@ -264,12 +264,9 @@ def compute_results(
 
 
 def compute_kept(
-    jobs: Mapping[Any, Callable[[], AnyRow]],
-    make: Callable[..., AnyRow],
-    workers: Workers,
-    file: Path | None,
-    advance: Advance,
-) -> dict[Any, AnyRow]:
+    jobs: Mapping[Any, Callable[[], AnyRow]], make: Callable[..., AnyRow], workers: Workers,
+    file: Path | None, advance: Advance,
+) -> dict[Any, AnyRow]:  # fmt: skip
     """Compute the results that are not kept yet.
 
     Args:

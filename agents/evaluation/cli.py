@@ -99,13 +99,9 @@ def _compare(config: EvaluateConfig, workers: Workers, console: Console) -> None
             sections = report.write_stream_report(several, rows, config.out, console)
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(
-            methods,
-            results,
-            config.out,
-            console,
-            lambda part: advance(len(results), len(results), part),
-            sections,
-        )
+            methods, results, config.out, console,
+            lambda part: advance(len(results), len(results), part), sections,
+        )  # fmt: skip
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
 
 

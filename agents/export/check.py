@@ -71,12 +71,9 @@ class Agreement:
 
 
 def compare(
-    what: str,
-    decision: NetworkDecision | ModulesDecision,
-    source: Source,
-    observations: Singles,
+    what: str, decision: NetworkDecision | ModulesDecision, source: Source, observations: Singles,
     decide: Decide,
-) -> Agreement:
+) -> Agreement:  # fmt: skip
     """Compare decisions with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))

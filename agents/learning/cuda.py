@@ -125,13 +125,9 @@ class TotalsCurve(Curve):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        terms: tuple[str, ...],
-        num_envs: int,
-        steps: int,
+        self, folder: Path, terms: tuple[str, ...], num_envs: int, steps: int,
         recent: list[dict[str, float]],
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(folder, terms, steps, recent)
         self._least = max(RECENT_EPISODES, num_envs)
 

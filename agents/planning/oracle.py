@@ -107,14 +107,10 @@ class Oracle:
         parcels = model.parcels
         return Reached(
             outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
-            time=float(parcels.clock[0]),
-            metrics=tuple(parcels.metrics[0].tolist()),
-            poses=np.array(poses),
-            velocity=parcels.truth[0, 3:].copy(),
-            actions=tuple(actions),
-            width=width,
-            seconds=0.0,
-        )
+            time=float(parcels.clock[0]), metrics=tuple(parcels.metrics[0].tolist()),
+            poses=np.array(poses), velocity=parcels.truth[0, 3:].copy(), actions=tuple(actions),
+            width=width, seconds=0.0,
+        )  # fmt: skip
 
     def _model(self, size: int) -> TrueModel:
         if size not in self._models:
@@ -123,12 +119,9 @@ class Oracle:
 
 
 def find_reachable(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
     workers: Workers = 1,
-) -> list[Reached]:
+) -> list[Reached]:  # fmt: skip
     """Find what can be reached from starts, with halves for actions, by an oracle."""
     Oracle(config, budget)
     check_workers(workers)
@@ -149,12 +142,9 @@ def _find(
 
 
 def run_oracle(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
     workers: Workers = 1,
-) -> Episodes:
+) -> Episodes:  # fmt: skip
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
     runs = find_reachable(config, starts, seed, budget, workers)
     names = config.task.metrics

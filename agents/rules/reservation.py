@@ -136,12 +136,9 @@ class LoneRuns:
 
 
 def run_alone(
-    make: Callable[[EnvConfig], Controller],
-    config: EnvConfig,
-    asked: Sequence[Asked],
-    seeds: Sequence[int],
-    opens: Halves | None = None,
-) -> LoneRuns:
+    make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked],
+    seeds: Sequence[int], opens: Halves | None = None,
+) -> LoneRuns:  # fmt: skip
     """Run parcels, each alone on a line with a gate.
 
     Args:
@@ -167,13 +164,9 @@ def run_alone(
         times.append(batch.streams.clock.copy())
         poses.append(batch.parcels.truth.reshape(count, alone.stream_task.rows, 6)[:, 0, :3].copy())
     return LoneRuns(
-        np.array(times),
-        np.array(poses),
-        batch.streams.entered[:, 0],
-        batch.streams.left[:, 0],
-        batch.streams.tally[:, RIGHT] > 0,
-        signature,
-    )
+        np.array(times), np.array(poses), batch.streams.entered[:, 0], batch.streams.left[:, 0],
+        batch.streams.tally[:, RIGHT] > 0, signature,
+    )  # fmt: skip
 
 
 def list_asked(config: EnvConfig) -> list[Asked]:

@@ -230,13 +230,9 @@ def best_layout(
 
 
 def evaluate_layout(
-    name: str,
-    axis: Array,
-    case: Case,
-    line: DesignLine,
-    speeds: Array,
+    name: str, axis: Array, case: Case, line: DesignLine, speeds: Array,
     workers: parallel.Workers = 1,
-) -> LayoutResult:
+) -> LayoutResult:  # fmt: skip
     """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
     ends = _run_layouts(case, line, axes, speeds, workers)

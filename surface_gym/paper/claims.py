@@ -55,12 +55,9 @@ class Zone:
     def surface(self) -> Surface:
         """The line with as many columns at 90 deg behind the zone as before it."""
         return layouts.slowing(
-            self.size,
-            self.towards * 0.25 * math.pi,
-            self.columns,
-            columns=self.columns + 2 * layouts.LEAD_IN[self.size],
-            tilt=math.radians(self.tilt),
-        )
+            self.size, self.towards * 0.25 * math.pi, self.columns,
+            columns=self.columns + 2 * layouts.LEAD_IN[self.size], tilt=math.radians(self.tilt),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
