@@ -16,14 +16,13 @@ from ..module_policy import GROUPS, ModuleView
 from ..vec_env import ConcatVecEnv
 from . import ppo
 from .config import ModulesConfig, make_card
-from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
 
 
-def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
+def step_envs(envs: ConcatVecEnv, actions: Integers) -> ppo.Transition:
     """Step all environments by one control period."""
     observations, rewards, ended, infos = envs.step(actions)
     seen = np.asarray(observations)
@@ -31,7 +30,7 @@ def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
     for i in np.nonzero(ended)[0]:
         last[i] = infos[i]["terminal_observation"]
         terminated[i] = not infos[i]["TimeLimit.truncated"]
-    return Transition(seen, rewards.astype(np.float64), terminated, ended, last, infos)
+    return ppo.Transition(seen, rewards.astype(np.float64), terminated, ended, last, infos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +161,7 @@ class ModuleLearner:
             next_value.append(~moved.terminated * self.value(torch.from_numpy(moved.last)).numpy())
         samples = ModuleSamples.concatenate(parts)
         value = self.value(samples.observations).numpy().reshape(len(parts), -1).astype(np.float64)
-        advantage = compute_advantages(
+        advantage = ppo.compute_advantages(
             torch.from_numpy(np.stack(rewards)), torch.from_numpy(np.stack(ended)),
             torch.from_numpy(value), torch.from_numpy(np.stack(next_value)), self._config.gamma,
             self._config.gae_lambda,
@@ -175,7 +174,7 @@ class ModuleLearner:
         sample = samples.sample
         log_probability = self.network(samples.shared, sample, samples.place)
         group = GROUPS * sample + samples.group
-        loss = ppo_loss(
+        loss = ppo.ppo_loss(
             module_policy.log_likelihood(
                 log_probability, samples.choice, group, GROUPS * len(samples.count)
             ),

@@ -15,11 +15,10 @@ from stable_baselines3.common import base_class, callbacks, vec_env
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.flow.arrivals import HOUR, Steady
+from surface_gym.flow import arrivals, task
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import FEATURES, PARCEL_TERMS, PRESENT, WAITS
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
 from ..policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
@@ -38,7 +37,7 @@ DURATION = 20.0  # [s] of an episode
 
 # Rewards.
 SCALES = np.array([1.0, 1.5, 2.0, 1.0, 0.5])  # [-] on the terms: right, wrong, touch, reach, time
-TIME = PARCEL_TERMS.index("time")  # the term that includes waiting at the gate
+TIME = task.PARCEL_TERMS.index("time")  # the term that includes waiting at the gate
 GATE_REWARD = -3.0  # per second at the gate: the line could have delivered parcels meanwhile
 JAM_REWARD = -1.0  # once, for each parcel of a line on which nothing moves any more
 
@@ -54,7 +53,9 @@ LEARNING_RATE = 1e-3  # at the start; it falls to 0
 
 def densest_stream(speed: float, parcels: tuple[str, ...], load: float = 1.0) -> Stream:
     """Build a stream of a speed [m/s] that always has a parcel at the gate, or a share of it."""
-    return Stream(Steady(HOUR * speed / SPACING * load), parcels=parcels, speeds=speed)
+    return Stream(
+        arrivals.Steady(arrivals.HOUR * speed / SPACING * load), parcels=parcels, speeds=speed
+    )
 
 
 def draw_stream(rng: np.random.Generator) -> Stream:
@@ -85,7 +86,7 @@ class SlotVecEnv(BatchVecEnv):
         self._period = env_config.control_period
         self._arrival = np.full((num_streams, slots), NOBODY)  # number of the arrival in a slot
         self._row = np.zeros((num_streams, slots), dtype=np.int64)  # its row in the observation
-        self._recorder = EpisodeRecorder(num_streams * slots, PARCEL_TERMS)
+        self._recorder = EpisodeRecorder(num_streams * slots, task.PARCEL_TERMS)
         self._rng = np.random.default_rng(0)
         self.render_mode = None
         super().__init__(num_streams * slots, *parcel_spaces(env_config))
@@ -180,7 +181,7 @@ class SlotVecEnv(BatchVecEnv):
 
     def _observe(self) -> Rows:
         """Return the observations (slots of all lines, features)."""
-        seen = np.zeros((self._streams, self._slots, len(FEATURES)), dtype=np.float32)
+        seen = np.zeros((self._streams, self._slots, len(task.FEATURES)), dtype=np.float32)
         i, slot = np.nonzero(self._arrival != NOBODY)
         seen[i, slot] = mirrored_rows(self._batch.observation[i, self._row[i, slot]])
         return seen.reshape(self.num_envs, -1)
@@ -259,7 +260,7 @@ def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
             while (batch.outcome == RUNNING).any():
                 tables = batch.observation.copy()
                 action, state = rule.predict(tables, state)
-                present = tables[..., PRESENT] > 0.5
+                present = tables[..., task.PRESENT] > 0.5
                 seen.append(mirrored_rows(tables)[present])
                 chosen.append(conversion.to_parcels(tables, action)[present])
                 batch.step(actions.commands(action, NUM_ENVS))
@@ -270,7 +271,7 @@ def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, see
     """Maximise the likelihood of demonstrated choices."""
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)
-    waits = observations[:, WAITS] > 0.5
+    waits = observations[:, task.WAITS] > 0.5
     groups = [torch.nonzero(part)[:, 0] for part in (waits, ~waits)]
     optimiser = torch.optim.Adam(policy.parameters(), LEARNING_RATE)
     steps = epochs * (len(seen) // BATCH)

@@ -11,11 +11,8 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import DQN, PPO
-from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common import buffers, logger, utils, vec_env
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecEnv
 
 import surface_gym as sg
 from surface_gym.config import PRESETS, Preset
@@ -48,7 +45,7 @@ def training_task(name: str) -> sg.tasks.Task:
     return _TASKS.get(name) or find_task(name)
 
 
-def make_mirrored_envs(config: TrainConfig) -> VecEnv:
+def make_mirrored_envs(config: TrainConfig) -> vec_env.VecEnv:
     """Make the environments of a configuration, with actions mirrored where the task is."""
     envs = make_training_envs(config)
     mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
@@ -138,7 +135,7 @@ class DoubleDQN(DQN):
         self.logger.record("train/loss", float(np.mean(torch.stack(losses).numpy())))
 
     @property
-    def memory(self) -> ReplayBuffer:
+    def memory(self) -> buffers.ReplayBuffer:
         assert self.replay_buffer is not None
         return self.replay_buffer
 
@@ -158,7 +155,7 @@ def _initial_share(initial: float, left: float) -> float:
     return initial * left
 
 
-def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> PPO | DoubleDQN:
+def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | DoubleDQN:
     """Build PPO or DQN, with weights drawn from the seed."""
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
@@ -239,7 +236,7 @@ class _Checkpoints(BaseCallback):
         self._interval = interval
         save_checkpoint(model, list(self._curve.recent), self._folder)
         seed = runs.interval_seed(self._config, interval)
-        set_random_seed(seed)
+        utils.set_random_seed(seed)
         model.action_space.seed(seed)
         model.env.seed(seed)
         model._last_obs = model.env.reset()
@@ -278,7 +275,7 @@ def train_sb3(
         model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
     recent = load_checkpoint(model, folder) if resumed else []
     curve = runs.Curve(folder, terms, model.num_timesteps, recent)
-    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    model.set_logger(logger.configure(str(folder / "tensorboard"), ["tensorboard"]))
     callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
     interrupted = False
     try:

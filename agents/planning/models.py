@@ -12,8 +12,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
 from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
 from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, OUT_OF_TIME, BodyTable, ParcelState
-from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
-from surface_gym.tasks.planning import square_reach
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.start import Start
 
 from ..base import Booleans, Integers, Numbers, axes_apart
@@ -144,12 +143,12 @@ class SearchNodes:
     @property
     def braking(self) -> float:
         """[m/s^2] of a parcel over axes at 0 deg."""
-        return BRAKING * float(self.conditions[ALONG_FACTOR])
+        return base.BRAKING * float(self.conditions[ALONG_FACTOR])
 
     @property
     def rolling_loss(self) -> float:
         """[m/s^2] of a parcel over axes at 90 deg."""
-        return ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
+        return base.ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
 
     @property
     def quarter_turn(self) -> float:
@@ -179,7 +178,7 @@ class SearchNodes:
         """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
         theta = self.parcels.truth[:, 2]
         if self.corners is None:
-            return square_reach(self.half_length, theta)
+            return planning.square_reach(self.half_length, theta)
         cosine, sine = np.cos(theta), np.sin(theta)
         directions = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
         farthest: Numbers = (directions @ self.corners.T).max(axis=1)

@@ -13,8 +13,6 @@ import numpy as np
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import VX, VY
-from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
@@ -243,7 +241,7 @@ class BestSlowing(_Searched, FixedSlowing):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _LineSearch(config, _graded(slow.MISSED, 2e-4), self._layouts)
+        self._search = _LineSearch(config, _graded(sg.tasks.slow.MISSED, 2e-4), self._layouts)
 
 
 class BestStopping(_Searched, FixedStopping):
@@ -260,7 +258,9 @@ class BestTurning(_Searched, FixedTurning):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _TurnSearch(config, _graded(orient.MISSED, 1e-3, True), self._layouts)
+        self._search = _TurnSearch(
+            config, _graded(sg.tasks.orient.MISSED, 1e-3, True), self._layouts
+        )
 
 
 class _TurnSearch(_LineSearch):
@@ -281,10 +281,12 @@ def _graded(missed: int, enough: float, halves: bool = False) -> search.LayoutCo
 def _stop_cost(nodes: Nodes) -> Numbers:
     parcels = nodes.parcels
     # One that has passed the asked x would rest this much farther at best.
-    farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (2.0 * BRAKING)
-    passed = search.MISSED + np.abs(parcels.metrics[:, stop.STOP_ERROR]) + farther
-    graded = search.graded_cost(nodes, stop.MISSED)
-    return np.where(parcels.outcome == stop.OVERSHOT, passed, graded)
+    farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (
+        2.0 * sg.tasks.base.BRAKING
+    )
+    passed = search.MISSED + np.abs(parcels.metrics[:, sg.tasks.stop.STOP_ERROR]) + farther
+    graded = search.graded_cost(nodes, sg.tasks.stop.MISSED)
+    return np.where(parcels.outcome == sg.tasks.stop.OVERSHOT, passed, graded)
 
 
 class BestTracking(FixedRule):

@@ -15,11 +15,10 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.flow.arrivals import HOUR, Arrival, Trace
+from surface_gym.flow import arrivals, task
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import PRESENT
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
@@ -115,12 +114,12 @@ def packed_rate(gaps: Numbers, odds: Numbers) -> float:
         odds: (trajectories,) of each, independent of the one before.
     """
     share = odds / odds.sum()
-    return float(HOUR / (share @ gaps @ share))
+    return float(arrivals.HOUR / (share @ gaps @ share))
 
 
 def steady_rate(gaps: Numbers) -> float:
     """Compute the rate [parcels/h] of a stream with equal gaps, in which every pair may come."""
-    return float(HOUR / gaps.max())
+    return float(arrivals.HOUR / gaps.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,7 @@ def run_alone(
     Args:
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
-    streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
+    streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
     alone = config.replace(max_parcels=1, gate=True, stream=streams[0])
     count = len(asked)
     batch = StreamBatch(alone, count)
@@ -174,7 +173,7 @@ def list_asked(config: EnvConfig) -> list[Asked]:
     the greatest.
     """
     stream = config.stream_task.stream
-    if isinstance(stream.arrivals, Trace):
+    if isinstance(stream.arrivals, arrivals.Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
     if isinstance(stream.speeds, tuple):
         low, high = stream.speeds
@@ -263,7 +262,7 @@ class Booking:
         clock = np.where(fresh, 0.0, book.clock)
         way = np.where(fresh[:, np.newaxis], 0, book.way)
         time = np.where(fresh[:, np.newaxis], LONG_AGO, book.time)
-        waits = tables[:, -1, PRESENT] > 0.5
+        waits = tables[:, -1, task.PRESENT] > 0.5
         due = clock + HORIZON * tables[:, -1, TIME].astype(np.float64)
         # Let in, but there still: there was no room.
         stayed = book.pending & ~fresh & waits & (np.abs(due - book.due) < 1e-3)

@@ -139,13 +139,12 @@ def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | Non
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     """Load the policy of a command."""
     from .. import library
-    from ..library import find_task
     from ..policy import ParcelPolicy
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)
     elif Path(config.name).is_dir():
-        custom = None if config.task is None else find_task(config.task)
+        custom = None if config.task is None else library.find_task(config.task)
         policy = library.read(config.name, custom)
     else:
         raise ValueError(

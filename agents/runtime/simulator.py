@@ -19,17 +19,15 @@ from numpy.typing import NDArray
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ANY
-from surface_gym.core.batch import Batch
+from surface_gym.core import actions, batch
 from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
+from . import controller, estimator
 from . import protocol as wire
 from .config import SimulatorConfig, WorldOptions, parse_address
-from .controller import AxisLimits, Clock, WallClock
-from .estimator import device_camera, zone_angles
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
@@ -48,23 +46,23 @@ class World:
     def __init__(
         self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
     ) -> None:
-        self._camera = device_camera(env_config.sensors)
+        self._camera = estimator.device_camera(env_config.sensors)
         self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
         self._limit = env_config.task.periods * env_config.timing.steps
-        self._batch = Batch(
+        self._batch = batch.Batch(
             replace(
-                env_config, actions="modules", orientations=ANY, control_period=self.dt,
+                env_config, actions="modules", orientations=actions.ANY, control_period=self.dt,
                 sensors=sg.sensors.Exact(), observe=(), observe_axes=False, info=(),
             ),
             1,
         )  # fmt: skip
         kind = self._batch.config.action_kind
         self.shape = (kind.rows, kind.columns)
-        self._limits = AxisLimits(self.shape, None)
+        self._limits = controller.AxisLimits(self.shape, None)
         generator, self._noise = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
         self._batch.seed(0, generator)
         self._options = options
@@ -149,7 +147,7 @@ class World:
         pose = self._batch.parcels.truth[0, :3] + spread * noise
         axes = None
         if self._options.encoders:
-            axes = zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
+            axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
         return wire.Frame(self._now, self._number, _triple(pose), axes)
 
 
@@ -250,7 +248,7 @@ class Server:
             self._connection = None
 
 
-def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
+def serve(server: Server, clock: controller.Clock, goes_on: Callable[[], bool]) -> None:
     """Serve in real time as long as `goes_on` is true."""
     while goes_on():
         server.step(clock.now())
@@ -267,7 +265,7 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
     env_config = make_env_config(config)
-    clock = WallClock()
+    clock = controller.WallClock()
     world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))

@@ -19,10 +19,9 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as ScreenTable
 
 from surface_gym import checks, design, layouts, lines, parallel
+from surface_gym.design import runs, search
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
-from surface_gym.design.runs import STEP, OnProgress
-from surface_gym.design.search import Effort
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 STOPPED = 130  # status of a command that Ctrl-C ends
@@ -119,7 +118,7 @@ class Question:
     """Of the unknown quantities."""
     seed: int = 0
     """Of the draws."""
-    step: float = STEP
+    step: float = runs.STEP
     """[s] of the simulation."""
 
     workers: int = field(default_factory=parallel.usable_cores)
@@ -135,7 +134,7 @@ class Question:
         return None
 
     @abstractmethod
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         """Find the answer."""
 
     @property
@@ -232,7 +231,7 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 class AskColumns(Question):
     """Find the fewest columns and rows for the purpose."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         if self.columns is not None:
             raise ValueError("columns must not be given: they are what is asked for")
         return columns_report(self.case(), self.rows, self.shared_by, on_progress)
@@ -245,7 +244,7 @@ class AskSpeed(Question):
     highest: MaybeFloat = None
     """[m/s] entry speed to try; else 3, or half as much again as --speed."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.least_speed(
             self.case(), self.columns, self.rows, self.highest, self.shared_by, on_progress
         )
@@ -258,7 +257,7 @@ class AskTilt(Question):
     highest_deg: MaybeDegrees = None
     """Tilt to try; else 15, or half as much again as --tilt-deg."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
         return design.least_tilt(
             self.case(), self.columns, self.rows, highest, self.shared_by, on_progress
@@ -269,7 +268,7 @@ class AskTilt(Question):
 class AskFriction(Question):
     """Find the limits of friction along and across the axes."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.friction_range(
             self.case(), self.columns, self.rows, self.shared_by, on_progress
         )
@@ -288,7 +287,7 @@ class AskMap(Question):
     resume: bool = False
     """Resume an interrupted map from its map.npz in --out."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         checks.integer("cells", self.cells, least=1)
         ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
@@ -309,7 +308,7 @@ class AskMap(Question):
 class AskSensitivity(Question):
     """Find the effect of each unknown quantity alone."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
 
 
@@ -323,14 +322,14 @@ class AskLayout(Question):
     """[m/s] between them."""
     any_angle: bool = False
     """Search any axes, not 0, 45, -45 and 90 deg only."""
-    members: int = Effort.members
+    members: int = search.Effort.members
     """Layouts in the search's population."""
-    epochs: int = Effort.epochs
+    epochs: int = search.Effort.epochs
     """Of the search, of ten generations each."""
     resume: bool = False
     """Resume an interrupted search from its layout.npz in --out."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         least, most = self.speeds
         step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
@@ -342,8 +341,8 @@ class AskLayout(Question):
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
             self.rows, None if self.any_angle else lines.ORIENTATIONS,
-            Effort(members=self.members, epochs=self.epochs), self.shared_by, self.checkpoint,
-            on_progress,
+            search.Effort(members=self.members, epochs=self.epochs), self.shared_by,
+            self.checkpoint, on_progress,
         )  # fmt: skip
 
     @property
@@ -355,7 +354,7 @@ class AskLayout(Question):
 class AskControl(Question):
     """Compare axes that follow the parcel with fixed layouts; needs the package `agents`."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         if self.rows is not None:
             raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
         if self.cluster is not None:

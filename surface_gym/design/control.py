@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks, lines
-from surface_gym.design import report
+from surface_gym.design import report, runs
 from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
-from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Randomisation
 
@@ -117,7 +116,7 @@ def _describe_best(gains: Sequence[Gain]) -> str:
 
 
 def control_gain(
-    case: Case, columns: int | None = None, on_progress: OnProgress = lambda *_: None
+    case: Case, columns: int | None = None, on_progress: runs.OnProgress = lambda *_: None
 ) -> ControlGain:
     """Try the fixed layouts, the rules and the shipped agents on the surface of a case.
 
@@ -167,7 +166,7 @@ def _fits(method: Any, config: Any) -> bool:
     return bool(np.shape(action)[1:] == config.action_space().shape)
 
 
-def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
+def _try(method: Any, case: Case, line: runs.DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
     def run(speeds: Array, randomisation: Randomisation) -> Any:
@@ -198,7 +197,7 @@ def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
 
 
 def _make_config(
-    method: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
+    method: Any, case: Case, line: runs.DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
     """Make the configuration of an environment on the line."""
     from surface_gym.config import EnvConfig

@@ -10,14 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from surface_gym import layouts
+from surface_gym import layouts, trajectory_plot
 from surface_gym.paper import runs
 from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross
 from surface_gym.paper.reproduction import NAMES, TILTS, Reproduction
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.trajectory_plot import axis_strokes, outline_at
 
 SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
@@ -56,7 +55,9 @@ def draw_surface(
     is_rotor = surface.rotor
     panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
     panel.plot(x[is_rotor], y[is_rotor], ".", color=rotor, markersize=4)
-    strokes = axis_strokes(np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03)
+    strokes = trajectory_plot.axis_strokes(
+        np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03
+    )
     panel.add_collection(LineCollection(strokes, color=rotor, linewidth=width))
 
 
@@ -64,7 +65,7 @@ def draw_base(
     panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
 ) -> None:
     """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
-    outline = outline_at(base, pose)
+    outline = trajectory_plot.outline_at(base, pose)
     corners = np.vstack([outline, outline[:1]])
     panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
 
