@@ -16,8 +16,9 @@ from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.tasks.benchmark import Benchmark, Column
 
-from .. import library, rollout
 from ..base import Booleans, Numbers
+from ..library import find_task
+from ..rollout import Episodes, run_episodes, run_sequentially
 from .methods import Method
 
 CONFIDENCE = 0.95
@@ -157,7 +158,7 @@ def summarise(results: Sequence[Result]) -> Summaries:
 
 def find_benchmark(task: str) -> Benchmark:
     """Find the benchmark of a task, the package's or the user's own."""
-    return library.find_task(task).benchmark()
+    return find_task(task).benchmark()
 
 
 def choose_starts(
@@ -178,13 +179,13 @@ def choose_starts(
     return tuple({key: start[key] for key in start if key != "parcel"} for start in starts)
 
 
-def play(method: Method, seed: int, preset_name: str) -> tuple[Result, rollout.Episodes]:
+def play(method: Method, seed: int, preset_name: str) -> tuple[Result, Episodes]:
     """Run a method's seed on its task under a preset."""
     preset, benchmark = PRESETS[preset_name], find_benchmark(method.task)
     starts = choose_starts(benchmark, method.starts, preset)
     config = method.config(benchmark.task, preset)
     controller = method.make(config, seed)
-    run = rollout.run_episodes if method.starts is None else rollout.run_sequentially
+    run = run_episodes if method.starts is None else run_sequentially
     episodes = run(controller, config, starts, SEED)
     result = Result(
         task=method.task,
@@ -206,7 +207,7 @@ def compute(method: Method, seed: int, preset: str) -> Result:
 
 
 def _path_metrics(
-    config: EnvConfig, episodes: rollout.Episodes, starts: Sequence[dict[str, Any]]
+    config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
     """Compute what the task measures on whole paths; most tasks measure nothing there."""
     task, line = config.task, config.chosen_line
