@@ -12,10 +12,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
-from surface_gym.lines import Line
-from surface_gym.tasks import Sort
 from surface_gym.tasks.sort import FEATURES
 
 SAME = 1e-6  # [rad] axes closer than this are one
@@ -31,12 +30,9 @@ class Controller(Protocol):
     """Chooses actions from observations, as Stable-Baselines3's models do."""
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Booleans | None = None,
+        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Choose an action for an observation (features,), or actions for (num_envs, features).
 
         Args:
@@ -52,12 +48,9 @@ class BatchController(ABC):
     _dims = 1  # of an observation
 
     def predict(
-        self,
-        observation: Singles,
-        state: Any = None,
-        episode_start: Booleans | None = None,
+        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Choose the action for an observation, or actions for several; see `Controller`."""
         seen = np.asarray(observation)
         batch = seen.reshape(-1, *seen.shape[-self._dims :])
@@ -89,13 +82,13 @@ def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
     return np.abs(np.angle(turned)) / 2.0
 
 
-def with_zone(line: Line, columns: int) -> Line:
+def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
     """Return a line with a zone of so many columns and the same lengths before and behind it."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
 
-def time_for(line: Line, columns: int) -> float:
+def time_for(line: sg.lines.Line, columns: int) -> float:
     """Compute the factor [-] on an episode's time limit for a zone of so many columns."""
     return max(1.0, columns / line.zone_columns)
 
@@ -180,6 +173,6 @@ class ActionMirror:
 
 def action_mirror(config: EnvConfig) -> ActionMirror | None:
     """Build the mirror for an environment's actions; None where its task is not symmetric."""
-    if not isinstance(config.task, Sort):
+    if not isinstance(config.task, sg.tasks.Sort):
         return None
     return ActionMirror(config.action_kind, config.chosen_orientations)

@@ -25,8 +25,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS as FEATURE_GROUPS
 from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.lines import BaseLine, Line
-from surface_gym.tasks.planning import LineObservation
-from surface_gym.tasks.sort import FEATURES
+from surface_gym.tasks import planning, sort
 
 from .base import SIDE, BatchController, Integers, Numbers, Singles, mirrored_orientations
 from .library import PolicyCard
@@ -36,7 +35,7 @@ ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
 ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
 MARGIN = 0.01  # [m] a module this near to the base may bear it
 
-_NAMES = tuple(feature.name for feature in FEATURES)
+_NAMES = tuple(feature.name for feature in sort.FEATURES)
 # The side is mirrored away. The time would tie the policy to one length of lead-in.
 _SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
 _ROTORS = {feature.name for feature in FEATURE_GROUPS["rotors"].features}
@@ -94,7 +93,9 @@ def outline_from_features(
     )
 
 
-def outline_from_clearance(see: LineObservation, clearance: Numbers, line: BaseLine) -> Outline:
+def outline_from_clearance(
+    see: planning.LineObservation, clearance: Numbers, line: BaseLine
+) -> Outline:
     """Infer the outlines of bases from their half length alone, as rectangles or discs.
 
     The clearance lacks the half line and the half extent of the base across it. A wider base has a
@@ -185,7 +186,7 @@ class ModuleView:
         )
 
     def _locate_by_clearance(
-        self, see: LineObservation, observations: Singles
+        self, see: planning.LineObservation, observations: Singles
     ) -> tuple[Outline, Numbers]:
         """Infer outlines, and x [m] of the bases' centres (num_envs,) past the zone's edge."""
         clearance = 0.2 * observations[:, self._columns["clearance"]].astype(np.float64)
@@ -193,7 +194,7 @@ class ModuleView:
         return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
 
     def _locate_exactly(
-        self, see: LineObservation, observations: Singles
+        self, see: planning.LineObservation, observations: Singles
     ) -> tuple[Outline, Numbers]:
         """Compute the same from an observed outline: the phase in a pitch makes x exact."""
         names = ("length", "width", "fill", "sine of phase x", "cosine of phase x")
@@ -215,7 +216,7 @@ class ModuleView:
         return observations[env[:, np.newaxis], self._rotors[quadrant]].T
 
     def _find_near(
-        self, see: LineObservation, outline: Outline, into_zone: Numbers
+        self, see: planning.LineObservation, outline: Outline, into_zone: Numbers
     ) -> tuple[Integers, Integers, Numbers, Numbers]:
         """Find modules that the parcel may reach in a period.
 
@@ -246,16 +247,13 @@ class ModuleView:
         return actions
 
 
-def _mirrored_to_left(see: LineObservation) -> LineObservation:
+def _mirrored_to_left(see: planning.LineObservation) -> planning.LineObservation:
     """Mirror the parcels that are to go to y < 0."""
     mirror = np.where(see.side < 0.0, -1.0, 1.0)
     return replace(
-        see,
-        offset=mirror * see.offset,
-        theta=mirror * see.theta,
-        vy=mirror * see.vy,
+        see, offset=mirror * see.offset, theta=mirror * see.theta, vy=mirror * see.vy,
         omega=mirror * see.omega,
-    )
+    )  # fmt: skip
 
 
 def _in_parcel_frame(x: Numbers, y: Numbers, theta: Numbers) -> Numbers:

@@ -14,9 +14,8 @@ import numpy as np
 import torch
 import yaml
 from gymnasium import spaces
+from stable_baselines3.common import policies, type_aliases
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
-from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
-from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.distributions import Categorical
 
@@ -67,7 +66,7 @@ class EqualCategoricals(MultiCategoricalDistribution):
         return self._each.logits.argmax(dim=2)
 
 
-class EqualChoicesPolicy(ActorCriticPolicy):
+class EqualChoicesPolicy(policies.ActorCriticPolicy):
     """Stable-Baselines3's actor and critic, with `EqualCategoricals` where the action space is a
     MultiDiscrete of equal choices. Names and shapes of its parameters are the same.
     """
@@ -82,7 +81,7 @@ class EqualChoicesPolicy(ActorCriticPolicy):
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
-def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
+def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
     """Build the network of a card for an environment, its weights not set."""
     return NETWORKS[card.algo](
         config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
@@ -92,7 +91,7 @@ def make_network(card: PolicyCard, config: EnvConfig) -> BasePolicy:
 class Policy(BatchController):
     """A trained PPO or DQN policy."""
 
-    def __init__(self, network: BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
+    def __init__(self, network: policies.BasePolicy, card: PolicyCard, config: EnvConfig) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network
         self._network.set_training_mode(False)
@@ -152,7 +151,7 @@ class ParcelActions:
         return np.where(mirrored, self._image[axes], axes)
 
 
-class ParcelNetwork(ActorCriticPolicy):
+class ParcelNetwork(policies.ActorCriticPolicy):
     """Stable-Baselines3's actor and critic of a parcel, with a mask on its three choices.
 
     A parcel on the line chooses its axes, one at the gate the opening of the gate. The other
@@ -190,7 +189,7 @@ class ParcelNetwork(ActorCriticPolicy):
         return actions, self.value_net(value), _log_prob(parts, actions)
 
     def evaluate_actions(
-        self, obs: PyTorchObs, actions: torch.Tensor
+        self, obs: type_aliases.PyTorchObs, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         assert isinstance(obs, torch.Tensor)
         policy, value = self._latents(obs)
@@ -198,7 +197,9 @@ class ParcelNetwork(ActorCriticPolicy):
         entropy = torch.stack([part.entropy() for part in parts], dim=1).sum(dim=1)
         return self.value_net(value), _log_prob(parts, actions), entropy
 
-    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
+    def _predict(
+        self, observation: type_aliases.PyTorchObs, deterministic: bool = False
+    ) -> torch.Tensor:
         assert isinstance(observation, torch.Tensor)
         return _choose(self.distributions(observation), deterministic)
 

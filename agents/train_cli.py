@@ -9,7 +9,7 @@ from typing import Any, get_args
 import tyro
 
 from surface_gym.cli import TRAIN, command_line
-from surface_gym.parallel import usable_cores
+from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 from surface_gym.registration import FLOW_TASK
 
 from .learning import config as configs
@@ -60,8 +60,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Train, save and compare; an error ends the command with one line."""
     from rich.console import Console
 
-    from surface_gym.parallel import WorkFailed
-
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         carry_out(parse_arguments(given), given, Console())
@@ -101,8 +99,6 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     """Carry out the work that a command line asks for."""
-    from surface_gym.parallel import choose_workers
-
     from .library import task_files
 
     workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
@@ -144,13 +140,10 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     # The names of the fields are the headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
-        command,
-        default=command(default, Options()),
-        config=(tyro.conf.OmitArgPrefixes,),
-        args=arguments,
-        prog=command_line(TRAIN),
+        command, default=command(default, Options()), config=(tyro.conf.OmitArgPrefixes,),
+        args=arguments, prog=command_line(TRAIN),
         description="Train an agent, resume a run, or search hyper-parameters.",
-    )
+    )  # fmt: skip
     return parsed.training
 
 

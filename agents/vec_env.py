@@ -39,14 +39,9 @@ class EpisodeRecorder:
         self._lengths += running
 
     def finish(
-        self,
-        ended: NDArray[np.bool_],
-        observations: Any,
-        truncated: NDArray[np.bool_],
-        success: Any,
-        outcome: Any,
-        time: Any,
-    ) -> Infos:
+        self, ended: NDArray[np.bool_], observations: Any, truncated: NDArray[np.bool_],
+        success: Any, outcome: Any, time: Any,
+    ) -> Infos:  # fmt: skip
         """Build the infos of a step and forget the episodes that ended in it.
 
         Returns:
@@ -149,13 +144,9 @@ class SurfaceVecEnv(BatchVecEnv):
         ]
         self._recorder.add(rewards, np.stack(terms, axis=1))
         step_infos = self._recorder.finish(
-            dones,
-            infos.get("final_obs"),
-            truncated & ~terminated,
-            final["is_success"],
-            final["outcome"],
-            final["time"],
-        )
+            dones, infos.get("final_obs"), truncated & ~terminated, final["is_success"],
+            final["outcome"], final["time"],
+        )  # fmt: skip
         return observations, rewards.astype(np.float32), dones, step_infos
 
     def close(self) -> None:

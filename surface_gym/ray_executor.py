@@ -16,7 +16,6 @@ from typing import Any
 from uuid import uuid4
 
 from surface_gym import parallel
-from surface_gym.parallel import LOST, REPORTED, Cluster, Event, Job, Message, WorkFailed
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
 AHEAD = 2  # jobs submitted at a time for each processor of the cluster
@@ -46,7 +45,7 @@ def own_build() -> Build:
 def check_build(wanted: Build) -> None:
     """Refuse work from a process of another build."""
     if own_build() != wanted:
-        raise WorkFailed(
+        raise parallel.WorkFailed(
             f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
             f"machine {wanted}: install the same on both"
         )
@@ -82,7 +81,7 @@ class RayExecutor:
         ValueError: there is no cluster at the address, or Ray is not installed.
     """
 
-    def __init__(self, cluster: Cluster) -> None:
+    def __init__(self, cluster: parallel.Cluster) -> None:
         self._ray = _connect(cluster)
         self._work, self._mailbox = _remote_parts(self._ray.get_runtime_context().get_job_id())
         self._counted, self._processors = -COUNT_EVERY, 0
@@ -99,12 +98,12 @@ class RayExecutor:
     def running(self) -> int:
         return len(self._busy)
 
-    def submit(self, index: int, job: Job[Any]) -> None:
+    def submit(self, index: int, job: parallel.Job[Any]) -> None:
         attempt = uuid4().hex
         work = self._work.remote(own_build(), pickle.dumps(job), attempt, self._mailbox)
         self._busy[work] = attempt, index
 
-    def events(self) -> Iterator[Event]:
+    def events(self) -> Iterator[parallel.Event]:
         busy = list(self._busy)
         self._ray.wait(busy, timeout=parallel.POLL)
         over, _ = self._ray.wait(busy, num_returns=len(busy), timeout=0)
@@ -113,19 +112,19 @@ class RayExecutor:
             indices = dict(self._busy.values())  # without attempts that were given up
             for attempt, packed in self._ray.get(self._mailbox.empty.remote()):
                 if attempt in indices:
-                    yield indices[attempt], REPORTED, pickle.loads(packed)
+                    yield indices[attempt], parallel.REPORTED, pickle.loads(packed)
         for reference, (_, message) in zip(over, lasts, strict=True):
             _, index = self._busy.pop(reference)
             yield index, *parallel.received(message)
 
-    def _last_message(self, reference: Any) -> tuple[bool, Message]:
+    def _last_message(self, reference: Any) -> tuple[bool, parallel.Message]:
         """Return whether a job that is over has reported before, and its last message."""
         try:
-            last: tuple[bool, Message] = self._ray.get(reference)
+            last: tuple[bool, parallel.Message] = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError:  # raised outside the job: no loss
             raise
         except self._ray.exceptions.RayError as loss:
-            return True, (LOST, type(loss).__name__)
+            return True, (parallel.LOST, type(loss).__name__)
         return last
 
     def interrupt(self) -> None:
@@ -151,7 +150,7 @@ class _Mailbox:
         return letters
 
 
-def _work(build: Build, packed: bytes, attempt: str, mailbox: Any) -> tuple[bool, Message]:
+def _work(build: Build, packed: bytes, attempt: str, mailbox: Any) -> tuple[bool, parallel.Message]:
     """Do a job on a node; return whether it reported, which has arrived, and its last message."""
     import ray
 
@@ -183,7 +182,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
     return ray.remote(num_cpus=1, max_retries=0)(_work), mailbox
 
 
-def _connect(cluster: Cluster) -> Any:
+def _connect(cluster: parallel.Cluster) -> Any:
     """Return Ray, connected to the cluster once a process."""
     try:
         import ray
@@ -208,7 +207,7 @@ def _connect(cluster: Cluster) -> Any:
     return ray
 
 
-def _runtime_env(cluster: Cluster, folder: Path) -> dict[str, str]:
+def _runtime_env(cluster: parallel.Cluster, folder: Path) -> dict[str, str]:
     """Copy the files that nodes need into a folder, at the same relative paths."""
     below = [file for file in cluster.files if not file.is_absolute()]
     if not below:

@@ -31,15 +31,10 @@ ENDS = {
 
 
 def simulate(
-    surface: Surface,
-    parcel: Parcel,
-    pose: ArrayLike,
-    velocity: ArrayLike = (0.0, 0.0, 0.0),
-    duration: float = 1.0,
-    dt: float = 0.005,
-    method: Literal["implicit", "explicit"] = "implicit",
+    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
+    duration: float = 1.0, dt: float = 0.005, method: Literal["implicit", "explicit"] = "implicit",
     normal_forces: Literal["dual", "osqp", "scipy"] = "dual",
-) -> Trajectory:
+) -> Trajectory:  # fmt: skip
     """Move a parcel over a surface whose axes stay as they are.
 
     Args:
@@ -219,15 +214,10 @@ class Encounter:
 
 
 def simulate_together(
-    surface: Surface,
-    parcels: Sequence[Parcel],
-    poses: ArrayLike,
-    velocities: ArrayLike | None = None,
-    duration: float = 1.0,
-    dt: float = 0.005,
-    restitution: float = 0.0,
-    side_friction: float = 0.3,
-) -> Encounter:
+    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike,
+    velocities: ArrayLike | None = None, duration: float = 1.0, dt: float = 0.005,
+    restitution: float = 0.0, side_friction: float = 0.3,
+) -> Encounter:  # fmt: skip
     """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
 
     Sides press at the height of the centre of mass, so they tip no parcel. A parcel that touches no

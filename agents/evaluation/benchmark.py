@@ -9,14 +9,11 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy import stats
 
-from surface_gym import SmartSurfaceVectorEnv
+import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.parallel import Workers, map_jobs, without_report
-from surface_gym.parcel import Parcel
-from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, Column
 
 from ..base import Booleans, Numbers
@@ -47,7 +44,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
 def wilson(share: float, count: float) -> tuple[float, float]:
     """Compute Wilson's score interval of a share of `count` trials, which need not be whole."""
-    z = float(norm.ppf(0.5 + CONFIDENCE / 2.0))
+    z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
     half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))
     half /= 1.0 + z * z / count
@@ -58,7 +55,7 @@ def half_interval(values: Numbers) -> float:
     """Compute half of Student's 95 % interval of a mean of independent values, at least two."""
     count = len(values)
     spread = float(values.std(ddof=1)) / math.sqrt(count)
-    return float(student.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
 
 
 def _variance_of_mean(values: Numbers) -> float:
@@ -215,7 +212,7 @@ def _path_metrics(
     """Compute what the task measures on whole paths; most tasks measure nothing there."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
-    if type(task).path_metrics is Task.path_metrics:
+    if type(task).path_metrics is sg.tasks.Task.path_metrics:
         return found
     for k, parcel in enumerate(drawn_parcels(config, starts, SEED)):
         for name, value in task.path_metrics(episodes.path(k), parcel, line, None).items():
@@ -225,9 +222,9 @@ def _path_metrics(
 
 def drawn_parcels(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
-) -> tuple[Parcel, ...]:
+) -> tuple[sg.Parcel, ...]:
     """List the parcel of each start; start k draws from `seed` + k."""
-    env = SmartSurfaceVectorEnv(num_envs=len(starts), **config.arguments())
+    env = sg.SmartSurfaceVectorEnv(num_envs=len(starts), **config.arguments())
     env.reset(seed=seed, options=list(starts))
     parcels = tuple(env.batch.parcel(i) for i in range(len(starts)))
     env.close()
@@ -267,12 +264,9 @@ def compute_results(
 
 
 def compute_kept(
-    jobs: Mapping[Any, Callable[[], AnyRow]],
-    make: Callable[..., AnyRow],
-    workers: Workers,
-    file: Path | None,
-    advance: Advance,
-) -> dict[Any, AnyRow]:
+    jobs: Mapping[Any, Callable[[], AnyRow]], make: Callable[..., AnyRow], workers: Workers,
+    file: Path | None, advance: Advance,
+) -> dict[Any, AnyRow]:  # fmt: skip
     """Compute the results that are not kept yet.
 
     Args:

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, JAM, compute_statistics
 from surface_gym.flow.stream import Stream
-from surface_gym.layouts import box
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera
 from surface_gym.state import RUNNING
 
 from ..base import Controller, Numbers
@@ -34,8 +32,8 @@ STREAM_PRESETS = {
         "camera",
         "A camera's frames, 1 mm and 0.5 deg off and 20 ms late, and a filter; mu_max differs from "
         "parcel to parcel by up to 20 %.",
-        sensors=Camera(),
-        randomisation=Randomisation(friction=0.2),
+        sensors=sg.sensors.Camera(),
+        randomisation=sg.Randomisation(friction=0.2),
     ),
 }
 LEAST_RIGHT = {"exact": 0.999, "camera": 0.995}  # [-] of deliveries, for a rate to be sustained
@@ -64,7 +62,9 @@ class Case:
     @property
     def ceiling(self) -> float:
         """[parcels/h] that a line could take at most, one behind the other."""
-        length = float(np.mean([np.ptp(box(kind).base.outline[:, 0]) for kind in MIXES[self.mix]]))
+        length = float(
+            np.mean([np.ptp(sg.layouts.box(kind).base.outline[:, 0]) for kind in MIXES[self.mix]])
+        )
         return HOUR * self.speed / (length + SPACING)
 
 
@@ -84,17 +84,11 @@ class StreamMethod:
         """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
         preset = STREAM_PRESETS[case.preset]
         return EnvConfig(
-            "flow",
-            stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
-            exits=EXITS,
-            actions=self.actions,
-            sensors=preset.sensors,
-            control_period=self.control_period,
-            duration=SECONDS,
-            actuators=preset.actuators,
-            randomisation=preset.randomisation,
-            gate=self.gate,
-        )
+            "flow", stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
+            exits=EXITS, actions=self.actions, sensors=preset.sensors,
+            control_period=self.control_period, duration=SECONDS, actuators=preset.actuators,
+            randomisation=preset.randomisation, gate=self.gate,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

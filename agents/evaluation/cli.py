@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import tyro
 from rich.console import Console
 
-from surface_gym import checks
+from surface_gym import checks, parallel
 from surface_gym.cli import EVALUATE, command_line
-from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
 from surface_gym.registration import FLOW_TASK
 from surface_gym.tasks import TASKS
 
@@ -45,7 +44,7 @@ class EvaluateConfig:
     run: Path | None = None
     """Folder of a training run: compare its policies with the fixed layout instead. For a task of
     your own, --task says which code is run."""
-    workers: int = usable_cores()
+    workers: int = parallel.usable_cores()
     """Processes to share the work among; results do not depend on it."""
     cluster: str | None = None
     """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
@@ -68,12 +67,12 @@ class EvaluateConfig:
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         checks.integer("workers", self.workers, least=1)
-        choose_workers(self.cluster, self.workers)
+        parallel.choose_workers(self.cluster, self.workers)
 
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
     """Compare, and leave a folder with tables, plots, videos and a page."""
-    workers = choose_workers(config.cluster, config.workers, task_files(config.task))
+    workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
         from .report import evaluate_run
 
@@ -86,7 +85,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
         _compare(config, workers, console)
 
 
-def _compare(config: EvaluateConfig, workers: Workers, console: Console) -> None:
+def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
     from . import benchmark, report, streams
 
     _forget(config, benchmark.FILE, streams.FILE)
@@ -99,17 +98,13 @@ def _compare(config: EvaluateConfig, workers: Workers, console: Console) -> None
             sections = report.write_stream_report(several, rows, config.out, console)
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(
-            methods,
-            results,
-            config.out,
-            console,
-            lambda part: advance(len(results), len(results), part),
-            sections,
-        )
+            methods, results, config.out, console,
+            lambda part: advance(len(results), len(results), part), sections,
+        )  # fmt: skip
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
 
 
-def _sweep(config: EvaluateConfig, workers: Workers, console: Console) -> None:
+def _sweep(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
     from . import robustness, robustness_report
 
     _forget(config, robustness.FILE)
@@ -161,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     config = tyro.cli(EvaluateConfig, prog=command_line(EVALUATE), args=arguments)
     try:
         evaluate(config, Console())
-    except (ValueError, WorkFailed) as error:
+    except (ValueError, parallel.WorkFailed) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; --resume goes on with what is there")

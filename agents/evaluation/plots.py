@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
 
+import surface_gym as sg
 from surface_gym.config import PRESETS
-from surface_gym.layouts import LINE_Y, box
-from surface_gym.lines import Line
 from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
 from ..rollout import Episodes
@@ -135,8 +134,8 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
 
 def _draw_line(panel: Axes, parcel: str) -> None:
     """Draw rotors, supports and the zone that obeys."""
-    line = Line()
-    rotor, (_, rows, first, columns) = line.site(box(parcel).base)
+    line = sg.lines.Line()
+    rotor, (_, rows, first, columns) = line.site(sg.layouts.box(parcel).base)
     row, column = np.mgrid[: line.rows, : line.columns]
     x = line.origin[0] + line.pitch_x * column
     y = line.origin[1] + line.pitch_y * row
@@ -146,7 +145,9 @@ def _draw_line(panel: Axes, parcel: str) -> None:
     panel.axhspan(middle - half, middle + half, color="#dde3ea", zorder=0)
     panel.plot(x[~rotor], y[~rotor], ".", color="#c3ccd6", markersize=1.5)
     panel.plot(x[rotor], y[rotor], ".", color="#8795a5", markersize=4)
-    panel.set(xlim=(0.0, 2.2), ylim=(LINE_Y - 0.35, LINE_Y + 0.85), aspect="equal")
+    panel.set(
+        xlim=(0.0, 2.2), ylim=(sg.layouts.LINE_Y - 0.35, sg.layouts.LINE_Y + 0.85), aspect="equal"
+    )
 
 
 def _draw_path(
@@ -157,7 +158,7 @@ def _draw_path(
     panel.plot(path[:, 0], path[:, 1], label=label, color=colour, linewidth=1.6, **style)
     x, y, theta = path[-1]
     turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
-    outline = box(parcel).base.outline @ turn + (x, y)
+    outline = sg.layouts.box(parcel).base.outline @ turn + (x, y)
     panel.add_patch(Patch(outline, fill=False, edgecolor=colour, linewidth=1.0, **style))
 
 

@@ -55,13 +55,9 @@ class Section:
 
 
 def write_report(
-    methods: Sequence[Method],
-    results: Sequence[Result],
-    folder: Path,
-    console: Console,
-    advance: Callable[[str], None] = lambda _: None,
-    first: Sequence[Section] = (),
-) -> None:
+    methods: Sequence[Method], results: Sequence[Result], folder: Path, console: Console,
+    advance: Callable[[str], None] = lambda _: None, first: Sequence[Section] = (),
+) -> None:  # fmt: skip
     """Write everything of a comparison into a folder, and show its tables."""
     summaries = summarise(results)
     tasks = list(dict.fromkeys(method.task for method in methods))

@@ -9,13 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig, Preset
-from surface_gym.layouts import box
-from surface_gym.lines import Line
 from surface_gym.parallel import Workers
-from surface_gym.parcel import Base, Disc, Parcel, Rectangle
-from surface_gym.randomisation import Actuators
-from surface_gym.sensors import Camera, Exact, Presence
+from surface_gym.parcel import Base
 from surface_gym.tasks.benchmark import Benchmark
 
 from ..base import Booleans, time_for, with_zone
@@ -36,7 +33,11 @@ TRAINED, LAB = "trained", "lab"
 PLANNED = (TRAINED, "square", LAB)
 FOLLOWED = 32  # environments that it follows at a time at most
 DIRECTIONS = 16  # evenly around, that a load lies in off centre
-SENSORS = {"exact": Exact(), "camera": Camera(), "presence": Presence()}
+SENSORS = {
+    "exact": sg.sensors.Exact(),
+    "camera": sg.sensors.Camera(),
+    "presence": sg.sensors.Presence(),
+}
 SHAPES = ("square", "rectangle", "disc", "polygon")
 
 Level = float | int | str
@@ -71,7 +72,7 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
     line = task.line
     slower = method.control_period / period
     if change.zone_columns is not None:
-        assert isinstance(line, Line)
+        assert isinstance(line, sg.lines.Line)
         slower *= time_for(line, change.zone_columns)
         line = with_zone(line, change.zone_columns)
     limit = None if slower == 1.0 else round(task.periods * slower)
@@ -107,7 +108,7 @@ class Factor:
 
 
 def _square(length: float) -> Change:
-    return Change(replace(EXACT, parcels=(Parcel(Rectangle(length, length)),)))
+    return Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(length, length)),)))
 
 
 def _load(centimetres: float) -> Change:
@@ -115,7 +116,7 @@ def _load(centimetres: float) -> Change:
     turns = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
     away = 0.01 * centimetres
     parcels = tuple(
-        replace(box(size), com_offset=(away * math.cos(turn), away * math.sin(turn)))
+        replace(sg.layouts.box(size), com_offset=(away * math.cos(turn), away * math.sin(turn)))
         for size in ("S", "B")
         for turn in turns
     )
@@ -124,11 +125,11 @@ def _load(centimetres: float) -> Change:
 
 def _axis(milliseconds: float) -> Change:
     speed = 0.5 * math.pi / (1e-3 * milliseconds) if milliseconds else math.inf
-    return Change(replace(EXACT, actuators=Actuators(axis_speed=speed)))
+    return Change(replace(EXACT, actuators=sg.Actuators(axis_speed=speed)))
 
 
 def _stuck(percent: float) -> Change:
-    return Change(replace(EXACT, actuators=Actuators(stuck_share=0.01 * percent)))
+    return Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * percent)))
 
 
 _EACH = (
@@ -199,7 +200,7 @@ def can_sweep(methods: Sequence[Method]) -> list[Method]:
 
 def levels_for(method: Method, factor: Factor) -> tuple[Level, ...]:
     """List levels of a factor that a method runs at; none where the factor does not concern it."""
-    if factor.of_lines and not isinstance(find_benchmark(method.task).task.line, Line):
+    if factor.of_lines and not isinstance(find_benchmark(method.task).task.line, sg.lines.Line):
         return ()
     if method.name != PLANNER:
         return factor.swept
@@ -252,12 +253,9 @@ def sweep_jobs(methods: Sequence[Method], starts: int) -> dict[SweepKey, Callabl
 
 
 def compute_sweep(
-    methods: Sequence[Method],
-    starts: int,
-    workers: Workers,
-    folder: Path | None = None,
+    methods: Sequence[Method], starts: int, workers: Workers, folder: Path | None = None,
     advance: Advance = lambda *_: None,
-) -> list[SweepResult]:
+) -> list[SweepResult]:  # fmt: skip
     """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
@@ -343,9 +341,9 @@ class Sweep:
 
 def name_shape(base: Base) -> str:
     """Name the shape of a base of the lab."""
-    if isinstance(base, Rectangle):
+    if isinstance(base, sg.Rectangle):
         return "square" if base.length == base.width else "rectangle"
-    return "disc" if isinstance(base, Disc) else "polygon"
+    return "disc" if isinstance(base, sg.Disc) else "polygon"
 
 
 @lru_cache(maxsize=16)

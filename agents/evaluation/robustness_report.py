@@ -16,8 +16,7 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 
 from ..library import task_label
-from .methods import FIXED, PLANNER
-from .plots import DOTS, INK
+from . import methods, plots
 from .robustness import FACTORS, LAB, SHAPES, TRAINED, Factor, Level, Rate, Sweep, SweepResult
 from .tables import NOTHING, Table, write_markdown, write_numbers
 
@@ -47,13 +46,13 @@ class Style:
 
 
 STYLES = {
-    FIXED: Style(FIXED, "#8c8c8c", ":", 1.3, "x"),
+    methods.FIXED: Style(methods.FIXED, "#8c8c8c", ":", 1.3, "x"),
     "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
     "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
     **{name: Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
        for name in OWN_RULES},
     **{name: Style(name, colour, "--", 1.2, "o", 4) for name, colour in ALGORITHMS.items()},
-    PLANNER: Style(PLANNER, INK, "None", 1.0, "_", 6),
+    methods.PLANNER: Style(methods.PLANNER, plots.INK, "None", 1.0, "_", 6),
 }  # fmt: skip
 
 
@@ -150,7 +149,7 @@ def square_table(sweep: Sweep, task: str) -> Table:
 
 def _share_of_planner(sweep: Sweep, task: str, name: str, level: Level) -> float | None:
     """Compare with the planner on its starts; None where it did not run or never succeeded."""
-    planned = sweep.success(task, PLANNER, "square", level)
+    planned = sweep.success(task, methods.PLANNER, "square", level)
     success = sweep.success(task, name, "square", level)
     if planned is None or success is None or not planned.any():
         return None
@@ -192,18 +191,10 @@ def _row(
     task: str, name: str, factor: Factor, level: Level, rate: Rate, error: float | None
 ) -> dict[str, Any]:
     return {
-        "task": task,
-        "controller": name,
-        "factor": factor.name,
-        "level": level,
-        "unit": factor.unit,
-        "seeds": rate.seeds,
-        "starts": rate.starts,
-        "success": rate.value,
-        "success_low": rate.low,
-        "success_high": rate.high,
-        "median_error": error,
-    }
+        "task": task, "controller": name, "factor": factor.name, "level": level,
+        "unit": factor.unit, "seeds": rate.seeds, "starts": rate.starts, "success": rate.value,
+        "success_low": rate.low, "success_high": rate.high, "median_error": error,
+    }  # fmt: skip
 
 
 def find_style(name: str) -> Style:
@@ -212,7 +203,7 @@ def find_style(name: str) -> Style:
     if comma and algorithm in ALGORITHMS:
         label = f"{algorithm}, trained for the {preset}"
         return Style(label, ALGORITHMS[algorithm], "-", 2.0, "D", 5)
-    return STYLES.get(name, Style(name, INK, "--"))
+    return STYLES.get(name, Style(name, plots.INK, "--"))
 
 
 def draw_sweep(sweep: Sweep, file: Path) -> None:
@@ -226,11 +217,13 @@ def draw_sweep(sweep: Sweep, file: Path) -> None:
     panels = figure.subplots(len(factors), len(tasks), squeeze=False, sharey=True)
     for row, factor in zip(panels, factors, strict=True):
         unit = f" [{factor.unit}]" if factor.unit else ""
-        row[0].set_ylabel(f"{factor.label}{unit}", fontsize=9, color=INK)
+        row[0].set_ylabel(f"{factor.label}{unit}", fontsize=9, color=plots.INK)
         for panel, task in zip(row, tasks, strict=True):
             _draw_panel(panel, sweep, task, factor)
     for panel, task in zip(panels[0], tasks, strict=True):
-        panel.set_title(task_label(task).capitalize(), fontsize=12, fontweight="bold", color=INK)
+        panel.set_title(
+            task_label(task).capitalize(), fontsize=12, fontweight="bold", color=plots.INK
+        )
     styles = {style.label: style for style in map(find_style, sweep.methods())}
     handles = [
         Line2D([], [], color=style.colour, linestyle=style.dashes, linewidth=style.width,
@@ -240,7 +233,7 @@ def draw_sweep(sweep: Sweep, file: Path) -> None:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9,
     )  # fmt: skip
-    figure.savefig(file, dpi=DOTS)
+    figure.savefig(file, dpi=plots.DOTS)
 
 
 def _draw_panel(panel: Axes, sweep: Sweep, task: str, factor: Factor) -> None:
@@ -262,7 +255,7 @@ def _draw_panel(panel: Axes, sweep: Sweep, task: str, factor: Factor) -> None:
             markersize=4.5, clip_on=False,
         )  # fmt: skip
     panel.set(ylim=(0.0, 1.0), yticks=(0.0, 0.5, 1.0))
-    panel.tick_params(labelsize=8, colors=INK, length=2)
+    panel.tick_params(labelsize=8, colors=plots.INK, length=2)
     panel.grid(color="#e9e9e9", linewidth=0.7)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.env import RENDER_FPS, SmartSurfaceEnv
-from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import StreamTask
+from surface_gym.flow import arrivals, stream, task
 from surface_gym.rendering import with_caption
 
 from ..base import Controller
@@ -140,7 +138,7 @@ def play(
 
 def _make_env(config: EnvConfig) -> gym.Env[Any, Any]:
     env = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
-    if isinstance(config.task, StreamTask):  # it ends by itself
+    if isinstance(config.task, task.StreamTask):  # it ends by itself
         return env
     return gym.wrappers.TimeLimit(env, config.periods)
 
@@ -196,7 +194,7 @@ class VideoConfig:
     def config(self) -> EnvConfig:
         return EnvConfig(
             "flow",
-            stream=Stream(Steady(self.rate), self.parcels, speeds=self.entry_speed),
+            stream=stream.Stream(arrivals.Steady(self.rate), self.parcels, speeds=self.entry_speed),
             exits=self.exits,
             actions="parcels",
             duration=self.seconds,

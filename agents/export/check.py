@@ -20,8 +20,7 @@ from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import Preset
 
 from ..base import Integers, Numbers, Singles
-from .c_header import make_prefix
-from .onnx import ANGLES, CHOICES, OBSERVATION, ModulesDecision, need
+from . import c_header, onnx
 from .policy import NetworkDecision, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
@@ -71,12 +70,9 @@ class Agreement:
 
 
 def compare(
-    what: str,
-    decision: NetworkDecision | ModulesDecision,
-    source: Source,
-    observations: Singles,
-    decide: Decide,
-) -> Agreement:
+    what: str, decision: NetworkDecision | onnx.ModulesDecision, source: Source,
+    observations: Singles, decide: Decide,
+) -> Agreement:  # fmt: skip
     """Compare decisions with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
@@ -104,13 +100,13 @@ def compare(
 
 def run_onnx(model: bytes) -> Decide:
     """Return the decisions of an ONNX file's content, by onnxruntime on one core."""
-    onnxruntime = need("onnxruntime")
+    onnxruntime = onnx.need("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
     def decide(observations: Singles) -> tuple[Integers, Numbers]:
-        choices, angles = session.run([CHOICES, ANGLES], {OBSERVATION: observations})
+        choices, angles = session.run([onnx.CHOICES, onnx.ANGLES], {onnx.OBSERVATION: observations})
         return choices, angles
 
     return decide
@@ -123,7 +119,7 @@ def find_compiler() -> str | None:
 
 def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
     """Return the decisions of a C header."""
-    prefix = make_prefix(name)
+    prefix = c_header.make_prefix(name)
 
     def decide(observations: Singles) -> tuple[Integers, Numbers]:
         with tempfile.TemporaryDirectory() as made:

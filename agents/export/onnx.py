@@ -89,12 +89,9 @@ class Graph:
         return [Traced(self, name) for name in gathered]
 
     def model(
-        self,
-        shape: tuple[int, int],
-        orientations: Sequence[float],
-        choices: str,
+        self, shape: tuple[int, int], orientations: Sequence[float], choices: str,
         metadata: Mapping[str, str],
-    ) -> bytes:
+    ) -> bytes:  # fmt: skip
         """Return the checked model as it is written to a file."""
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
@@ -411,10 +408,7 @@ def modules_decision(source: Source) -> ModulesDecision:
     later = [f"_between.{k}" for k in between] + ["_logits"]
     layers = [Layer(arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in later]
     return ModulesDecision(
-        Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"),
-        config,
+        Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"), config,
         np.array([k for k, name in enumerate(names) if name not in _APART], dtype=np.int64),
-        mirrored_orientations(angles),
-        int(np.abs(np.sin(angles)).argmax()),
-        angles,
-    )
+        mirrored_orientations(angles), int(np.abs(np.sin(angles)).argmax()), angles,
+    )  # fmt: skip

@@ -8,9 +8,7 @@ from surface_gym.tasks import Sort
 from surface_gym.tasks.base import Feature
 
 from ..evaluation.tables import markdown
-from .c_header import make_prefix
-from .check import TIE, Agreement
-from .onnx import ANGLES, CHOICES, OBSERVATION, OPSET
+from . import c_header, check, onnx
 from .policy import Source
 
 POSE = "the parcel's place and angle: a camera, or switches in the modules, and a filter"
@@ -76,13 +74,16 @@ def find_need(feature: Feature) -> str:
 
 
 def make_page(
-    source: Source, metadata: dict[str, str], checked: dict[str, Agreement | None]
+    source: Source, metadata: dict[str, str], checked: dict[str, check.Agreement | None]
 ) -> str:
     """Return the page, in Markdown."""
     name, config = source.name, source.config
     files = {
-        "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {OPSET}"),
-        "C": (f"`{name}.h`", f"a C99 header: `{make_prefix(name)}_decide(observation, angles)`"),
+        "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {onnx.OPSET}"),
+        "C": (
+            f"`{name}.h`",
+            f"a C99 header: `{c_header.make_prefix(name)}_decide(observation, angles)`",
+        ),
     }
     parts = (
         f"# {name}, seed {source.seed}",
@@ -90,7 +91,7 @@ def make_page(
         "Made by surface_gym from a trained policy; each file decides as the policy does.",
         markdown(("file", "content"), (files[each] for each in checked)),
         "## In",
-        f"`{OBSERVATION}`: float32, {len(config.features)} numbers a parcel; in ONNX as many "
+        f"`{onnx.OBSERVATION}`: float32, {len(config.features)} numbers a parcel; in ONNX as many "
         "rows as there are parcels.",
         _features(source),
         *((_MIRRORED,) if isinstance(config.task, Sort) else ()),
@@ -127,8 +128,8 @@ def _out(source: Source) -> str:
         ((str(k), f"{angle:.9g}", f"{math.degrees(angle):g}") for k, angle in enumerate(angles)),
     )
     return (
-        f"- `{CHOICES}`: int64, {kind.size} numbers, the orientation that each part takes\n"
-        f"- `{ANGLES}`: float64 [rad], {kind.size} numbers, its axis angle; 0 along the line, "
+        f"- `{onnx.CHOICES}`: int64, {kind.size} numbers, the orientation that each part takes\n"
+        f"- `{onnx.ANGLES}`: float64 [rad], {kind.size} numbers, its axis angle; 0 along the line, "
         "anti-clockwise; a module brakes along its axis and lets roll across it\n\n"
         f"{offered}\n\n{_parts(kind)}"
     )
@@ -180,13 +181,13 @@ def _preset(preset: Preset) -> str:
     return f"**{preset.label}**: {preset.meaning} Sensors: `{preset.sensors!r}`."
 
 
-def _checked(checked: dict[str, Agreement | None]) -> str:
+def _checked(checked: dict[str, check.Agreement | None]) -> str:
     lines = [
         f"- {what}: " + ("not tried, there was no compiler" if each is None else each.summary())
         for what, each in checked.items()
     ]
     return "\n".join(lines) + (
         "\n\nCompared with the policy on observations of its own episodes and random ones, half "
-        f"each. Scores that differ by less than {TIE:g} of the largest are a tie: single "
+        f"each. Scores that differ by less than {check.TIE:g} of the largest are a tie: single "
         "precision, summed in another order, may decide either way."
     )

@@ -18,9 +18,8 @@ from surface_gym.tasks import Sort, Task
 from .. import library
 from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
 from ..evaluation.methods import policy_folders
+from ..learning import runs
 from ..learning.config import NOMINAL, current_option
-from ..learning.runs import CARD as CARD_FILE
-from ..learning.runs import CONFIG, read_config
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, make_network
 
@@ -73,8 +72,8 @@ def of_run(
     chosen = next(iter(folders)) if seed is None else int(checks.one_of("seed", seed, folders))
     custom = None if task is None else library.find_task(task)
     training = _read_training(run)
-    if training is None and (run / CONFIG).is_file():
-        training = Training(read_config(run / CONFIG, task).preset)
+    if training is None and (run / runs.CONFIG).is_file():
+        training = Training(runs.read_config(run / runs.CONFIG, task).preset)
     return _read(name or run.resolve().name, chosen, folders[chosen], custom, training)
 
 
@@ -89,19 +88,15 @@ def _read(
             "in a stream of parcels the environment decides which module follows which parcel"
         )
     return Source(
-        name,
-        seed,
-        policy,
-        policy.card.env_config(task),
+        name, seed, policy, policy.card.env_config(task),
         torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
-        str(yaml.safe_load(files.card.decode())[DIGEST]),
-        training or Training(NOMINAL),
-    )
+        str(yaml.safe_load(files.card.decode())[DIGEST]), training or Training(NOMINAL),
+    )  # fmt: skip
 
 
 def _read_training(folder: Path) -> Training | None:
     """Read the training from the card of a folder; None if there is none."""
-    file = folder / CARD_FILE
+    file = folder / runs.CARD
     if not file.is_file():
         return None
     card: dict[str, Any] = yaml.safe_load(file.read_text())

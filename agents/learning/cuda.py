@@ -22,7 +22,6 @@ from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
 from . import ppo
 from .config import PPOConfig, is_registered, make_card
-from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
@@ -125,13 +124,9 @@ class TotalsCurve(Curve):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        terms: tuple[str, ...],
-        num_envs: int,
-        steps: int,
+        self, folder: Path, terms: tuple[str, ...], num_envs: int, steps: int,
         recent: list[dict[str, float]],
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(folder, terms, steps, recent)
         self._least = max(RECENT_EPISODES, num_envs)
 
@@ -166,7 +161,7 @@ class DeviceTrainingEnvs:
         self.totals.reset()
         return self._keep(observations)
 
-    def step(self, actions: torch.Tensor) -> Transition:
+    def step(self, actions: torch.Tensor) -> ppo.Transition:
         """Step all environments by one control period; nothing is copied from the device."""
         if self._mirror is not None:
             actions = self._mirror(actions, self._side)
@@ -174,7 +169,7 @@ class DeviceTrainingEnvs:
         ended = terminated | truncated
         self.totals.add(rewards, ended, infos)
         last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
-        return Transition(
+        return ppo.Transition(
             self._keep(observations), rewards.clone(), terminated.clone(), ended, last
         )
 
@@ -219,7 +214,7 @@ def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torc
     advantage = samples.advantage
     if len(advantage) > 1:
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    return ppo_loss(
+    return ppo.ppo_loss(
         log_prob, samples.log_prob, advantage, value.flatten(), samples.returns, entropy.mean(),
         ent_coef, VALUE_COEF,
     )  # fmt: skip
@@ -298,7 +293,7 @@ class DeviceLearner:
         seen, actions, log_prob, value, *rest = map(torch.stack, zip(*periods, strict=True))
         rewards, ended, next_value = rest
         gamma, gae_lambda = self._config.gamma, self._config.gae_lambda
-        advantage = compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
+        advantage = ppo.compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
         returns = (advantage + value).float()
         each = (seen, actions, log_prob, advantage.float(), returns)
         return Samples(*(values.flatten(0, 1) for values in each))

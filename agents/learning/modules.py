@@ -16,14 +16,13 @@ from ..module_policy import GROUPS, ModuleView
 from ..vec_env import ConcatVecEnv
 from . import ppo
 from .config import ModulesConfig, make_card
-from .ppo import Transition, compute_advantages, ppo_loss
 from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
 ADAM_EPS = 1e-5  # as in Stable-Baselines3's PPO
 
 
-def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
+def step_envs(envs: ConcatVecEnv, actions: Integers) -> ppo.Transition:
     """Step all environments by one control period."""
     observations, rewards, ended, infos = envs.step(actions)
     seen = np.asarray(observations)
@@ -31,7 +30,7 @@ def step_envs(envs: ConcatVecEnv, actions: Integers) -> Transition:
     for i in np.nonzero(ended)[0]:
         last[i] = infos[i]["terminal_observation"]
         terminated[i] = not infos[i]["TimeLimit.truncated"]
-    return Transition(seen, rewards.astype(np.float64), terminated, ended, last, infos)
+    return ppo.Transition(seen, rewards.astype(np.float64), terminated, ended, last, infos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +139,10 @@ class ModuleLearner:
         uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
         choice = module_policy.draw_choices(log_probability, group, uniform)
         samples = ModuleSamples(
-            torch.from_numpy(self._seen),
-            shared,
+            torch.from_numpy(self._seen), shared,
             module_policy.log_likelihood(log_probability, choice, group, GROUPS * num_envs),
-            torch.bincount(env, minlength=num_envs),
-            place,
-            group - GROUPS * env,
-            choice,
-        )
+            torch.bincount(env, minlength=num_envs), place, group - GROUPS * env, choice,
+        )  # fmt: skip
         return samples, self._view.actions(self._seen, seen, choice.numpy())
 
     @torch.no_grad()
@@ -166,14 +161,11 @@ class ModuleLearner:
             next_value.append(~moved.terminated * self.value(torch.from_numpy(moved.last)).numpy())
         samples = ModuleSamples.concatenate(parts)
         value = self.value(samples.observations).numpy().reshape(len(parts), -1).astype(np.float64)
-        advantage = compute_advantages(
-            torch.from_numpy(np.stack(rewards)),
-            torch.from_numpy(np.stack(ended)),
-            torch.from_numpy(value),
-            torch.from_numpy(np.stack(next_value)),
-            self._config.gamma,
+        advantage = ppo.compute_advantages(
+            torch.from_numpy(np.stack(rewards)), torch.from_numpy(np.stack(ended)),
+            torch.from_numpy(value), torch.from_numpy(np.stack(next_value)), self._config.gamma,
             self._config.gae_lambda,
-        ).numpy()
+        ).numpy()  # fmt: skip
         returns = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         return samples, torch.from_numpy(advantage.ravel().astype(np.float32)), returns, infos
@@ -182,7 +174,7 @@ class ModuleLearner:
         sample = samples.sample
         log_probability = self.network(samples.shared, sample, samples.place)
         group = GROUPS * sample + samples.group
-        loss = ppo_loss(
+        loss = ppo.ppo_loss(
             module_policy.log_likelihood(
                 log_probability, samples.choice, group, GROUPS * len(samples.count)
             ),

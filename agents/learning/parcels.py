@@ -11,19 +11,14 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common import base_class, callbacks, vec_env
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.flow.arrivals import HOUR, Steady
+from surface_gym.flow import arrivals, task
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import FEATURES, PARCEL_TERMS, PRESENT, WAITS
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Camera, Exact
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
 from ..policy import ParcelActions, ParcelNetwork, mirrored_rows, parcel_spaces
@@ -42,7 +37,7 @@ DURATION = 20.0  # [s] of an episode
 
 # Rewards.
 SCALES = np.array([1.0, 1.5, 2.0, 1.0, 0.5])  # [-] on the terms: right, wrong, touch, reach, time
-TIME = PARCEL_TERMS.index("time")  # the term that includes waiting at the gate
+TIME = task.PARCEL_TERMS.index("time")  # the term that includes waiting at the gate
 GATE_REWARD = -3.0  # per second at the gate: the line could have delivered parcels meanwhile
 JAM_REWARD = -1.0  # once, for each parcel of a line on which nothing moves any more
 
@@ -58,7 +53,9 @@ LEARNING_RATE = 1e-3  # at the start; it falls to 0
 
 def densest_stream(speed: float, parcels: tuple[str, ...], load: float = 1.0) -> Stream:
     """Build a stream of a speed [m/s] that always has a parcel at the gate, or a share of it."""
-    return Stream(Steady(HOUR * speed / SPACING * load), parcels=parcels, speeds=speed)
+    return Stream(
+        arrivals.Steady(arrivals.HOUR * speed / SPACING * load), parcels=parcels, speeds=speed
+    )
 
 
 def draw_stream(rng: np.random.Generator) -> Stream:
@@ -70,27 +67,18 @@ def draw_stream(rng: np.random.Generator) -> Stream:
 def training_env_config(control_period: float) -> EnvConfig:
     """Build the configuration of the training line with exact sensors."""
     return EnvConfig(
-        "flow",
-        stream=densest_stream(1.5, ("S", "B")),
-        exits="sides",
-        actions="parcels",
-        gate=True,
-        control_period=control_period,
-        duration=DURATION,
-        sensors=Exact(),
-    )
+        "flow", stream=densest_stream(1.5, ("S", "B")), exits="sides", actions="parcels", gate=True,
+        control_period=control_period, duration=DURATION, sensors=sg.sensors.Exact(),
+    )  # fmt: skip
 
 
 class SlotVecEnv(BatchVecEnv):
     """Agent slots on environments of one stream as a VecEnv, each slot one environment."""
 
     def __init__(
-        self,
-        env_config: EnvConfig,
-        num_streams: int,
-        slots: int,
+        self, env_config: EnvConfig, num_streams: int, slots: int,
         draw: Callable[[np.random.Generator], Stream],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._batch = StreamBatch(env_config, num_streams)
         self._draw = draw
         self._actions = ParcelActions(env_config)
@@ -98,7 +86,7 @@ class SlotVecEnv(BatchVecEnv):
         self._period = env_config.control_period
         self._arrival = np.full((num_streams, slots), NOBODY)  # number of the arrival in a slot
         self._row = np.zeros((num_streams, slots), dtype=np.int64)  # its row in the observation
-        self._recorder = EpisodeRecorder(num_streams * slots, PARCEL_TERMS)
+        self._recorder = EpisodeRecorder(num_streams * slots, task.PARCEL_TERMS)
         self._rng = np.random.default_rng(0)
         self.render_mode = None
         super().__init__(num_streams * slots, *parcel_spaces(env_config))
@@ -113,7 +101,7 @@ class SlotVecEnv(BatchVecEnv):
             self._batch.seed(i, np.random.default_rng(self._rng.integers(2**63)))
         return [seed] * self.num_envs
 
-    def reset(self) -> VecEnvObs:
+    def reset(self) -> vec_env.base_vec_env.VecEnvObs:
         if not self._batch.is_seeded(0):
             self.seed(0)
         self._start(np.arange(self._streams))
@@ -128,7 +116,7 @@ class SlotVecEnv(BatchVecEnv):
         choices[i, self._row[i, slot]] = each[i, slot]
         self._batch.step(self._actions.to_env(self._batch.observation, choices))
 
-    def step_wait(self) -> VecEnvStepReturn:
+    def step_wait(self) -> vec_env.base_vec_env.VecEnvStepReturn:
         streams = self._batch.streams
         taken = self._arrival != NOBODY
         i, slot = np.nonzero(taken)
@@ -193,7 +181,7 @@ class SlotVecEnv(BatchVecEnv):
 
     def _observe(self) -> Rows:
         """Return the observations (slots of all lines, features)."""
-        seen = np.zeros((self._streams, self._slots, len(FEATURES)), dtype=np.float32)
+        seen = np.zeros((self._streams, self._slots, len(task.FEATURES)), dtype=np.float32)
         i, slot = np.nonzero(self._arrival != NOBODY)
         seen[i, slot] = mirrored_rows(self._batch.observation[i, self._row[i, slot]])
         return seen.reshape(self.num_envs, -1)
@@ -202,10 +190,12 @@ class SlotVecEnv(BatchVecEnv):
         """Do nothing; no resource is held."""
 
 
-def make_parcel_envs(config: ParcelsConfig) -> VecEnv:
+def make_parcel_envs(config: ParcelsConfig) -> vec_env.VecEnv:
     """Make the lines of a configuration, a share of them with a camera and varied friction."""
     exact = training_env_config(config.control_period)
-    camera = replace(exact, sensors=Camera(), randomisation=Randomisation(friction=config.friction))
+    camera = replace(
+        exact, sensors=sg.sensors.Camera(), randomisation=sg.Randomisation(friction=config.friction)
+    )
     by_camera = round(config.camera_share * config.num_envs)
     shares = ((exact, config.num_envs - by_camera), (camera, by_camera))
     return ConcatVecEnv(
@@ -217,7 +207,7 @@ def make_parcel_envs(config: ParcelsConfig) -> VecEnv:
     )
 
 
-class CriticFirst(BaseCallback):
+class CriticFirst(callbacks.BaseCallback):
     """Training of the value network alone, until it knows the value of the imitated policy.
 
     Advantages by an untrained value network would undo the imitation.
@@ -238,7 +228,7 @@ class CriticFirst(BaseCallback):
         return True
 
 
-def pretrain(model: BaseAlgorithm, config: ParcelsConfig) -> None:
+def pretrain(model: base_class.BaseAlgorithm, config: ParcelsConfig) -> None:
     """Let a new model imitate a reservation rule, if the configuration says so.
 
     Random choices would brake all parcels to rest.
@@ -270,7 +260,7 @@ def demonstrate(control_period: float, seed: int) -> tuple[Rows, Choices]:
             while (batch.outcome == RUNNING).any():
                 tables = batch.observation.copy()
                 action, state = rule.predict(tables, state)
-                present = tables[..., PRESENT] > 0.5
+                present = tables[..., task.PRESENT] > 0.5
                 seen.append(mirrored_rows(tables)[present])
                 chosen.append(conversion.to_parcels(tables, action)[present])
                 batch.step(actions.commands(action, NUM_ENVS))
@@ -281,7 +271,7 @@ def imitate(policy: ParcelNetwork, seen: Rows, chosen: Choices, epochs: int, see
     """Maximise the likelihood of demonstrated choices."""
     generator = torch.Generator().manual_seed(seed)
     observations, choices = torch.from_numpy(seen), torch.from_numpy(chosen)
-    waits = observations[:, WAITS] > 0.5
+    waits = observations[:, task.WAITS] > 0.5
     groups = [torch.nonzero(part)[:, 0] for part in (waits, ~waits)]
     optimiser = torch.optim.Adam(policy.parameters(), LEARNING_RATE)
     steps = epochs * (len(seen) // BATCH)

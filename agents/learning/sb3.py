@@ -11,20 +11,13 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import DQN, PPO
-from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common import buffers, logger, utils, vec_env
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecEnv
 
-from surface_gym import SmartSurfaceVectorEnv
+import surface_gym as sg
 from surface_gym.config import PRESETS, Preset
 from surface_gym.flow.task import PARCEL_TERMS
-from surface_gym.layouts import box
-from surface_gym.lines import Line
-from surface_gym.parcel import Parcel, Rectangle, assortment
-from surface_gym.randomisation import Randomisation
-from surface_gym.tasks import Task, Track
+from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
@@ -36,21 +29,23 @@ from .parcels import CriticFirst, make_parcel_envs, pretrain
 from .ppo import CLIP_RANGE
 
 # Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
-_TASKS: dict[str, Task] = {"track": Track(tilts=(math.radians(10.0), math.radians(15.0)))}
+_TASKS: dict[str, sg.tasks.Task] = {
+    "track": sg.tasks.Track(tilts=(math.radians(10.0), math.radians(15.0)))
+}
 
 # For the lab: other parcels than in its evaluation, of the same distribution and a little beyond.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
 # With exact sensors beside it: squares of all sizes, and as often the study's boxes.
-_SQUARES = tuple(Parcel(Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
-_EXACT_PARCELS = (*_SQUARES, *(box("S"), box("B")) * (len(_SQUARES) // 2))
+_SQUARES = tuple(sg.Parcel(sg.Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
+_EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(_SQUARES) // 2))
 
 
-def training_task(name: str) -> Task:
+def training_task(name: str) -> sg.tasks.Task:
     """Return the task to train on, which may be narrower than the task of a name."""
     return _TASKS.get(name) or find_task(name)
 
 
-def make_mirrored_envs(config: TrainConfig) -> VecEnv:
+def make_mirrored_envs(config: TrainConfig) -> vec_env.VecEnv:
     """Make the environments of a configuration, with actions mirrored where the task is."""
     envs = make_training_envs(config)
     mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
@@ -79,7 +74,7 @@ def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
         parcels = assortment(_PARCELS, _PARCELS_SEED, _PARCEL_SIZES)
         return replace(exact, parcels=_EXACT_PARCELS), replace(lab, parcels=parcels)
     camera = PRESETS["camera"]
-    return exact, replace(camera, randomisation=Randomisation(friction=config.friction))
+    return exact, replace(camera, randomisation=sg.Randomisation(friction=config.friction))
 
 
 def _make_envs(
@@ -89,22 +84,16 @@ def _make_envs(
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
-        assert isinstance(line, Line)
+        assert isinstance(line, sg.lines.Line)
         periods = round(periods * time_for(line, columns))
         line = with_zone(line, columns)
     return SurfaceVecEnv(
-        SmartSurfaceVectorEnv(
-            num_envs=num_envs,
-            max_episode_steps=periods,
-            task=task,
-            line=line,
-            actions=config.actions,
-            control_period=config.control_period,
-            observe=config.observe,
-            preset=preset,
-            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+        sg.SmartSurfaceVectorEnv(
+            num_envs=num_envs, max_episode_steps=periods, task=task, line=line,
+            actions=config.actions, control_period=config.control_period, observe=config.observe,
+            preset=preset, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         )
-    )
+    )  # fmt: skip
 
 
 # Fields of a configuration that are arguments of Stable-Baselines3's algorithms.
@@ -146,7 +135,7 @@ class DoubleDQN(DQN):
         self.logger.record("train/loss", float(np.mean(torch.stack(losses).numpy())))
 
     @property
-    def memory(self) -> ReplayBuffer:
+    def memory(self) -> buffers.ReplayBuffer:
         assert self.replay_buffer is not None
         return self.replay_buffer
 
@@ -166,7 +155,7 @@ def _initial_share(initial: float, left: float) -> float:
     return initial * left
 
 
-def make_model(config: PPOConfig | DQNConfig, env: VecEnv) -> PPO | DoubleDQN:
+def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | DoubleDQN:
     """Build PPO or DQN, with weights drawn from the seed."""
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
@@ -225,12 +214,9 @@ class _Checkpoints(BaseCallback):
     """Checkpoints, where everything is seeded and started anew, and the learning curve."""
 
     def __init__(
-        self,
-        config: PPOConfig | DQNConfig,
-        folder: Path,
-        curve: runs.Curve,
+        self, config: PPOConfig | DQNConfig, folder: Path, curve: runs.Curve,
         on_progress: runs.OnProgress,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__()
         self._config = config
         self._folder = folder
@@ -250,7 +236,7 @@ class _Checkpoints(BaseCallback):
         self._interval = interval
         save_checkpoint(model, list(self._curve.recent), self._folder)
         seed = runs.interval_seed(self._config, interval)
-        set_random_seed(seed)
+        utils.set_random_seed(seed)
         model.action_space.seed(seed)
         model.env.seed(seed)
         model._last_obs = model.env.reset()
@@ -289,7 +275,7 @@ def train_sb3(
         model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
     recent = load_checkpoint(model, folder) if resumed else []
     curve = runs.Curve(folder, terms, model.num_timesteps, recent)
-    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    model.set_logger(logger.configure(str(folder / "tensorboard"), ["tensorboard"]))
     callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
     interrupted = False
     try:

@@ -7,15 +7,12 @@ from typing import Any
 import numpy as np
 from gymnasium.utils.seeding import np_random
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch, Snapshot
-from surface_gym.lines import BaseLine
 from surface_gym.physics.types import GYRATION, HALF_LENGTH, RADIUS
-from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Exact
 from surface_gym.state import ACROSS_FACTOR, ALONG_FACTOR, OUT_OF_TIME, BodyTable, ParcelState
-from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
-from surface_gym.tasks.planning import square_reach
+from surface_gym.tasks import base, planning
 from surface_gym.tasks.start import Start
 
 from ..base import Booleans, Integers, Numbers, axes_apart
@@ -49,7 +46,7 @@ class BrakingProfile:
 
 
 def braking_profile(
-    bodies: BodyTable, body: int, line: BaseLine, braking: float, rolling_loss: float
+    bodies: BodyTable, body: int, line: sg.lines.BaseLine, braking: float, rolling_loss: float
 ) -> BrakingProfile:
     """Compute the braking profile of a parcel, every element under it bearing as much.
 
@@ -137,7 +134,7 @@ class SearchNodes:
     parcels: ParcelState  # state arrays, one row per node
     half_length: float  # [m] of the base
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
-    line: BaseLine
+    line: sg.lines.BaseLine
     conditions: Numbers  # (5,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
     corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
     profile: BrakingProfile | None = None  # None: that of rotors alone
@@ -146,12 +143,12 @@ class SearchNodes:
     @property
     def braking(self) -> float:
         """[m/s^2] of a parcel over axes at 0 deg."""
-        return BRAKING * float(self.conditions[ALONG_FACTOR])
+        return base.BRAKING * float(self.conditions[ALONG_FACTOR])
 
     @property
     def rolling_loss(self) -> float:
         """[m/s^2] of a parcel over axes at 90 deg."""
-        return ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
+        return base.ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
 
     @property
     def quarter_turn(self) -> float:
@@ -181,7 +178,7 @@ class SearchNodes:
         """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
         theta = self.parcels.truth[:, 2]
         if self.corners is None:
-            return square_reach(self.half_length, theta)
+            return planning.square_reach(self.half_length, theta)
         cosine, sine = np.cos(theta), np.sin(theta)
         directions = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
         farthest: Numbers = (directions @ self.corners.T).max(axis=1)
@@ -236,12 +233,9 @@ class SearchModel:
         # Zones that do not differ from parcel to parcel have one row.
         first_row, rows, first, columns = bodies.zone[body % len(bodies.zone)].tolist()
         return SearchNodes(
-            parcels,
-            float(bodies.body[body, HALF_LENGTH]),
-            (first_row, rows, first, columns),
-            self.config.chosen_line,
-            self._batch.surfaces.conditions[0],
-        )
+            parcels, float(bodies.body[body, HALF_LENGTH]), (first_row, rows, first, columns),
+            self.config.chosen_line, self._batch.surfaces.conditions[0],
+        )  # fmt: skip
 
 
 class NominalModel(SearchModel):
@@ -249,7 +243,10 @@ class NominalModel(SearchModel):
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         nominal = replace(
-            config, sensors=Exact(), randomisation=Randomisation(), actuators=Actuators()
+            config,
+            sensors=sg.sensors.Exact(),
+            randomisation=sg.Randomisation(),
+            actuators=sg.Actuators(),
         )
         super().__init__(nominal, num_envs)
 
@@ -260,7 +257,7 @@ class TrueModel(SearchModel):
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
-        super().__init__(replace(config, sensors=Exact(), info=(), observe=()), num_envs)
+        super().__init__(replace(config, sensors=sg.sensors.Exact(), info=(), observe=()), num_envs)
         self._turns = config.actuators.axis_speed != math.inf
         self._profile: BrakingProfile | None = None
 

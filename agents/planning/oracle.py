@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, parallel
 from surface_gym.config import EnvConfig
-from surface_gym.parallel import Workers, check_workers, map_jobs, without_report
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks import stop
 from surface_gym.tasks.planning import PlanCost
 
 from ..base import Numbers
 from ..rollout import Episodes, stack_poses
-from .models import TrueModel
-from .planner import make_plan, nodes_needed
+from . import models, planner
 
 BUDGET = 256  # nodes followed at a time at most
 LEAST = 8  # nodes followed at first: most starts need no more
@@ -71,7 +69,7 @@ class Oracle:
         whole = replace(cost, horizon=task.periods, follow=task.periods)
         self._costs = (whole, cost) if task.has_path else (whole,)
         self._budget = checks.integer("budget", budget, least=1)
-        self._models: dict[int, TrueModel] = {}
+        self._models: dict[int, models.TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> Reached:
         began = time.perf_counter()
@@ -91,12 +89,12 @@ class Oracle:
 
     def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> Reached:
         """Play an episode by plans that follow so many nodes."""
-        model = self._model(nodes_needed(cost, width, self._config.action_kind.choices**2))
+        model = self._model(planner.nodes_needed(cost, width, self._config.action_kind.choices**2))
         model.begin(options, seed)
         poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
         running, left = True, self._config.task.periods
         while running and len(actions) < left:
-            plan = make_plan(model, cost, width)
+            plan = planner.make_plan(model, cost, width)
             for action in plan.actions[: cost.follow].tolist():
                 parcels = model.step(action).parcels
                 poses.append(parcels.truth[0, :3].copy())
@@ -107,37 +105,33 @@ class Oracle:
         parcels = model.parcels
         return Reached(
             outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
-            time=float(parcels.clock[0]),
-            metrics=tuple(parcels.metrics[0].tolist()),
-            poses=np.array(poses),
-            velocity=parcels.truth[0, 3:].copy(),
-            actions=tuple(actions),
-            width=width,
-            seconds=0.0,
-        )
+            time=float(parcels.clock[0]), metrics=tuple(parcels.metrics[0].tolist()),
+            poses=np.array(poses), velocity=parcels.truth[0, 3:].copy(), actions=tuple(actions),
+            width=width, seconds=0.0,
+        )  # fmt: skip
 
-    def _model(self, size: int) -> TrueModel:
+    def _model(self, size: int) -> models.TrueModel:
         if size not in self._models:
-            self._models[size] = TrueModel(self._config, size)
+            self._models[size] = models.TrueModel(self._config, size)
         return self._models[size]
 
 
 def find_reachable(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
-    workers: Workers = 1,
-) -> list[Reached]:
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
+    workers: parallel.Workers = 1,
+) -> list[Reached]:  # fmt: skip
     """Find what can be reached from starts, with halves for actions, by an oracle."""
     Oracle(config, budget)
-    check_workers(workers)
+    parallel.check_workers(workers)
     firsts = range(0, len(starts), AT_ONCE)
     jobs = [
-        partial(without_report, partial(_find, config, starts[k : k + AT_ONCE], seed + k, budget))
+        partial(
+            parallel.without_report,
+            partial(_find, config, starts[k : k + AT_ONCE], seed + k, budget),
+        )
         for k in firsts
     ]
-    found = dict(map_jobs(jobs, workers))
+    found = dict(parallel.map_jobs(jobs, workers))
     return [reached for k in range(len(jobs)) for reached in found[k]]
 
 
@@ -149,12 +143,9 @@ def _find(
 
 
 def run_oracle(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
-    workers: Workers = 1,
-) -> Episodes:
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
+    workers: parallel.Workers = 1,
+) -> Episodes:  # fmt: skip
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
     runs = find_reachable(config, starts, seed, budget, workers)
     names = config.task.metrics
@@ -181,7 +172,7 @@ def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -
     """
     checks.one_of("task", config.task_name, ("stop",))
     checks.one_of("actions", config.actions, ("halves",))
-    model = TrueModel(config, 1)
+    model = models.TrueModel(config, 1)
     brake = model.uniform_action(0.0)
     past = []
     for k, options in enumerate(starts):

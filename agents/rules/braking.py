@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.lines import Line
 from surface_gym.physics.types import GRAVITY
-from surface_gym.sensors import Exact
 from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from surface_gym.tasks.planning import LineObservation
 
@@ -64,18 +63,14 @@ def contact_span(config: EnvConfig, seen: LineObservation) -> ContactSpan:
     row_reach = np.where(aside <= 1.0, part * half_length[:, np.newaxis] + ON_EDGE, -1.0)
     # Of a line, as many rows are of rotors as lie under the width.
     half_rows = np.full(len(y), config.action_kind.rows // 2)
-    if isinstance(line, Line):
+    if isinstance(line, sg.lines.Line):
         under = np.floor((seen.half_width + ON_EDGE) / line.pitch_y).astype(np.int64)
         half_rows = np.clip(under, 1, half_rows)
     from_middle = np.abs(np.arange(rows) - (rows - 1) / 2.0)
     return ContactSpan(
-        place=place,
-        middle=0.5 * (rear + seen.front_in_zone) - place,
-        load=seen.load_ahead,
-        half_length=half_length,
-        row_reach=row_reach,
-        rotor=from_middle < half_rows[:, np.newaxis],
-    )
+        place=place, middle=0.5 * (rear + seen.front_in_zone) - place, load=seen.load_ahead,
+        half_length=half_length, row_reach=row_reach, rotor=from_middle < half_rows[:, np.newaxis],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +112,9 @@ class BrakeModel:
             self._tail = min(MOST_AFTER, math.ceil(0.25 * math.pi / self._turn))
 
     def predict(
-        self,
-        span: ContactSpan,
-        speed: Numbers,
-        frictions: Frictions,
-        lean: Numbers,
+        self, span: ContactSpan, speed: Numbers, frictions: Frictions, lean: Numbers,
         target: Numbers,
-    ) -> Braked:
+    ) -> Braked:  # fmt: skip
         """Predict the state a control period on.
 
         Args:
@@ -237,7 +228,7 @@ class FrictionEstimate:
 
     @classmethod
     def for_sensors(cls, config: EnvConfig) -> "FrictionEstimate":
-        return cls(SEEN_EXACTLY if isinstance(config.sensors, Exact) else SEEN)
+        return cls(SEEN_EXACTLY if isinstance(config.sensors, sg.sensors.Exact) else SEEN)
 
     @staticmethod
     def unknown(num_envs: int) -> Numbers:

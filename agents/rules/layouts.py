@@ -12,11 +12,7 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.layouts import ROLLING
-from surface_gym.lines import BaseLine
 from surface_gym.physics.types import VX, VY
-from surface_gym.tasks import orient, slow, stop
-from surface_gym.tasks.base import BRAKING
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
@@ -40,32 +36,24 @@ def round_sizes(half_length: Numbers) -> Numbers:
 
 
 def _run(
-    zone_axis: Numbers,
-    half_length: float,
-    speed: float,
-    line: BaseLine,
-    zone: tuple[int, int] | None,
-    dt: float,
-) -> sg.Trajectory:
+    zone_axis: Numbers, half_length: float, speed: float, line: sg.lines.BaseLine,
+    zone: tuple[int, int] | None, dt: float,
+) -> sg.Trajectory:  # fmt: skip
     """Run a square box along a line, long enough to cross it by rolling."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
-    axis = np.full(rotor.shape, ROLLING)
+    axis = np.full(rotor.shape, sg.layouts.ROLLING)
     axis[first_row : first_row + rows, first : first + columns] = zone_axis[margin : margin + rows]
     return sg.simulate(
-        line.surface(axis, rotor),
-        sg.Parcel(base),
-        (half_length, line.line_y, 0.0),
-        (speed, 0.0, 0.0),
-        duration=2.0 * line.length / speed,
-        dt=dt,
-    )
+        line.surface(axis, rotor), sg.Parcel(base), (half_length, line.line_y, 0.0),
+        (speed, 0.0, 0.0), duration=2.0 * line.length / speed, dt=dt,
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=1024)
 def loss_of_layout(
-    half_length: float, line: BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
+    half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
     """Compute how much of the squared entry speed a box has lost (places,) [m^2/s^2], by the way it
     went: 0, `FINE`, 2 `FINE` ... from the start.
@@ -159,13 +147,9 @@ class FixedStopping(FixedBraking):
 
 @lru_cache(maxsize=4096)
 def angle_at_exit(
-    half_length: float,
-    speed: float,
-    line: BaseLine,
-    zone: tuple[int, int] | None,
-    shape: tuple[int, int],
-    turning: int,
-) -> float:
+    half_length: float, speed: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None,
+    shape: tuple[int, int], turning: int,
+) -> float:  # fmt: skip
     """Compute the angle [rad] to which a box has turned when its rear leaves the zone; infinite if
     it never does.
 
@@ -174,7 +158,7 @@ def angle_at_exit(
         turning: first columns of the zone whose left half is at 45 deg.
     """
     rows, columns = shape
-    axis = np.full(shape, ROLLING)
+    axis = np.full(shape, sg.layouts.ROLLING)
     axis[rows // 2 :, :turning] = math.pi / 4.0
     run = _run(axis, half_length, speed, line, zone, STEP)
     theta = run.pose[:, 2]
@@ -257,7 +241,7 @@ class BestSlowing(_Searched, FixedSlowing):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _LineSearch(config, _graded(slow.MISSED, 2e-4), self._layouts)
+        self._search = _LineSearch(config, _graded(sg.tasks.slow.MISSED, 2e-4), self._layouts)
 
 
 class BestStopping(_Searched, FixedStopping):
@@ -274,7 +258,9 @@ class BestTurning(_Searched, FixedTurning):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._search = _TurnSearch(config, _graded(orient.MISSED, 1e-3, True), self._layouts)
+        self._search = _TurnSearch(
+            config, _graded(sg.tasks.orient.MISSED, 1e-3, True), self._layouts
+        )
 
 
 class _TurnSearch(_LineSearch):
@@ -295,10 +281,12 @@ def _graded(missed: int, enough: float, halves: bool = False) -> search.LayoutCo
 def _stop_cost(nodes: Nodes) -> Numbers:
     parcels = nodes.parcels
     # One that has passed the asked x would rest this much farther at best.
-    farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (2.0 * BRAKING)
-    passed = search.MISSED + np.abs(parcels.metrics[:, stop.STOP_ERROR]) + farther
-    graded = search.graded_cost(nodes, stop.MISSED)
-    return np.where(parcels.outcome == stop.OVERSHOT, passed, graded)
+    farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (
+        2.0 * sg.tasks.base.BRAKING
+    )
+    passed = search.MISSED + np.abs(parcels.metrics[:, sg.tasks.stop.STOP_ERROR]) + farther
+    graded = search.graded_cost(nodes, sg.tasks.stop.MISSED)
+    return np.where(parcels.outcome == sg.tasks.stop.OVERSHOT, passed, graded)
 
 
 class BestTracking(FixedRule):

@@ -9,9 +9,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.tasks.base import BRAKING
-from surface_gym.tasks.planning import LineObservation
-from surface_gym.tasks.track import PathObservation
+from surface_gym.tasks import base, planning, track
 
 from ..base import Booleans, Numbers, find_axes
 from .base import BaseRule, Commands, Decision, Memory, Observations
@@ -59,22 +57,22 @@ class LocalTask:
     gains: Gains
 
 
-def _line_motion(seen: LineObservation) -> Motion:
+def _line_motion(seen: planning.LineObservation) -> Motion:
     return Motion(seen.vx, seen.vy, seen.omega)
 
 
-def _path_motion(path: PathObservation) -> Motion:
+def _path_motion(path: track.PathObservation) -> Motion:
     return Motion(*path.velocity, path.omega)
 
 
-def _off_the_line(seen: LineObservation) -> Motion:
+def _off_the_line(seen: planning.LineObservation) -> Motion:
     """Want a parcel straight on until it is wholly in the zone, then off to the asked side."""
     side = np.where(seen.wholly_in_zone, seen.side, 0.0)
     vy = np.where(side != 0.0, ASIDE * side, -CENTRING * seen.offset)
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
 
 
-def _turned(seen: LineObservation) -> Motion:
+def _turned(seen: planning.LineObservation) -> Motion:
     """Want a parcel straight on until it is wholly in the zone, then turning to the asked angle.
 
     Nothing is asked across: modules at 90 deg keep the parcel from drifting anyway.
@@ -86,7 +84,7 @@ def _turned(seen: LineObservation) -> Motion:
     return Motion(seen.vx, seen.vy, np.where(seen.wholly_in_zone, omega, 0.0))
 
 
-def _along_path(path: PathObservation) -> Motion:
+def _along_path(path: track.PathObservation) -> Motion:
     """Want a parcel along the path at the asked speed, back to the path, and not turned."""
     # The slope 0.1 m ahead, which the parcel reaches while its velocity is being turned.
     cosine = 1.0 / np.sqrt(1.0 + path.slope[:, 1] ** 2)
@@ -200,6 +198,6 @@ class PidRule(LocalRule):
         """Compute by how much (num_envs, modules, choices, 2) [m/s] each orientation would change a
         velocity. Friction brakes along the axis, and at most to rest.
         """
-        most = BRAKING * self._period
+        most = base.BRAKING * self._period
         along = np.clip(velocity @ self._direction.T, -most, most)
         return -along[..., np.newaxis] * self._direction

@@ -13,15 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.flow.arrivals import HOUR, Arrival, Trace
+from surface_gym.flow import arrivals, task
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import PRESENT
-from surface_gym.parcel import Parcel
-from surface_gym.randomisation import Randomisation
-from surface_gym.sensors import Exact
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
@@ -37,7 +34,7 @@ BOOKED = 8  # the latest entries that a new one is held against
 SHUT = 0
 LONG_AGO = -1e6  # [s]
 
-Asked = tuple[Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
+Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +114,12 @@ def packed_rate(gaps: Numbers, odds: Numbers) -> float:
         odds: (trajectories,) of each, independent of the one before.
     """
     share = odds / odds.sum()
-    return float(HOUR / (share @ gaps @ share))
+    return float(arrivals.HOUR / (share @ gaps @ share))
 
 
 def steady_rate(gaps: Numbers) -> float:
     """Compute the rate [parcels/h] of a stream with equal gaps, in which every pair may come."""
-    return float(HOUR / gaps.max())
+    return float(arrivals.HOUR / gaps.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,18 +135,15 @@ class LoneRuns:
 
 
 def run_alone(
-    make: Callable[[EnvConfig], Controller],
-    config: EnvConfig,
-    asked: Sequence[Asked],
-    seeds: Sequence[int],
-    opens: Halves | None = None,
-) -> LoneRuns:
+    make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked],
+    seeds: Sequence[int], opens: Halves | None = None,
+) -> LoneRuns:  # fmt: skip
     """Run parcels, each alone on a line with a gate.
 
     Args:
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
-    streams = [Stream(Trace((Arrival(0.0, *one),))) for one in asked]
+    streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
     alone = config.replace(max_parcels=1, gate=True, stream=streams[0])
     count = len(asked)
     batch = StreamBatch(alone, count)
@@ -169,13 +163,9 @@ def run_alone(
         times.append(batch.streams.clock.copy())
         poses.append(batch.parcels.truth.reshape(count, alone.stream_task.rows, 6)[:, 0, :3].copy())
     return LoneRuns(
-        np.array(times),
-        np.array(poses),
-        batch.streams.entered[:, 0],
-        batch.streams.left[:, 0],
-        batch.streams.tally[:, RIGHT] > 0,
-        signature,
-    )
+        np.array(times), np.array(poses), batch.streams.entered[:, 0], batch.streams.left[:, 0],
+        batch.streams.tally[:, RIGHT] > 0, signature,
+    )  # fmt: skip
 
 
 def list_asked(config: EnvConfig) -> list[Asked]:
@@ -183,7 +173,7 @@ def list_asked(config: EnvConfig) -> list[Asked]:
     the greatest.
     """
     stream = config.stream_task.stream
-    if isinstance(stream.arrivals, Trace):
+    if isinstance(stream.arrivals, arrivals.Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
     if isinstance(stream.speeds, tuple):
         low, high = stream.speeds
@@ -211,7 +201,7 @@ def find_trajectories(
     make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked]
 ) -> Trajectories:
     """Find the trajectories of parcels, each alone on the line, seen as they are."""
-    exact = replace(config, sensors=Exact(), randomisation=Randomisation())
+    exact = replace(config, sensors=sg.sensors.Exact(), randomisation=sg.Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
     return Trajectories(
         tuple(asked),
@@ -221,7 +211,7 @@ def find_trajectories(
     )
 
 
-def _trajectory(parcel: Parcel, runs: LoneRuns, i: int) -> ParcelTrajectory:
+def _trajectory(parcel: sg.Parcel, runs: LoneRuns, i: int) -> ParcelTrajectory:
     """Cut a run to between entry and exit; the pose at the exit lasts until the next reading."""
     time, pose = runs.time[:, i], runs.pose[:, i]
     entered, departed = runs.entered[i], runs.departed[i]
@@ -272,7 +262,7 @@ class Booking:
         clock = np.where(fresh, 0.0, book.clock)
         way = np.where(fresh[:, np.newaxis], 0, book.way)
         time = np.where(fresh[:, np.newaxis], LONG_AGO, book.time)
-        waits = tables[:, -1, PRESENT] > 0.5
+        waits = tables[:, -1, task.PRESENT] > 0.5
         due = clock + HORIZON * tables[:, -1, TIME].astype(np.float64)
         # Let in, but there still: there was no room.
         stayed = book.pending & ~fresh & waits & (np.abs(due - book.due) < 1e-3)

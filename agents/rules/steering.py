@@ -11,9 +11,7 @@ import numpy as np
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
 from surface_gym.physics.types import GRAVITY
-from surface_gym.tasks.base import BRAKING
-from surface_gym.tasks.planning import LineObservation
-from surface_gym.tasks.track import AHEAD, PathObservation
+from surface_gym.tasks import base, planning, track
 
 from ..base import Booleans, Numbers, find_axes
 from .base import BaseRule, Commands, Decision, Observations
@@ -41,7 +39,7 @@ def _positions(x: Numbers, y: Numbers, theta: Numbers, half_length: Numbers) -> 
     return ModulePositions(x, y, under)
 
 
-def line_positions(seen: LineObservation, kind: ActionKind) -> ModulePositions:
+def line_positions(seen: planning.LineObservation, kind: ActionKind) -> ModulePositions:
     """Locate the zone's modules, in the order of "modules"."""
     pitch_x, pitch_y = seen.pitch
     column = pitch_x * (np.arange(kind.columns) + 0.5)
@@ -54,7 +52,7 @@ def line_positions(seen: LineObservation, kind: ActionKind) -> ModulePositions:
     )
 
 
-def window_positions(path: PathObservation, kind: ActionKind) -> ModulePositions:
+def window_positions(path: track.PathObservation, kind: ActionKind) -> ModulePositions:
     """Locate the modules around the parcel, in the order of "window"."""
     rows, columns = kind.shape
     pitch_x, pitch_y = path.pitch
@@ -95,7 +93,7 @@ class SquareModel:
         self._x, self._y = modules.x[:, np.newaxis], modules.y[:, np.newaxis]
         self._gyration = (2.0 / 3.0 * half_length**2)[:, np.newaxis]  # [m^2] of a square
         share = modules.under / np.maximum(1, modules.under.sum(axis=1))[:, np.newaxis]
-        self._braking = BRAKING * share[:, np.newaxis]  # [m/s^2] of each module
+        self._braking = base.BRAKING * share[:, np.newaxis]  # [m/s^2] of each module
         self._pull = (GRAVITY * np.sin(tilt))[:, np.newaxis]
 
     def predict(self, motion: Motion, angles: Numbers, period: float, steps: int) -> Motion:
@@ -108,7 +106,7 @@ class SquareModel:
         cosine, sine = np.cos(angles), np.sin(angles)
         arm = self._x * sine - self._y * cosine  # [m] of each axis about the centre
         # Friction grows to its most over the speed that a step of it takes: it overshoots none.
-        soft = BRAKING * dt * (1.0 + arm**2 / self._gyration[..., np.newaxis])
+        soft = base.BRAKING * dt * (1.0 + arm**2 / self._gyration[..., np.newaxis])
         vx, vy, omega = (v[:, np.newaxis] for v in (motion.vx, motion.vy, motion.omega))
         for _ in range(steps):
             slip = (
@@ -184,7 +182,7 @@ class SlidingMode(BaseRule):
         self._period = config.control_period
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
-        path: PathObservation = self._config.decode(observations)
+        path: track.PathObservation = self._config.decode(observations)
         vx, vy = path.velocity
         model = SquareModel(window_positions(path, self._kind), path.half_length, path.tilt)
         motion = Motion(vx, vy, path.omega)
@@ -192,10 +190,10 @@ class SlidingMode(BaseRule):
         best = self._regret(path, vx, after).argmin(axis=1)
         return self._options[best], None
 
-    def _regret(self, path: PathObservation, vx: Numbers, after: Motion) -> Numbers:
+    def _regret(self, path: track.PathObservation, vx: Numbers, after: Motion) -> Numbers:
         """Sum (num_envs, options) squared speeds off the surface and the asked speed."""
         # The path's heading where the parcel will be.
-        ahead = np.clip(vx * self._period / AHEAD[1], 0.0, 1.0)
+        ahead = np.clip(vx * self._period / track.AHEAD[1], 0.0, 1.0)
         slope = path.slope[:, 0] + ahead * (path.slope[:, 1] - path.slope[:, 0])
         cosine = (1.0 / np.sqrt(1.0 + slope**2))[:, np.newaxis]
         sine = slope[:, np.newaxis] * cosine
@@ -223,7 +221,7 @@ class TurningRule(BaseRule):
         self._period = config.control_period
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
-        seen: LineObservation = self._config.decode(observations)
+        seen: planning.LineObservation = self._config.decode(observations)
         modules = line_positions(seen, self._kind)
         options = self._options(seen, modules)
         model = SquareModel(modules, seen.half_length, np.zeros_like(seen.theta))
@@ -232,7 +230,7 @@ class TurningRule(BaseRule):
         best = self._regret(seen, after).argmin(axis=1)
         return options[np.arange(len(best)), best], None
 
-    def _options(self, seen: LineObservation, modules: ModulePositions) -> Commands:
+    def _options(self, seen: planning.LineObservation, modules: ModulePositions) -> Commands:
         axes = self._axes
         x = modules.x[:, np.newaxis]
         inside = seen.wholly_in_zone[:, np.newaxis, np.newaxis]
@@ -247,7 +245,7 @@ class TurningRule(BaseRule):
             ]
         return np.concatenate(options, axis=1)
 
-    def _regret(self, seen: LineObservation, after: Motion) -> Numbers:
+    def _regret(self, seen: planning.LineObservation, after: Motion) -> Numbers:
         """Compute (num_envs, options) [rad] off the asked angle at rest, or what is as bad."""
         turn = 0.5 * self._period * (seen.omega[:, np.newaxis] + after.omega)
         end = after.omega * np.abs(after.omega) * seen.half_length[:, np.newaxis]

@@ -12,8 +12,7 @@ from surface_gym.flow.task import PRESENT, WAITS
 from surface_gym.parcel import Parcel
 
 from ..base import BatchController, Booleans, Controller, Numbers, find_axes, is_fresh
-from . import reservation
-from .streams import PAST_START, SIDE, Rows
+from . import reservation, streams
 
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
 LONGER = 2  # columns by which a zone may be longer than the shortest that does
@@ -69,7 +68,7 @@ class WholeZone(BatchController):
             self._booking = reservation.Booking(config, *booking)
 
     def _predict(
-        self, batch: Rows, state: ZoneMemory | None, episode_start: Any, **_: bool
+        self, batch: streams.Rows, state: ZoneMemory | None, episode_start: Any, **_: bool
     ) -> tuple[Any, ZoneMemory]:
         num_envs = len(batch)
         fresh = is_fresh(num_envs, state, episode_start)
@@ -84,7 +83,7 @@ class WholeZone(BatchController):
         actions = np.concatenate([grid.reshape(num_envs, -1), opens[:, np.newaxis]], axis=1)
         return actions, ZoneMemory(book, side)
 
-    def _side(self, tables: Rows, before: Numbers) -> Numbers:
+    def _side(self, tables: streams.Rows, before: Numbers) -> Numbers:
         """Choose (num_envs,) the side that the zone leads to, by the one before: that of the parcel
         that is wholly in it; 0 where there is none.
         """
@@ -100,7 +99,7 @@ class ArrangedZone(WholeZone):
     out, as the study's do. Arguments and errors are those of `WholeZone`.
     """
 
-    def _side(self, tables: Rows, before: Numbers) -> Numbers:
+    def _side(self, tables: streams.Rows, before: Numbers) -> Numbers:
         rear = _rear(tables)
         front = rear + 2.0 * (HALF + FIFTH * tables[..., LENGTH])
         here = _on_the_line(tables)
@@ -219,19 +218,21 @@ def _time_at(time: Numbers, x: Numbers, place: float) -> float:
     return float(time[k - 1] + share * (time[k] - time[k - 1]))
 
 
-def _rear(tables: Rows) -> Numbers:
+def _rear(tables: streams.Rows) -> Numbers:
     """(num_envs, rows) [m] how far each parcel's rear is past the zone's start."""
-    return UNIT * tables[..., PAST_START].astype(np.float64)
+    return UNIT * tables[..., streams.PAST_START].astype(np.float64)
 
 
-def _on_the_line(tables: Rows) -> Booleans:
+def _on_the_line(tables: streams.Rows) -> Booleans:
     """(num_envs, rows) whether there is a parcel that has entered."""
     return (tables[..., PRESENT] > 0.5) & (tables[..., WAITS] < 0.5)
 
 
-def _side_of_best(tables: Rows, among: Booleans, rank: Numbers, otherwise: Numbers) -> Numbers:
+def _side_of_best(
+    tables: streams.Rows, among: Booleans, rank: Numbers, otherwise: Numbers
+) -> Numbers:
     """Find (num_envs,) the exit side of the parcel that ranks highest among some (num_envs, rows);
     else another.
     """
     chosen = np.arange(len(tables)), np.where(among, rank, -np.inf).argmax(axis=1)
-    return np.where(among.any(axis=1), tables[..., SIDE][chosen], otherwise)
+    return np.where(among.any(axis=1), tables[..., streams.SIDE][chosen], otherwise)

@@ -139,13 +139,12 @@ def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | Non
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     """Load the policy of a command."""
     from .. import library
-    from ..library import find_task
     from ..policy import ParcelPolicy
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)
     elif Path(config.name).is_dir():
-        custom = None if config.task is None else find_task(config.task)
+        custom = None if config.task is None else library.find_task(config.task)
         policy = library.read(config.name, custom)
     else:
         raise ValueError(
@@ -204,15 +203,11 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         decider = controller.Decider(policy, env_config)
         bounds = env_config.observation_space()
         loop = controller.ControlLoop(
-            SocketDevice(address, env_config.task.name, estimator.shape),
-            estimator,
-            decider,
+            SocketDevice(address, env_config.task.name, estimator.shape), estimator, decider,
             (arranger, estimator.resolver(kind)),
-            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
-            bounds,
-            clock,
-            controller.LoopConfig(env_config.control_period, config.watchdog),
-        )
+            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)), bounds,
+            clock, controller.LoopConfig(env_config.control_period, config.watchdog),
+        )  # fmt: skip
         decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
@@ -224,17 +219,10 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             console.print("stopped")
         seconds = clock.now() - begun
     run = Run(
-        agent=config.name,
-        seed=config.seed or 0,
-        task=env_config.task.name,
-        preset=config.preset,
-        device=config.address or "simulator",
-        period=env_config.control_period,
-        watchdog=config.watchdog,
-        seconds=seconds,
-        load=os.getloadavg(),
-        cores=usable_cores(),
-    )
+        agent=config.name, seed=config.seed or 0, task=env_config.task.name, preset=config.preset,
+        device=config.address or "simulator", period=env_config.control_period,
+        watchdog=config.watchdog, seconds=seconds, load=os.getloadavg(), cores=usable_cores(),
+    )  # fmt: skip
     made = make_report(run, loop.counts, loop.latencies)
     show_report(made, console)
     console.print(f"written: {write_report(made, config.out)}", soft_wrap=True)
@@ -247,11 +235,8 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
     from .controller import WallClock
 
     columns = (
-        TextColumn("running"),
-        BarColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-    )
+        TextColumn("running"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn(),
+    )  # fmt: skip
     gc.collect()
     gc.freeze()
     gc.disable()

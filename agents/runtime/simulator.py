@@ -17,20 +17,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import surface_gym as sg
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ANY
-from surface_gym.core.batch import Batch
-from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Base, Disc, Parcel, Polygon
+from surface_gym.core import actions, batch
+from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.sensors import Exact
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
+from . import controller, estimator
 from . import protocol as wire
 from .config import SimulatorConfig, WorldOptions, parse_address
-from .controller import AxisLimits, Clock, WallClock
-from .estimator import device_camera, zone_angles
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
@@ -49,29 +46,23 @@ class World:
     def __init__(
         self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
     ) -> None:
-        self._camera = device_camera(env_config.sensors)
+        self._camera = estimator.device_camera(env_config.sensors)
         self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
         self._latency = self._camera.latency
         if self._latency is None:
             self._latency = self._every * self.dt
         self._limit = env_config.task.periods * env_config.timing.steps
-        self._batch = Batch(
+        self._batch = batch.Batch(
             replace(
-                env_config,
-                actions="modules",
-                orientations=ANY,
-                control_period=self.dt,
-                sensors=Exact(),
-                observe=(),
-                observe_axes=False,
-                info=(),
+                env_config, actions="modules", orientations=actions.ANY, control_period=self.dt,
+                sensors=sg.sensors.Exact(), observe=(), observe_axes=False, info=(),
             ),
             1,
-        )
+        )  # fmt: skip
         kind = self._batch.config.action_kind
         self.shape = (kind.rows, kind.columns)
-        self._limits = AxisLimits(self.shape, None)
+        self._limits = controller.AxisLimits(self.shape, None)
         generator, self._noise = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
         self._batch.seed(0, generator)
         self._options = options
@@ -80,7 +71,7 @@ class World:
         self._number = -1
         self._present = False
         self._enters = begun + options.pause
-        self._command = np.full((1, kind.size), ROLLING)
+        self._command = np.full((1, kind.size), sg.layouts.ROLLING)
 
     @property
     def now(self) -> float:
@@ -120,7 +111,7 @@ class World:
         return messages
 
     def _enter(self) -> wire.Entered:
-        self._command[:] = ROLLING
+        self._command[:] = sg.layouts.ROLLING
         self._batch.reset(ONLY)
         self._present = True
         self._number += 1
@@ -130,15 +121,11 @@ class World:
         )
         known = state.truth + spread * self._noise.standard_normal(6)
         return wire.Entered(
-            self._number,
-            self._now,
-            _known_parcel(state),
-            _triple(known[:3]),
-            _triple(known[3:]),
+            self._number, self._now, _known_parcel(state), _triple(known[:3]), _triple(known[3:]),
             tuple(state.goal.tolist()),
             math.atan2(state.surface[GRAVITY_ALONG], state.surface[GRAVITY_NORMAL]),
             state.path.copy() if len(state.path) else None,
-        )
+        )  # fmt: skip
 
     def _depart(self, ends: bool) -> wire.Departed:
         parcels, task = self._batch.parcels, self._batch.task
@@ -160,20 +147,20 @@ class World:
         pose = self._batch.parcels.truth[0, :3] + spread * noise
         axes = None
         if self._options.encoders:
-            axes = zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
+            axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
         return wire.Frame(self._now, self._number, _triple(pose), axes)
 
 
-def _known_parcel(state: EnvState) -> Parcel:
+def _known_parcel(state: EnvState) -> sg.Parcel:
     """Return an environment's parcel, with its load evenly spread: a device does not know it."""
     corners: NDArray[np.float64] = state.corners
     base: Base
     if np.ptp(corners, axis=0).max() == 0.0:
-        base = Disc(float(state.body[RADIUS]))
+        base = sg.Disc(float(state.body[RADIUS]))
     else:
         apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
-        base = Polygon(corners[apart])
-    return Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
+        base = sg.Polygon(corners[apart])
+    return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
 def _triple(values: NDArray[np.float64]) -> wire.Triple:
@@ -261,7 +248,7 @@ class Server:
             self._connection = None
 
 
-def serve(server: Server, clock: Clock, goes_on: Callable[[], bool]) -> None:
+def serve(server: Server, clock: controller.Clock, goes_on: Callable[[], bool]) -> None:
     """Serve in real time as long as `goes_on` is true."""
     while goes_on():
         server.step(clock.now())
@@ -278,7 +265,7 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
     env_config = make_env_config(config)
-    clock = WallClock()
+    clock = controller.WallClock()
     world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     listener = socket.create_server((HOST, config.port))

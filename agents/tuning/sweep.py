@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from surface_gym import checks
+from surface_gym import checks, files, parallel
 from surface_gym.cli import TRAIN, command_line
-from surface_gym.files import replacing
-from surface_gym.parallel import Workers, WorkFailed, check_workers, choose_workers, usable_cores
 from surface_gym.tasks import TASKS
 
 from ..learning.config import RENAMED, TrainConfig, defaults
@@ -218,17 +216,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     folder = given.out / (given.name or f"search-{given.file.stem}")
     try:
-        workers = choose_workers(given.cluster, usable_cores(), task_files(given.task))
+        workers = parallel.choose_workers(
+            given.cluster, parallel.usable_cores(), task_files(given.task)
+        )
         search(given.file, folder, workers, Console(), given.task)
-    except (ValueError, WorkFailed) as error:
+    except (ValueError, parallel.WorkFailed) as error:
         sys.exit(f"error: {error}")
 
 
 def search(
-    file: Path, folder: Path, workers: Workers, console: "Console", task: str | None = None
+    file: Path, folder: Path, workers: parallel.Workers, console: "Console", task: str | None = None
 ) -> None:
     """Search hyper-parameters and leave a report in a folder, or resume a search there."""
-    check_workers(workers)
+    parallel.check_workers(workers)
     if find_spec("optuna") is None:
         raise ValueError(
             "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
@@ -266,6 +266,6 @@ def open_folder(file: Path, folder: Path, task: str | None = None) -> Sweep:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder must be new, or a search's, got {folder}")
     folder.mkdir(parents=True, exist_ok=True)
-    with replacing(kept) as part:
+    with files.replacing(kept) as part:
         part.write_text(file.read_text())
     return sweep

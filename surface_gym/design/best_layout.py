@@ -10,14 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, layouts, lines, parallel
 from surface_gym.design import report
 from surface_gym.design.case import SURE, WORST, Case, is_reliable
 from surface_gym.design.runs import LONGEST, DesignLine, Ends, OnProgress, make_runs
 from surface_gym.design.search import Effort, LayoutSpace, Score, search
-from surface_gym.layouts import ROLLING
-from surface_gym.lines import ORIENTATIONS
-from surface_gym.parallel import Workers, check_workers
 from surface_gym.physics.types import Array, Booleans
 
 NEAR, HASTE = 0.9, 0.09  # [-] greatest costs of shortfall and of time, over that of a failure
@@ -185,8 +182,8 @@ def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colo
 
 def best_layout(
     case: Case, speeds: Sequence[float] | Array, columns: int = 16, rows: int | None = None,
-    orientations: Sequence[float] | None = ORIENTATIONS, effort: Effort = Effort(),
-    workers: Workers = 1, checkpoint: Path | str | None = None,
+    orientations: Sequence[float] | None = lines.ORIENTATIONS, effort: Effort = Effort(),
+    workers: parallel.Workers = 1, checkpoint: Path | str | None = None,
     on_progress: OnProgress = lambda *_: None,
 ) -> BestLayout:  # fmt: skip
     """Search the axes of a zone for those that do best over all the speeds.
@@ -201,7 +198,7 @@ def best_layout(
     """
     begun = time.perf_counter()
     checks.integer("columns", columns, least=1)
-    check_workers(workers)
+    parallel.check_workers(workers)
     over = np.unique(checks.array("speeds", speeds, (None,)))
     if len(over) == 0 or over[0] <= 0.0:
         raise ValueError(f"speeds must be some above 0, got {over.tolist()}")
@@ -233,8 +230,9 @@ def best_layout(
 
 
 def evaluate_layout(
-    name: str, axis: Array, case: Case, line: DesignLine, speeds: Array, workers: Workers = 1
-) -> LayoutResult:
+    name: str, axis: Array, case: Case, line: DesignLine, speeds: Array,
+    workers: parallel.Workers = 1,
+) -> LayoutResult:  # fmt: skip
     """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
     ends = _run_layouts(case, line, axes, speeds, workers)
@@ -264,7 +262,7 @@ def _tidy(axis: Array, plain: Array, score: Score) -> Array:
 
 
 def _run_layouts(
-    case: Case, line: DesignLine, axes: Array, speeds: Array, workers: Workers
+    case: Case, line: DesignLine, axes: Array, speeds: Array, workers: parallel.Workers
 ) -> Ends:
     """Run every layout (layouts, rows, columns) [rad] at every speed, layout by layout."""
     runs = make_runs(
@@ -276,7 +274,7 @@ def _run_layouts(
     return case.run(line, axes, runs, workers=workers)
 
 
-def _make_score(case: Case, line: DesignLine, speeds: Array, workers: Workers) -> Score:
+def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
     """Return the cost of layouts: a failure outweighs all shortfalls, and these all time."""
 
     def score(axes: Array) -> Array:
@@ -304,8 +302,8 @@ class EveryLayout:
 
 def every_layout(
     case: Case, columns: int = 16, rows: int | None = None,
-    orientations: Sequence[float] = ORIENTATIONS, most: int = 1_000_000, workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
+    orientations: Sequence[float] = lines.ORIENTATIONS, most: int = 1_000_000,
+    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
 ) -> EveryLayout:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
@@ -320,14 +318,14 @@ def every_layout(
     """
     checks.integer("columns", columns, least=1)
     checks.integer("most", most, least=1)
-    check_workers(workers)
+    parallel.check_workers(workers)
     offered = np.array(checks.orientations("orientations", np.array(orientations)))
     line = case.line(columns, rows)
     count = len(offered) ** line.rows
     if count > most:
         raise ValueError(f"most must be at least the {count} arrangements of a column, got {most}")
     one_column = offered[np.array(list(itertools.product(range(len(offered)), repeat=line.rows)))]
-    open_ends = np.full((1, line.rows, columns), ROLLING)
+    open_ends = np.full((1, line.rows, columns), layouts.ROLLING)
     done = 0
     for column in range(columns):
         further = []

@@ -11,12 +11,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files, parallel
 from surface_gym.design import runs as running
 from surface_gym.design.runs import DesignLine, Ends, OnProgress, Runs
-from surface_gym.files import replacing
 from surface_gym.layouts import ROLLING
-from surface_gym.parallel import Workers
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.types import Array, Booleans
 from surface_gym.randomisation import RandomDraw, Randomisation
@@ -447,7 +445,7 @@ class Case:
 
     def run(
         self, line: DesignLine, axes: Array, runs: Runs, drawn: "Draws | None" = None,
-        workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+        workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
         """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
         parcels = (self.parcel,) if drawn is None else drawn.parcels
@@ -485,16 +483,11 @@ class Draws:
         """Build one run for each draw, over a layout; `columns` -1: the zone has no end."""
         every = np.arange(len(self))
         return running.make_runs(
-            speed=np.maximum(0.0, speed + self.speed),
-            tilt=tilt + self.tilt,
-            layout=layout,
+            speed=np.maximum(0.0, speed + self.speed), tilt=tilt + self.tilt, layout=layout,
             stiffness=every if self.stiffness is not None else 0,
-            parcel=every if len(set(self.parcels)) > 1 else 0,
-            friction=self.friction,
-            lateral=self.lateral,
-            heading=self.heading,
-            columns=columns,
-        )
+            parcel=every if len(set(self.parcels)) > 1 else 0, friction=self.friction,
+            lateral=self.lateral, heading=self.heading, columns=columns,
+        )  # fmt: skip
 
 
 def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: int) -> Draws:
@@ -539,7 +532,7 @@ def is_reliable(share: ArrayLike) -> Booleans:
 
 def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
     """Save arrays and numbers of a computation; an interrupted write leaves the file as it was."""
-    with replacing(file) as part, part.open("wb") as stream:
+    with files.replacing(file) as part, part.open("wb") as stream:
         np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
 
 

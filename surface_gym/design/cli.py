@@ -18,14 +18,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as ScreenTable
 
-from surface_gym import checks, design
+from surface_gym import checks, design, layouts, lines, parallel
+from surface_gym.design import runs, search
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
-from surface_gym.design.runs import STEP, OnProgress
-from surface_gym.design.search import Effort
-from surface_gym.layouts import box
-from surface_gym.lines import ORIENTATIONS
-from surface_gym.parallel import Workers, WorkFailed, choose_workers, usable_cores
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 STOPPED = 130  # status of a command that Ctrl-C ends
@@ -122,10 +118,10 @@ class Question:
     """Of the unknown quantities."""
     seed: int = 0
     """Of the draws."""
-    step: float = STEP
+    step: float = runs.STEP
     """[s] of the simulation."""
 
-    workers: int = field(default_factory=usable_cores)
+    workers: int = field(default_factory=parallel.usable_cores)
     """Threads that share the runs; results do not depend on their number."""
     cluster: str | None = None
     """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
@@ -138,12 +134,12 @@ class Question:
         return None
 
     @abstractmethod
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         """Find the answer."""
 
     @property
-    def shared_by(self) -> Workers:
-        return choose_workers(self.cluster, self.workers)
+    def shared_by(self) -> parallel.Workers:
+        return parallel.choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
         checks.integer("workers", self.workers, least=1)
@@ -153,14 +149,9 @@ class Question:
             speed=self.speed,
             tilt=math.radians(self.tilt_deg),
             unknown=Unknown(
-                friction=self.friction,
-                rolling=self.rolling,
-                com_offset=self.com_spread,
-                mass=self.mass_spread,
-                stiffness=self.unevenness,
-                lateral=self.lateral,
-                heading=math.radians(self.heading_deg),
-                speed=self.speed_spread,
+                friction=self.friction, rolling=self.rolling, com_offset=self.com_spread,
+                mass=self.mass_spread, stiffness=self.unevenness, lateral=self.lateral,
+                heading=math.radians(self.heading_deg), speed=self.speed_spread,
                 tilt=math.radians(self.tilt_spread_deg),
             ),
             draws=self.draws,
@@ -170,7 +161,7 @@ class Question:
             mu_min=self.mu_min,
             mu_support=self.mu_support,
             step=self.step,
-        )
+        )  # fmt: skip
 
     def _parcel(self) -> Parcel:
         given = [name for name in ("parcel", "disc", "polygon") if getattr(self, name) is not None]
@@ -178,12 +169,9 @@ class Question:
             found = " and ".join(f"--{name}" for name in given) or "none"
             raise ValueError(f"parcel must be one of --parcel, --disc and --polygon, got {found}")
         return Parcel(
-            base=self._base(),
-            mass=10.0 if self.mass is None else self.mass,
-            com_height=self.com_height,
-            inertia=self.inertia,
-            com_offset=self.com_offset,
-        )
+            base=self._base(), mass=10.0 if self.mass is None else self.mass,
+            com_height=self.com_height, inertia=self.inertia, com_offset=self.com_offset,
+        )  # fmt: skip
 
     def _base(self) -> Base:
         if self.disc is not None:
@@ -195,7 +183,7 @@ class Question:
             return Polygon(np.array([_numbers("polygon", corner) for corner in corners]))
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
-            return box(self.parcel).base
+            return layouts.box(self.parcel).base
         sides = self.parcel.split("x")
         if len(sides) != 2:
             raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
@@ -243,7 +231,7 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 class AskColumns(Question):
     """Find the fewest columns and rows for the purpose."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         if self.columns is not None:
             raise ValueError("columns must not be given: they are what is asked for")
         return columns_report(self.case(), self.rows, self.shared_by, on_progress)
@@ -256,7 +244,7 @@ class AskSpeed(Question):
     highest: MaybeFloat = None
     """[m/s] entry speed to try; else 3, or half as much again as --speed."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.least_speed(
             self.case(), self.columns, self.rows, self.highest, self.shared_by, on_progress
         )
@@ -269,7 +257,7 @@ class AskTilt(Question):
     highest_deg: MaybeDegrees = None
     """Tilt to try; else 15, or half as much again as --tilt-deg."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
         return design.least_tilt(
             self.case(), self.columns, self.rows, highest, self.shared_by, on_progress
@@ -280,7 +268,7 @@ class AskTilt(Question):
 class AskFriction(Question):
     """Find the limits of friction along and across the axes."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.friction_range(
             self.case(), self.columns, self.rows, self.shared_by, on_progress
         )
@@ -299,7 +287,7 @@ class AskMap(Question):
     resume: bool = False
     """Resume an interrupted map from its map.npz in --out."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         checks.integer("cells", self.cells, least=1)
         ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
@@ -320,7 +308,7 @@ class AskMap(Question):
 class AskSensitivity(Question):
     """Find the effect of each unknown quantity alone."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
 
 
@@ -334,14 +322,14 @@ class AskLayout(Question):
     """[m/s] between them."""
     any_angle: bool = False
     """Search any axes, not 0, 45, -45 and 90 deg only."""
-    members: int = Effort.members
+    members: int = search.Effort.members
     """Layouts in the search's population."""
-    epochs: int = Effort.epochs
+    epochs: int = search.Effort.epochs
     """Of the search, of ten generations each."""
     resume: bool = False
     """Resume an interrupted search from its layout.npz in --out."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         least, most = self.speeds
         step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
@@ -352,9 +340,9 @@ class AskLayout(Question):
             self.checkpoint.unlink(missing_ok=True)
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
-            self.rows, None if self.any_angle else ORIENTATIONS,
-            Effort(members=self.members, epochs=self.epochs), self.shared_by, self.checkpoint,
-            on_progress,
+            self.rows, None if self.any_angle else lines.ORIENTATIONS,
+            search.Effort(members=self.members, epochs=self.epochs), self.shared_by,
+            self.checkpoint, on_progress,
         )  # fmt: skip
 
     @property
@@ -366,7 +354,7 @@ class AskLayout(Question):
 class AskControl(Question):
     """Compare axes that follow the parcel with fixed layouts; needs the package `agents`."""
 
-    def answer(self, on_progress: OnProgress) -> Answer:
+    def answer(self, on_progress: runs.OnProgress) -> Answer:
         if self.rows is not None:
             raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
         if self.cluster is not None:
@@ -378,15 +366,9 @@ class AskControl(Question):
 
 
 QUESTIONS: dict[str, Callable[..., Question]] = {
-    "columns": AskColumns,
-    "speed": AskSpeed,
-    "tilt": AskTilt,
-    "friction": AskFriction,
-    "map": AskMap,
-    "sensitivity": AskSensitivity,
-    "layout": AskLayout,
-    "control": AskControl,
-}
+    "columns": AskColumns, "speed": AskSpeed, "tilt": AskTilt, "friction": AskFriction,
+    "map": AskMap, "sensitivity": AskSensitivity, "layout": AskLayout, "control": AskControl,
+}  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -401,7 +383,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import_module("matplotlib.figure")  # is needed last, but a missing library is known first
     try:
         ask(question)
-    except (ValueError, OSError, ImportError, WorkFailed) as error:
+    except (ValueError, OSError, ImportError, parallel.WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
@@ -452,12 +434,9 @@ def _find_answer(question: Question) -> Answer:
 
 def _screen_table(table: Table) -> ScreenTable:
     screen = ScreenTable(
-        title=escape(table.title),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
+        title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
         collapse_padding=True,
-    )
+    )  # fmt: skip
     for k, name in enumerate(table.header):
         words = any(isinstance(row[k], str) for row in table.rows)
         screen.add_column(escape(name), justify="left" if words else "right")

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, parallel
 from surface_gym.design import report
 from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, Purpose, is_reliable
 from surface_gym.design.runs import DesignLine, OnProgress, make_runs
-from surface_gym.parallel import Workers
 from surface_gym.physics.types import Array, Integers
 
 MOST = 30  # columns that are tried
@@ -52,7 +51,7 @@ class Columns:
 
 
 def least_columns(
-    case: Case, rows: int | None = None, most: int = MOST, workers: Workers = 1
+    case: Case, rows: int | None = None, most: int = MOST, workers: parallel.Workers = 1
 ) -> Columns:
     """Find the fewest columns that serve a case, by the study's kinds of layout.
 
@@ -65,7 +64,9 @@ def least_columns(
     return (_leaving if case.purpose.leaves_zone else _sorting)(case, line, workers)
 
 
-def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple[Columns, ...]:
+def columns_by_rows(
+    case: Case, most: int = MOST, workers: parallel.Workers = 1
+) -> tuple[Columns, ...]:
     """Find `least_columns` for each number of rows from one to as many as lie under the parcel."""
     return tuple(
         least_columns(case, rows, most, workers) for rows in range(1, case.line(most).rows + 1)
@@ -74,7 +75,7 @@ def columns_by_rows(case: Case, most: int = MOST, workers: Workers = 1) -> tuple
 
 def columns_by_speed(
     case: Case, speeds: Sequence[float], rows: int | None = None, most: int = MOST,
-    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
 ) -> tuple[Columns, ...]:  # fmt: skip
     """Find `least_columns` at each entry speed [m/s]."""
     found = []
@@ -84,7 +85,7 @@ def columns_by_speed(
     return tuple(found)
 
 
-def _sorting(case: Case, line: DesignLine, workers: Workers) -> Columns:
+def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
     """Count the columns that the parcel touches on a zone with more than enough."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
@@ -103,17 +104,14 @@ def _sorting(case: Case, line: DesignLine, workers: Workers) -> Columns:
         success = float(np.mean(needed <= touched)) if done else 0.0
         worst.append(Worst(group, enough if enough <= line.columns else None, success))
     return Columns(
-        rows=line.rows,
-        columns=touched if done else None,
-        layout=layout.name,
+        rows=line.rows, columns=touched if done else None, layout=layout.name,
         fewest=_fewest(case, line, touched, workers) if done else None,
-        measure=float(case.purpose.measure(ends)[0]),
-        tipping=float(ends.tipping[0]),
+        measure=float(case.purpose.measure(ends)[0]), tipping=float(ends.tipping[0]),
         worst=tuple(worst),
-    )
+    )  # fmt: skip
 
 
-def _fewest(case: Case, line: DesignLine, touched: int, workers: Workers) -> int:
+def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
     """Return the count of columns from which on each count up to those touched sorts."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
@@ -123,7 +121,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: Workers) -> int
     return int(counts[fails[-1] + 1]) if len(fails) else 1
 
 
-def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
+def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
     """Take the first layout that serves the case, of each kind and each number of columns."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
@@ -150,7 +148,7 @@ def _leaving(case: Case, line: DesignLine, workers: Workers) -> Columns:
 
 def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
-    drawn: Draws, workers: Workers,
+    drawn: Draws, workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
     """Find the first layout, from the nominal one on, that serves all but `WORST` of the draws."""
 
@@ -292,7 +290,7 @@ class ColumnsReport(report.Answer):
 def columns_report(
     case: Case,
     rows: int | None = None,
-    workers: Workers = 1,
+    workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:
     """Find the fewest columns of a case by rows, unless `rows` are given, and by entry speed."""

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym.design import report
+from surface_gym import checks, lines
+from surface_gym.design import report, runs
 from surface_gym.design.case import Case, EnvGoal
 from surface_gym.design.columns import least_columns
-from surface_gym.design.runs import DesignLine, OnProgress
-from surface_gym.lines import Line
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Randomisation
 
@@ -73,15 +71,11 @@ class ControlGain(report.Answer):
     def tables(self) -> tuple[report.Table, ...]:
         rows = tuple(
             (
-                gain.controller,
-                "arranged once" if gain.arranged_once else "follow",
-                gain.draws,
-                gain.success,
-                gain.least_speed,
-                gain.error,
+                gain.controller, "arranged once" if gain.arranged_once else "follow", gain.draws,
+                gain.success, gain.least_speed, gain.error,
             )
             for gain in self.gains
-        )
+        )  # fmt: skip
         title = f"{self.asked[0].upper()}{self.asked[1:]}"
         header = (
             "controller", "axes", "draws", "success in them", "from speed [m/s]", "median error",
@@ -122,7 +116,7 @@ def _describe_best(gains: Sequence[Gain]) -> str:
 
 
 def control_gain(
-    case: Case, columns: int | None = None, on_progress: OnProgress = lambda *_: None
+    case: Case, columns: int | None = None, on_progress: runs.OnProgress = lambda *_: None
 ) -> ControlGain:
     """Try the fixed layouts, the rules and the shipped agents on the surface of a case.
 
@@ -172,7 +166,7 @@ def _fits(method: Any, config: Any) -> bool:
     return bool(np.shape(action)[1:] == config.action_space().shape)
 
 
-def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
+def _try(method: Any, case: Case, line: runs.DesignLine, goal: EnvGoal) -> Gain:
     run_episodes = import_module("surface_gym.agents.rollout").run_episodes
 
     def run(speeds: Array, randomisation: Randomisation) -> Any:
@@ -203,13 +197,13 @@ def _try(method: Any, case: Case, line: DesignLine, goal: EnvGoal) -> Gain:
 
 
 def _make_config(
-    method: Any, case: Case, line: DesignLine, goal: EnvGoal, randomisation: Randomisation
+    method: Any, case: Case, line: runs.DesignLine, goal: EnvGoal, randomisation: Randomisation
 ) -> Any:
     """Make the configuration of an environment on the line."""
     from surface_gym.config import EnvConfig
     from surface_gym.tasks import TASKS
 
-    base_line = Line(
+    base_line = lines.Line(
         rows=line.shape[0], columns=line.shape[1], zone_rows=line.rows, zone_columns=line.columns,
         line_y=line.line_y, pitch=line.pitch, origin=(0.5 * line.pitch_x, 0.5 * line.pitch_y),
         mu_max=line.mu_max, mu_min=line.mu_min, mu_support=line.mu_support,

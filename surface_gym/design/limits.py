@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym.design import report
+from surface_gym import checks, parallel
+from surface_gym.design import report, runs
 from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
-from surface_gym.design.runs import OnProgress, split_progress
 from surface_gym.design.sweep import Arrangement, SweepPoints, arrange, repeat_case, success_shares
-from surface_gym.parallel import Workers
 from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
@@ -103,13 +101,10 @@ class Limits(report.Answer):
                 tuple(self.limit_rows()),
             ),
             report.Table(
-                f"{name}_curve",
-                f"Success by {what}",
-                ("unknown", f"{what} [{unit}]", "success"),
-                tuple(self.curve_rows()),
-                shown=False,
+                f"{name}_curve", f"Success by {what}", ("unknown", f"{what} [{unit}]", "success"),
+                tuple(self.curve_rows()), shown=False,
             ),
-        )
+        )  # fmt: skip
 
     def limit_rows(self) -> Iterable[tuple[report.Cell, ...]]:
         """Yield a row for each span: its limits, and the success of the case itself."""
@@ -243,7 +238,7 @@ class FrictionRange(report.Answer):
 
 def least_speed(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
-    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+    workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
     """Find the least and the greatest entry speed, at the case's tilt.
 
@@ -264,7 +259,7 @@ def least_speed(
 
 def least_tilt(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
-    workers: Workers = 1, on_progress: OnProgress = lambda *_: None,
+    workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
     """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
 
@@ -283,12 +278,9 @@ def least_tilt(
 
 
 def friction_range(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> FrictionRange:
+    case: Case, columns: int | None = None, rows: int | None = None, workers: parallel.Workers = 1,
+    on_progress: runs.OnProgress = lambda *_: None,
+) -> FrictionRange:  # fmt: skip
     """Find the limits of friction, alike everywhere: of mu_max along the axes, of mu_min across.
 
     Factors are tried from 1/16 to 16, 48 to a doubling; 8 with draws.
@@ -331,7 +323,7 @@ def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
 
 def _sweep(
     case: Case, quantity: Quantity, steps: tuple[float, float], top: float, columns: int | None,
-    rows: int | None, workers: Workers, on_progress: OnProgress,
+    rows: int | None, workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
     """Find the limits of speed or tilt among the multiples of a step and the case's own value."""
     arrangement = arrange(case, columns, rows, workers)
@@ -352,7 +344,7 @@ def _sweep(
 
 def _limits(
     arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
-    at: Callable[[Array], SweepPoints], workers: Workers, on_progress: OnProgress,
+    at: Callable[[Array], SweepPoints], workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
     """Find the span of each group, on the first grid with nothing unknown, else on the second."""
     groups = {
@@ -361,7 +353,7 @@ def _limits(
     }
     values = [grids[0 if group == NOMINAL else 1] for group in groups]
     counts = [len(tried) * len(drawn) for tried, drawn in zip(values, groups.values(), strict=True)]
-    progress = split_progress(on_progress, counts)
+    progress = runs.split_progress(on_progress, counts)
     spans = []
     for (group, drawn), tried, part in zip(groups.items(), values, progress, strict=True):
         share = success_shares(arrangement, drawn, at(tried), workers, part)

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.design.case import load_checkpoint, save_checkpoint
-from surface_gym.design.runs import OnProgress
+from surface_gym.design import case, runs
 from surface_gym.physics.types import Array
 
 Score = Callable[[Array], Array]  # costs (layouts,) of axes (layouts, rows, columns) [rad]
@@ -125,7 +124,7 @@ class SearchState:
 def search(
     space: LayoutSpace, score: Score, known: Array, effort: Effort, seed: int,
     checkpoint: Path | str | None = None, identity: Mapping[str, str] | None = None,
-    on_progress: OnProgress = lambda *_: None,
+    on_progress: runs.OnProgress = lambda *_: None,
 ) -> tuple[Array, int]:  # fmt: skip
     """Search the axes (rows, columns) [rad] of least cost, by so many comparisons of layouts.
 
@@ -137,7 +136,7 @@ def search(
     identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}
     file = None if checkpoint is None else Path(checkpoint)
     if file is not None and file.exists():
-        values = load_checkpoint(file, "search", identity, tuple(SearchState.__annotations__))
+        values = case.load_checkpoint(file, "search", identity, tuple(SearchState.__annotations__))
         given: dict[str, Any] = {k: v if v.ndim else int(v) for k, v in values.items()}
         state = SearchState(**given)
     else:
@@ -164,7 +163,7 @@ def search(
         else:
             break
         if file is not None:
-            save_checkpoint(file, identity, vars(state))
+            case.save_checkpoint(file, identity, vars(state))
     on_progress(steps, steps)
     return space.axes(state.population[:1])[0], state.evaluations
 
@@ -199,12 +198,9 @@ def _evolve(
     energies = np.array(result.population_energies)
     order = np.argsort(energies, kind="stable")
     return replace(
-        state,
-        population=population[order],
-        cost=energies[order],
-        epoch=state.epoch + 1,
+        state, population=population[order], cost=energies[order], epoch=state.epoch + 1,
         evaluations=state.evaluations + (result.nit + 1) * len(population),
-    )
+    )  # fmt: skip
 
 
 def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState:
@@ -218,10 +214,7 @@ def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState
     population, least = state.population.copy(), state.cost.copy()
     population[0], least[0] = around[first], costs[first]
     return replace(
-        state,
-        population=population,
-        cost=least,
-        column=state.column + 1,
+        state, population=population, cost=least, column=state.column + 1,
         unchanged=state.unchanged + 1 if first == 0 else 0,
         evaluations=state.evaluations + len(around),
-    )
+    )  # fmt: skip

@@ -13,15 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files, lines, parallel
+from surface_gym.design import runs, search
 from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case, Sort
-from surface_gym.design.runs import OnProgress, split_progress
-from surface_gym.design.search import Effort
-from surface_gym.files import replacing
 from surface_gym.layouts import box
-from surface_gym.lines import ORIENTATIONS
-from surface_gym.parallel import Workers, choose_workers, usable_cores
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can
 COLUMNS = 16  # of the zone
@@ -29,7 +25,7 @@ SIDE = -1  # to which they sort: y < 0
 FILE = "data/sorting.json"
 # [rad] axes on offer: the study's, every 22.5 deg, or any.
 OFFERS: dict[str, tuple[float, ...] | None] = {
-    "four": ORIENTATIONS,
+    "four": lines.ORIENTATIONS,
     "eight": tuple(math.pi / 2.0 - math.pi / 8.0 * place for place in range(8)),
     "any": None,
 }
@@ -67,8 +63,8 @@ def sorting_layouts() -> tuple[SortingLayout, ...]:
 
 def find_sorting_layouts(
     offers: tuple[str, ...] = tuple(OFFERS), sizes: tuple[str, ...] = SIZES,
-    effort: Effort = Effort(), workers: Workers = 1, seed: int = 0,
-    checkpoints: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
+    effort: search.Effort = search.Effort(), workers: parallel.Workers = 1, seed: int = 0,
+    checkpoints: Path | str | None = None, on_progress: runs.OnProgress = lambda *_: None,
 ) -> dict[tuple[str, str], BestLayout]:  # fmt: skip
     """Search the layouts that ship anew, by box and offer; a folder of checkpoints resumes them."""
     wanted = [
@@ -77,39 +73,31 @@ def find_sorting_layouts(
         for size in sizes
     ]
     steps = effort.epochs + effort.rounds * COLUMNS
-    progress = split_progress(on_progress, [steps] * len(wanted))
+    progress = runs.split_progress(on_progress, [steps] * len(wanted))
     return {
         (size, offer): best_layout(
-            Case(box(size), Sort(SIDE), seed=seed),
-            SPEEDS,
-            COLUMNS,
-            orientations=OFFERS[offer],
-            effort=effort,
-            workers=workers,
+            Case(box(size), Sort(SIDE), seed=seed), SPEEDS, COLUMNS, orientations=OFFERS[offer],
+            effort=effort, workers=workers,
             checkpoint=None if checkpoints is None else Path(checkpoints) / f"{size}-{offer}.npz",
             on_progress=part,
         )
         for (size, offer), part in zip(wanted, progress, strict=True)
-    }
+    }  # fmt: skip
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
     """Write layouts in the form of the file that ships; an interrupted write changes nothing."""
     rows = [
         {
-            "box": size,
-            "offer": offer,
-            "axis": np.degrees(each.best.axis).round(6).tolist(),
-            "least_speed": each.best.least_speed,
-            "least_sure_speed": each.best.least_sure_speed,
-            "mean_time": round(each.best.mean_time, 6),
-            "study_least_speed": each.study.least_speed,
+            "box": size, "offer": offer, "axis": np.degrees(each.best.axis).round(6).tolist(),
+            "least_speed": each.best.least_speed, "least_sure_speed": each.best.least_sure_speed,
+            "mean_time": round(each.best.mean_time, 6), "study_least_speed": each.study.least_speed,
             "study_least_sure_speed": each.study.least_sure_speed,
             "study_mean_time": round(each.study.mean_time, 6),
         }
         for (size, offer), each in found.items()
-    ]
-    with replacing(Path(file)) as part:
+    ]  # fmt: skip
+    with files.replacing(Path(file)) as part:
         part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
@@ -126,7 +114,7 @@ class SearchOptions:
     """Orientations to choose from: four, eight or any."""
     checkpoints: Path = Path("runs/design/ship")
     """Folder of the searches' states."""
-    workers: int = field(default_factory=usable_cores)
+    workers: int = field(default_factory=parallel.usable_cores)
     """Threads that share the runs; the result does not depend on their number."""
     cluster: str | None = None
     """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
@@ -143,7 +131,7 @@ def main() -> None:
         bar = progress.add_task("searching", total=None)
         found = find_sorting_layouts(
             options.offers,
-            workers=choose_workers(options.cluster, options.workers),
+            workers=parallel.choose_workers(options.cluster, options.workers),
             checkpoints=options.checkpoints,
             on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )

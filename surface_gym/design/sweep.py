@@ -7,24 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, parallel
+from surface_gym.design import case as cases
 from surface_gym.design import report
 from surface_gym.design import runs as running
-from surface_gym.design.case import (
-    NOTHING,
-    SURE,
-    WORST,
-    Case,
-    Draws,
-    Layout,
-    Unknown,
-    is_reliable,
-    load_checkpoint,
-    save_checkpoint,
-)
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.design.runs import DesignLine, OnProgress
-from surface_gym.parallel import Workers, check_workers
 from surface_gym.parcel import Parcel
 from surface_gym.physics.types import Array, Booleans
 
@@ -33,9 +21,9 @@ from surface_gym.physics.types import Array, Booleans
 class Arrangement:
     """A case on a line whose first columns are turned by one of the purpose's layouts."""
 
-    case: Case
+    case: cases.Case
     line: DesignLine  # with as many columns as `least_columns` tries, so that draws are the same
-    layout: Layout
+    layout: cases.Layout
     columns: int  # that are turned
     chosen: str  # reason for their number
 
@@ -52,12 +40,9 @@ class Arrangement:
         return self.columns + (0 if self.case.purpose.leaves_zone else self.line.run_out)
 
     def run(
-        self,
-        drawn: Draws,
-        runs: running.Runs,
-        workers: Workers = 1,
+        self, drawn: cases.Draws, runs: running.Runs, workers: parallel.Workers = 1,
         on_progress: OnProgress = lambda *_: None,
-    ) -> running.Ends:
+    ) -> running.Ends:  # fmt: skip
         """Simulate runs of draws over the layout."""
         axes = self.layout.axis[np.newaxis]
         return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
@@ -75,7 +60,7 @@ class SweepPoints:
         return len(self.speed)
 
 
-def repeat_case(case: Case, count: int = 1) -> SweepPoints:
+def repeat_case(case: cases.Case, count: int = 1) -> SweepPoints:
     """Return the case itself as so many points."""
     return SweepPoints(
         speed=np.full(count, case.speed),
@@ -85,14 +70,17 @@ def repeat_case(case: Case, count: int = 1) -> SweepPoints:
 
 
 def arrange(
-    case: Case, columns: int | None = None, rows: int | None = None, workers: Workers = 1
+    case: cases.Case,
+    columns: int | None = None,
+    rows: int | None = None,
+    workers: parallel.Workers = 1,
 ) -> Arrangement:
     """Choose the surface on which a case is swept, with the layout that succeeds in most draws.
 
     Without `columns` it has the fewest for all but `WORST` of the draws of all unknown quantities;
     if no number is enough, the fewest with nothing unknown.
     """
-    check_workers(workers)
+    parallel.check_workers(workers)
     chosen = "as asked"
     if columns is None:
         columns, chosen = _fewest(case, least_columns(case, rows, workers=workers))
@@ -109,19 +97,16 @@ def arrange(
         """Return the success with nothing unknown, and the share of the draws that succeed."""
         return tuple(
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
-            for unknown in (NOTHING, case.unknown)
+            for unknown in (cases.NOTHING, case.unknown)
         )
 
     return max(tried, key=merit)
 
 
 def success_shares(
-    arrangement: Arrangement,
-    drawn: Draws,
-    points: SweepPoints,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Array:
+    arrangement: Arrangement, drawn: cases.Draws, points: SweepPoints,
+    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Array:  # fmt: skip
     """Return the share (points,) of the draws that succeed, with the same draws at every point."""
     each_point = []
     for k in range(len(points)):
@@ -133,10 +118,10 @@ def success_shares(
     return done.reshape(len(points), len(drawn)).mean(axis=1)
 
 
-def _fewest(case: Case, found: Columns) -> tuple[int, str]:
+def _fewest(case: cases.Case, found: Columns) -> tuple[int, str]:
     """Return the number of columns to take, and the reason for it."""
     if found.together is not None and found.together.columns is not None:
-        return found.together.columns, f"the fewest for {SURE} of the draws"
+        return found.together.columns, f"the fewest for {cases.SURE} of the draws"
     if found.columns is None:
         raise ValueError(
             f"columns must be given: by the study's layouts no number up to {MOST} does it "
@@ -144,26 +129,22 @@ def _fewest(case: Case, found: Columns) -> tuple[int, str]:
         )
     if not found.worst:
         return found.columns, "the fewest, with nothing unknown"
-    return found.columns, f"the fewest with nothing unknown; none do for {SURE} of draws"
+    return found.columns, f"the fewest with nothing unknown; none do for {cases.SURE} of draws"
 
 
 # Spreads that a field is drawn with where the case's own is 0.
-USUAL = Unknown(
+USUAL = cases.Unknown(
     friction=0.2, rolling=0.2, mass=0.1, com_offset=0.1, stiffness=0.35, lateral=0.01,
     heading=math.radians(2.0), speed=0.05, tilt=math.radians(0.2),
 )  # fmt: skip
 # Fields of `Unknown`: label, scale and unit of the spread.
 FIELDS = {
     "friction": ("friction along axes", 100.0, " %"),
-    "rolling": ("friction across axes", 100.0, " %"),
-    "com_offset": ("centre of mass", 100.0, " %"),
-    "mass": ("mass at its inertia", 100.0, " %"),
-    "stiffness": ("unevenness", 1.0, ""),
-    "lateral": ("place across", 1000.0, " mm"),
-    "heading": ("heading", 180.0 / math.pi, " deg"),
-    "speed": ("entry speed", 1.0, " m/s"),
-    "tilt": ("tilt", 180.0 / math.pi, " deg"),
-}
+    "rolling": ("friction across axes", 100.0, " %"), "com_offset": ("centre of mass", 100.0, " %"),
+    "mass": ("mass at its inertia", 100.0, " %"), "stiffness": ("unevenness", 1.0, ""),
+    "lateral": ("place across", 1000.0, " mm"), "heading": ("heading", 180.0 / math.pi, " deg"),
+    "speed": ("entry speed", 1.0, " m/s"), "tilt": ("tilt", 180.0 / math.pi, " deg"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -222,18 +203,15 @@ class Sensitivity(report.Answer):
     def tables(self) -> tuple[report.Table, ...]:
         purpose = self.arrangement.case.purpose
         known = purpose.scale * self.measure
-        quantiles = [f"{share:.0%} of draws below" for share in (WORST, 1.0 - WORST)]
+        quantiles = [f"{share:.0%} of draws below" for share in (cases.WORST, 1.0 - cases.WORST)]
         first: tuple[report.Cell, ...] = ("nothing", known, known, float(self.success), "")
         rows = [
             (
-                bar.label,
-                purpose.scale * bar.low,
-                purpose.scale * bar.high,
-                bar.success,
+                bar.label, purpose.scale * bar.low, purpose.scale * bar.high, bar.success,
                 "usual" if bar.usual else "the case's",
             )
             for bar in self.bars
-        ]
+        ]  # fmt: skip
         title = f"{purpose.measured.capitalize()} [{purpose.unit}]"
         header = ("unknown alone", *quantiles, "success", "spread is")
         return (report.Table("sensitivity", title, header, (first, *rows)),)
@@ -269,7 +247,7 @@ class Sensitivity(report.Answer):
         axes.use_sticky_edges = False
         axes.set_xlabel(
             f"{purpose.measured} [{purpose.unit}]; line: nothing unknown\n"
-            f"bars: {WORST:.0%} to {SURE} of the draws, each alone; "
+            f"bars: {cases.WORST:.0%} to {cases.SURE} of the draws, each alone; "
             "pale: a usual spread, the case has none",
             fontsize="small",
         )
@@ -277,12 +255,9 @@ class Sensitivity(report.Answer):
 
 
 def sensitivity(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    workers: Workers = 1,
-    on_progress: OnProgress = lambda *_: None,
-) -> Sensitivity:
+    case: cases.Case, columns: int | None = None, rows: int | None = None,
+    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
+) -> Sensitivity:  # fmt: skip
     """Find the effect of each field of `Unknown` alone, on the purpose's measure and on success.
 
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
@@ -290,21 +265,25 @@ def sensitivity(
     arrangement = arrange(case, columns, rows, workers)
     progress = running.split_progress(on_progress, [1] + [case.draws] * len(FIELDS))
 
-    def results(unknown: Unknown, part: OnProgress) -> tuple[Array, Booleans]:
+    def results(unknown: cases.Unknown, part: OnProgress) -> tuple[Array, Booleans]:
         """Return the purpose's measure (draws,) of each draw, and its success."""
         drawn = case.draw(arrangement.line, unknown)
         runs = drawn.runs(case.speed, case.tilt, arrangement.passed)
         ends = arrangement.run(drawn, runs, workers, part)
         return case.purpose.measure(ends), case.purpose.succeeds(ends)
 
-    measure, success = results(NOTHING, progress[0])
+    measure, success = results(cases.NOTHING, progress[0])
     bars = []
     for name, part in zip(FIELDS, progress[1:], strict=True):
         own = getattr(case.unknown, name)
         spread = own or getattr(USUAL, name)
-        found, done = results(replace(NOTHING, **{name: spread}), part)
+        found, done = results(replace(cases.NOTHING, **{name: spread}), part)
         there = found[~np.isnan(found)]
-        low, high = np.quantile(there, (WORST, 1.0 - WORST)) if len(there) else (math.nan, math.nan)
+        low, high = (
+            np.quantile(there, (cases.WORST, 1.0 - cases.WORST))
+            if len(there)
+            else (math.nan, math.nan)
+        )
         bars.append(Bar(name, spread, not own, float(low), float(high), float(done.mean())))
     return Sensitivity(arrangement, float(measure[0]), bool(success[0]), tuple(bars))
 
@@ -326,16 +305,16 @@ class SuccessMap(report.Answer):
 
     @property
     def sentence(self) -> str:
-        sure = is_reliable(self.share)
+        sure = cases.is_reliable(self.share)
         best = int(sure.sum(axis=1).argmax())
         parcel = self.arrangement.case.parcel_text
         asked = f"On {self.arrangement.description}, made for a {parcel}"
         speeds = self.speeds[sure[best]]
         if len(speeds) == 0:
-            return f"{asked}, no speed and size here do it in {SURE} of the draws"
+            return f"{asked}, no speed and size here do it in {cases.SURE} of the draws"
         return (
-            f"{asked}, {float(sure.mean()):.0%} of these speeds and sizes do it in {SURE} of the "
-            f"draws; most for {self.sizes[best]:.2g} times its size, within {speeds[0]:.3g} to "
+            f"{asked}, {float(sure.mean()):.0%} of these speeds and sizes do it in {cases.SURE} of "
+            f"the draws; most for {self.sizes[best]:.2g} times its size, within {speeds[0]:.3g} to "
             f"{speeds[-1]:.3g} m/s"
         )
 
@@ -343,7 +322,7 @@ class SuccessMap(report.Answer):
         places = sorted({round(k * (len(self.sizes) - 1) / (SHOWN - 1)) for k in range(SHOWN)})
         rows: list[tuple[report.Cell, ...]] = []
         for k in places:
-            speeds = self.speeds[is_reliable(self.share[k])]
+            speeds = self.speeds[cases.is_reliable(self.share[k])]
             ends = (speeds[0], speeds[-1]) if len(speeds) else (math.nan, math.nan)
             rows.append((float(self.sizes[k]), *map(float, ends), float(self.share[k].mean())))
         cells = tuple(
@@ -354,19 +333,16 @@ class SuccessMap(report.Answer):
         return (
             report.Table(
                 "map_sizes",
-                f"Least and most entry speed that does it in {SURE} of draws",
+                f"Least and most entry speed that does it in {cases.SURE} of draws",
                 ("size [-]", "least [m/s]", "most [m/s]", "success over all speeds"),
                 tuple(rows),
                 written=False,
             ),
             report.Table(
-                "map",
-                "Success by size and speed",
-                ("size [-]", "speed [m/s]", "nothing unknown", "success"),
-                cells,
-                shown=False,
+                "map", "Success by size and speed",
+                ("size [-]", "speed [m/s]", "nothing unknown", "success"), cells, shown=False,
             ),
-        )
+        )  # fmt: skip
 
     def draw(self) -> "report.Figure":
         """Draw success over entry speed and size."""
@@ -382,7 +358,7 @@ class SuccessMap(report.Answer):
         figure.colorbar(image, ax=axes, label="success [% of the draws]")
         if min(self.share.shape) > 1:
             for values, level, style, colour in (
-                (self.share, 1.0 - WORST, "-", "black"),
+                (self.share, 1.0 - cases.WORST, "-", "black"),
                 (self.nominal.astype(float), 0.5, "--", "white"),
             ):
                 if values.min() < level < values.max():
@@ -390,7 +366,7 @@ class SuccessMap(report.Answer):
                         self.speeds, self.sizes, values, [level], colors=colour, linestyles=style,
                         linewidths=1.5,
                     )  # fmt: skip
-        axes.plot([], [], color="black", label=f"{SURE} of the draws")
+        axes.plot([], [], color="black", label=f"{cases.SURE} of the draws")
         axes.plot([], [], color="white", linestyle="--", label="nothing unknown")
         axes.plot(case.speed, 1.0, "*", color="white", markeredgecolor="black", markersize=13,
                   label="as it comes")  # fmt: skip
@@ -402,8 +378,8 @@ class SuccessMap(report.Answer):
 
 
 def success_map(
-    case: Case, columns: int | None = None, speeds: Sequence[float] | None = None,
-    sizes: Sequence[float] | None = None, rows: int | None = None, workers: Workers = 1,
+    case: cases.Case, columns: int | None = None, speeds: Sequence[float] | None = None,
+    sizes: Sequence[float] | None = None, rows: int | None = None, workers: parallel.Workers = 1,
     checkpoint: Path | str | None = None, on_progress: OnProgress = lambda *_: None,
 ) -> SuccessMap:  # fmt: skip
     """Find the share of draws that succeed, over entry speeds and sizes, on one surface.
@@ -445,7 +421,7 @@ def success_map(
     )  # fmt: skip
     found = np.full((2, len(factors), len(over)), math.nan)
     if file is not None and file.exists():
-        found = np.array(load_checkpoint(file, "map", identity, ("found",))["found"])
+        found = np.array(cases.load_checkpoint(file, "map", identity, ("found",))["found"])
     largest = _scaled(case.parcel, float(factors.max()))
     whole = _line_for_size(arrangement.line, case, largest)
     whole.check_capacity(largest.base, whole.shape[::-1])
@@ -465,12 +441,12 @@ def success_map(
             part = progress[len(drawn) * row + k]
             found[k, row] = success_shares(own, scaled, points, workers, part)
         if file is not None:
-            save_checkpoint(file, identity, {"found": found})
+            cases.save_checkpoint(file, identity, {"found": found})
     on_progress(sum(counts) * len(factors), sum(counts) * len(factors))
     return SuccessMap(over, factors, found[0] > 0.5, found[1], arrangement)
 
 
-def _scaled_draws(drawn: Draws, size: float, columns: int) -> Draws:
+def _scaled_draws(drawn: cases.Draws, size: float, columns: int) -> cases.Draws:
     """Return the draws for parcels of another size, on a line with fewer columns in its lead-in."""
     return replace(
         drawn,
@@ -490,7 +466,7 @@ def _scaled(parcel: Parcel, size: float) -> Parcel:
     )
 
 
-def _line_for_size(line: DesignLine, case: Case, parcel: Parcel) -> DesignLine:
+def _line_for_size(line: DesignLine, case: cases.Case, parcel: Parcel) -> DesignLine:
     """Return the case's line with a lead-in, a run-out and supports for another parcel."""
     own = running.line_for(parcel, line.columns, line.rows, case.pitch)
     return replace(line, lead_in=own.lead_in, run_out=own.run_out, beside=own.beside)

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import layouts
+from surface_gym import layouts, simulation
 from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipping_share
-from surface_gym.simulation import simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
@@ -55,12 +54,9 @@ class Zone:
     def surface(self) -> Surface:
         """The line with as many columns at 90 deg behind the zone as before it."""
         return layouts.slowing(
-            self.size,
-            self.towards * 0.25 * math.pi,
-            self.columns,
-            columns=self.columns + 2 * layouts.LEAD_IN[self.size],
-            tilt=math.radians(self.tilt),
-        )
+            self.size, self.towards * 0.25 * math.pi, self.columns,
+            columns=self.columns + 2 * layouts.LEAD_IN[self.size], tilt=math.radians(self.tilt),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,7 +102,7 @@ def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
     """Move a box, off the middle [m] and turned [deg], until it has left the zone or stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
-    run = simulate(
+    run = simulation.simulate(
         surface, layouts.box(zone.size), (x, y + offset, math.radians(turn)),
         (zone.speed, 0.0, 0.0), LONGEST_CROSSING, STEP,
     )  # fmt: skip
@@ -181,7 +177,7 @@ def steepest_stop(field: Callable[[float], Surface], integration: Integration) -
 
 def _stops(surface: Surface, integration: Integration) -> bool:
     """Push the S-box, and return whether it stands in the last quarter of the time."""
-    run = simulate(
+    run = simulation.simulate(
         surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,
     )  # fmt: skip

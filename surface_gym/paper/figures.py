@@ -10,14 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from surface_gym import layouts
+from surface_gym import layouts, trajectory_plot
 from surface_gym.paper import runs
 from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross
 from surface_gym.paper.reproduction import NAMES, TILTS, Reproduction
 from surface_gym.parcel import Base
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
-from surface_gym.trajectory_plot import axis_strokes, outline_at
 
 SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
@@ -35,13 +34,10 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
     """Write the figures into the folder, and return their paths."""
     figures = {
-        "figure6": draw_kinds(),
-        "figure7": draw_trajectories(),
-        "figure8": draw_rates(reproduction),
-        "figure9": draw_slowing_layouts(),
-        "figure10": draw_slowing(),
-        "alignment": draw_alignment(),
-    }
+        "figure6": draw_kinds(), "figure7": draw_trajectories(),
+        "figure8": draw_rates(reproduction), "figure9": draw_slowing_layouts(),
+        "figure10": draw_slowing(), "alignment": draw_alignment(),
+    }  # fmt: skip
     paths = []
     for name, figure in figures.items():
         for suffix in SUFFIXES:
@@ -59,7 +55,9 @@ def draw_surface(
     is_rotor = surface.rotor
     panel.plot(x[~is_rotor], y[~is_rotor], ".", color=support, markersize=4)
     panel.plot(x[is_rotor], y[is_rotor], ".", color=rotor, markersize=4)
-    strokes = axis_strokes(np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03)
+    strokes = trajectory_plot.axis_strokes(
+        np.stack([x, y], axis=-1)[is_rotor], surface.axis[is_rotor], 0.03
+    )
     panel.add_collection(LineCollection(strokes, color=rotor, linewidth=width))
 
 
@@ -67,7 +65,7 @@ def draw_base(
     panel: Axes, base: Base, pose: ArrayLike, colour: str, style: str = "-", width: float = 2.0
 ) -> None:
     """Draw the perimeter of a base at (x, y, theta) [m, m, rad]."""
-    outline = outline_at(base, pose)
+    outline = trajectory_plot.outline_at(base, pose)
     corners = np.vstack([outline, outline[:1]])
     panel.plot(corners[:, 0], corners[:, 1], style, color=colour, linewidth=width)
 

@@ -181,12 +181,9 @@ def line(
 
 
 def lines(
-    canvas: pygame.Surface,
-    pieces: Sequence[Points],
-    width: float,
-    colour: Colour,
+    canvas: pygame.Surface, pieces: Sequence[Points], width: float, colour: Colour,
     opacity: float = 1.0,
-) -> None:
+) -> None:  # fmt: skip
     """Draw several lines that lie near each other."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)

@@ -13,18 +13,8 @@ import pygame
 
 from surface_gym.physics.types import Array
 from surface_gym.rendering import ink
-from surface_gym.rendering.scene import (
-    ExitMark,
-    ExitSide,
-    ExitSpeed,
-    Heading,
-    Layout,
-    Path,
-    Pose,
-    Scene,
-    SceneParcel,
-    StopLine,
-)
+from surface_gym.rendering import scene as scenes
+from surface_gym.rendering.scene import Layout, Pose, Scene, SceneParcel, StopLine
 
 _FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a trail: faded, coloured
 _TRAIL_PIECE = 8  # points of one opacity
@@ -261,14 +251,14 @@ def draw_modules(
 def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
     """Draw the goal under the parcels, without its label."""
     goal = scene.goal
-    if isinstance(goal, ExitSide):
+    if isinstance(goal, scenes.ExitSide):
         _draw_gate(canvas, layout, scene, goal.side)
-    elif isinstance(goal, ExitSpeed):
+    elif isinstance(goal, scenes.ExitSpeed):
         _draw_gate(canvas, layout, scene, 0)
     elif isinstance(goal, StopLine):
         line = _stop_line(layout, scene, goal)
         ink.dashes(canvas, line, layout.stroke, ink.GOAL, 4.0 * layout.stroke)
-    elif isinstance(goal, Path):
+    elif isinstance(goal, scenes.Path):
         points = ink.thinned(layout.pixels(goal.points), _PATH_STEP)
         ink.line(canvas, points, 2.6 * layout.stroke, ink.PAPER, 0.7)
         ink.dashes(canvas, points, layout.stroke, ink.GOAL, 7.0 * layout.stroke)
@@ -283,7 +273,7 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
         place = (round(top[0]), round(top[1]) - 5)
         text = f"stop at x = {goal.x:.2f} m"
         ink.write_on_plate(canvas, text, size, ink.GOAL, layout.surface, midbottom=place)
-    elif isinstance(goal, ExitSpeed):
+    elif isinstance(goal, scenes.ExitSpeed):
         band, _ = _gate(layout, scene, 0)
         text = f"leave at {goal.speed:.2f} m/s ({goal.ratio:.2f} of entry)"
         place = (band.right, band.top - 7)
@@ -291,7 +281,7 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
 
 
 def draw_asked_heading(
-    canvas: pygame.Surface, layout: Layout, goal: Heading, parcel: SceneParcel
+    canvas: pygame.Surface, layout: Layout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
     """Draw the base turned to the asked angle about its own centre, and the turn that is left."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
@@ -367,7 +357,9 @@ def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
     return np.array([[x, line.bottom], [x, line.top]])
 
 
-def _paint_exit(canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: ink.Colour) -> None:
+def _paint_exit(
+    canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour
+) -> None:
     """Paint what never changes of an exit: its area, and the ground of its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
@@ -424,7 +416,7 @@ def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour
 
 
 def _write_label(
-    canvas: pygame.Surface, layout: Layout, mark: ExitMark, colour: ink.Colour, count: int
+    canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour, count: int
 ) -> None:
     """Write an exit's name and its count of parcels; what has no room is cut."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)

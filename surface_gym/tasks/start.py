@@ -55,12 +55,9 @@ class Draw:
     """
 
     def __init__(
-        self,
-        numbers: Numbers,
-        options: Sequence[Mapping[str, Any]],
-        line: BaseLine,
+        self, numbers: Numbers, options: Sequence[Mapping[str, Any]], line: BaseLine,
         zone: tuple[int, int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.numbers = numbers.T  # (draws, starts)
         self.line = line
         self.zone = zone

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from surface_gym.parallel import usable_cores
+from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    from surface_gym.parallel import WorkFailed
-
     try:
         compare(options)
     except ModuleNotFoundError:
@@ -64,7 +62,6 @@ def compare(options: Options) -> None:
     from rich.console import Console
 
     from surface_gym import checks
-    from surface_gym.parallel import choose_workers
     from surface_gym.validation.report import as_data, print_report
     from surface_gym.validation.simulation import load_mujoco
     from surface_gym.validation.study import run_study

@@ -10,10 +10,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from surface_gym import parallel, trajectory
 from surface_gym.paper.runs import Integration
-from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.physics.types import Array
-from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import Case, Errors, Run, Summary, Target
 from surface_gym.validation.simulation import RECIPE, Recipe
@@ -23,13 +22,10 @@ MEETINGS = 30  # of two parcels that push each other
 
 CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
 VARIANTS = {
-    "recipe": RECIPE,
-    "step / 2": RECIPE.finer(2.0),
-    "step x 2": RECIPE.finer(0.5),
-    "stiffness x 2": RECIPE.stiffer(2.0),
-    "stiffness / 2": RECIPE.stiffer(0.5),
+    "recipe": RECIPE, "step / 2": RECIPE.finer(2.0), "step x 2": RECIPE.finer(0.5),
+    "stiffness x 2": RECIPE.stiffer(2.0), "stiffness / 2": RECIPE.stiffer(0.5),
     "rotors / 1000": RECIPE.lighter_rotors(1000.0),
-}
+}  # fmt: skip
 JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 
@@ -73,7 +69,7 @@ class Method:
     """A way to run a case at a step, the steps to try and one to hold them against."""
 
     name: str
-    run: Callable[[Case, float], Trajectory]
+    run: Callable[[Case, float], trajectory.Trajectory]
     fine: float  # [s]
     steps: tuple[float, ...]  # [s] increasing
 
@@ -190,7 +186,7 @@ class Study:
 
 
 def run_study(
-    tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: Workers,
+    tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
     """Run the comparison in parallel, then the timing alone."""
@@ -204,13 +200,13 @@ def run_study(
         (drawn.run_meeting, meetings),
     )
     jobs = [
-        partial(without_report, partial(function, each))
+        partial(parallel.without_report, partial(function, each))
         for function, group in parts
         for each in group
     ]
     done = track(
-        map_jobs(jobs, workers), "MuJoCo and the analytic model", total=len(jobs), console=console,
-        transient=True, disable=not console.is_terminal,
+        parallel.map_jobs(jobs, workers), "MuJoCo and the analytic model", total=len(jobs),
+        console=console, transient=True, disable=not console.is_terminal,
     )  # fmt: skip
     found: dict[int, Any] = dict(done)
     results = iter(found[place] for place in range(len(jobs)))
