@@ -107,3 +107,8 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
     found = after.vx[0, 0], after.vy[0, 0], after.omega[0, 0]
     assert (np.abs(found - truth) <= [0.03, 0.03, 0.5]).all()
+
+
+def test_parts_of_modules_are_mixed_in_every_way():
+    mixed = steering.mixes(2).tolist()
+    assert sorted(mixed) == [[0, 0, 2], [0, 1, 1], [0, 2, 0], [1, 0, 1], [1, 1, 0], [2, 0, 0]]
