@@ -30,9 +30,12 @@ class Controller(Protocol):
     """Chooses actions from observations, as Stable-Baselines3's models do."""
 
     def predict(
-        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
+        self,
+        observation: Singles,
+        state: Any = None,
+        episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    ) -> tuple[Any, Any]:
         """Choose an action for an observation (features,), or actions for (num_envs, features).
 
         Args:
@@ -48,9 +51,12 @@ class BatchController(ABC):
     _dims = 1  # of an observation
 
     def predict(
-        self, observation: Singles, state: Any = None, episode_start: Booleans | None = None,
+        self,
+        observation: Singles,
+        state: Any = None,
+        episode_start: Booleans | None = None,
         deterministic: bool = True,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    ) -> tuple[Any, Any]:
         """Choose the action for an observation, or actions for several; see `Controller`."""
         seen = np.asarray(observation)
         batch = seen.reshape(-1, *seen.shape[-self._dims :])

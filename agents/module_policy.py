@@ -251,9 +251,12 @@ def _mirrored_to_left(see: planning.LineObservation) -> planning.LineObservation
     """Mirror the parcels that are to go to y < 0."""
     mirror = np.where(see.side < 0.0, -1.0, 1.0)
     return replace(
-        see, offset=mirror * see.offset, theta=mirror * see.theta, vy=mirror * see.vy,
+        see,
+        offset=mirror * see.offset,
+        theta=mirror * see.theta,
+        vy=mirror * see.vy,
         omega=mirror * see.omega,
-    )  # fmt: skip
+    )
 
 
 def _in_parcel_frame(x: Numbers, y: Numbers, theta: Numbers) -> Numbers:

@@ -82,10 +82,14 @@ def run_episodes(
         running &= ~begun
     env.close()
     return Episodes(
-        success=kept["is_success"], outcome=tuple(kept["outcome"].tolist()), time=kept["time"],
-        metrics={name: kept[name] for name in metrics}, pose=np.array(poses),
-        velocity=kept["velocity"], decision_times=np.array(seconds) / count,
-    )  # fmt: skip
+        success=kept["is_success"],
+        outcome=tuple(kept["outcome"].tolist()),
+        time=kept["time"],
+        metrics={name: kept[name] for name in metrics},
+        pose=np.array(poses),
+        velocity=kept["velocity"],
+        decision_times=np.array(seconds) / count,
+    )
 
 
 def run_sequentially(

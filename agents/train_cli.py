@@ -140,10 +140,13 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     # The names of the fields are the headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
-        command, default=command(default, Options()), config=(tyro.conf.OmitArgPrefixes,),
-        args=arguments, prog=command_line(TRAIN),
+        command,
+        default=command(default, Options()),
+        config=(tyro.conf.OmitArgPrefixes,),
+        args=arguments,
+        prog=command_line(TRAIN),
         description="Train an agent, resume a run, or search hyper-parameters.",
-    )  # fmt: skip
+    )
     return parsed.training
 
 

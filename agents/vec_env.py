@@ -39,9 +39,14 @@ class EpisodeRecorder:
         self._lengths += running
 
     def finish(
-        self, ended: NDArray[np.bool_], observations: Any, truncated: NDArray[np.bool_],
-        success: Any, outcome: Any, time: Any,
-    ) -> Infos:  # fmt: skip
+        self,
+        ended: NDArray[np.bool_],
+        observations: Any,
+        truncated: NDArray[np.bool_],
+        success: Any,
+        outcome: Any,
+        time: Any,
+    ) -> Infos:
         """Build the infos of a step and forget the episodes that ended in it.
 
         Returns:
@@ -144,9 +149,13 @@ class SurfaceVecEnv(BatchVecEnv):
         ]
         self._recorder.add(rewards, np.stack(terms, axis=1))
         step_infos = self._recorder.finish(
-            dones, infos.get("final_obs"), truncated & ~terminated, final["is_success"],
-            final["outcome"], final["time"],
-        )  # fmt: skip
+            dones,
+            infos.get("final_obs"),
+            truncated & ~terminated,
+            final["is_success"],
+            final["outcome"],
+            final["time"],
+        )
         return observations, rewards.astype(np.float32), dones, step_infos
 
     def close(self) -> None:

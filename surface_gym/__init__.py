@@ -22,16 +22,33 @@ register_all()
 
 __version__ = "0.1.0"
 __all__ = [
-    "Actuators", "Disc", "Parcel", "Polygon", "Randomisation", "Rectangle", "SmartSurfaceEnv",
-    "SmartSurfaceVectorEnv", "Surface", "Trajectory", "layouts", "lines", "register", "sensors",
-    "simulate", "simulate_together", "tasks",
-]  # fmt: skip
+    "Actuators",
+    "Disc",
+    "Parcel",
+    "Polygon",
+    "Randomisation",
+    "Rectangle",
+    "SmartSurfaceEnv",
+    "SmartSurfaceVectorEnv",
+    "Surface",
+    "Trajectory",
+    "layouts",
+    "lines",
+    "register",
+    "sensors",
+    "simulate",
+    "simulate_together",
+    "tasks",
+]
 _NAMES = {
-    "env": ("SmartSurfaceEnv",), "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
+    "env": ("SmartSurfaceEnv",),
+    "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
     "randomisation": ("Actuators", "Randomisation"),
-    "simulation": ("simulate", "simulate_together"), "surface": ("Surface",),
-    "trajectory": ("Trajectory",), "vector_env": ("SmartSurfaceVectorEnv",),
-}  # fmt: skip
+    "simulation": ("simulate", "simulate_together"),
+    "surface": ("Surface",),
+    "trajectory": ("Trajectory",),
+    "vector_env": ("SmartSurfaceVectorEnv",),
+}
 _MODULES = ("agents", "layouts", "lines", "sensors", "tasks")  # agents need the extra of that name
 
 

@@ -299,10 +299,13 @@ class Parcel:
     def body(self) -> Body:
         """Return the parcel as the compiled physics reads it."""
         return Body(
-            edges=np.asarray(self.base.edges, dtype=np.float64), radius=self.base.reach,
-            com_x=self.com_offset[0], com_y=self.com_offset[1], com_height=self.com_height,
+            edges=np.asarray(self.base.edges, dtype=np.float64),
+            radius=self.base.reach,
+            com_x=self.com_offset[0],
+            com_y=self.com_offset[1],
+            com_height=self.com_height,
             gyration=self.base.gyration if self.inertia is None else self.inertia / self.mass,
-        )  # fmt: skip
+        )
 
     @cached_property
     def row(self) -> NDArray[np.float64]:
@@ -334,8 +337,11 @@ MOST_DRAWS = 1000  # of a polygon: one in three is drawn again
 
 
 def assortment(
-    count: int, seed: int, sizes: tuple[float, float] = (0.2, 0.45), load: float = 0.03,
-) -> tuple[Parcel, ...]:  # fmt: skip
+    count: int,
+    seed: int,
+    sizes: tuple[float, float] = (0.2, 0.45),
+    load: float = 0.03,
+) -> tuple[Parcel, ...]:
     """Draw squares, rectangles, discs and convex polygons in turn, the same for the same seed.
 
     Length and width: uniform in `sizes`, of a polygon that of the circle it is inscribed in.

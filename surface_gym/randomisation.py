@@ -105,9 +105,12 @@ class Randomisation:
         return base.scaled(1.0 - self.size)
 
     def draw(
-        self, rng: np.random.Generator, parcel: Parcel, shape: tuple[int, ...],
+        self,
+        rng: np.random.Generator,
+        parcel: Parcel,
+        shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
-    ) -> RandomDraw:  # fmt: skip
+    ) -> RandomDraw:
         """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn.
 
         `room` is [m] from the start to the surface's edges in y, the first negative.
@@ -170,9 +173,12 @@ class Randomisation:
                 offset = moved
                 break
         return replace(
-            parcel, base=base, mass=parcel.mass * mass, inertia=parcel.moment_of_inertia * size**2,
+            parcel,
+            base=base,
+            mass=parcel.mass * mass,
+            inertia=parcel.moment_of_inertia * size**2,
             com_offset=tuple(offset.tolist()),
-        )  # fmt: skip
+        )
 
 
 def _factor(rng: np.random.Generator, spread: float) -> float:

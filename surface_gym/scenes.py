@@ -95,12 +95,17 @@ class _ParcelHistory:
         conditions = batch.surfaces.conditions[i]
         steepness = conditions[GRAVITY_ALONG] / float(np.hypot(*conditions[3:5]))
         return Scene(
-            axis=batch.axes(i), rotor=view.rotor,
+            axis=batch.axes(i),
+            rotor=view.rotor,
             parcels=(_parcel(view, trail=np.array(self._trail).reshape(-1, 2)),),
-            goal=task.goal(view), pitch=line.pitch, origin=line.origin,
-            zone=tuple(view.zone.tolist()), tilt=float(np.arcsin(min(1.0, steepness))),
-            title=type(task).__name__ if title is None else title, readings=tuple(readings),
-        )  # fmt: skip
+            goal=task.goal(view),
+            pitch=line.pitch,
+            origin=line.origin,
+            zone=tuple(view.zone.tolist()),
+            tilt=float(np.arcsin(min(1.0, steepness))),
+            title=type(task).__name__ if title is None else title,
+            readings=tuple(readings),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +248,13 @@ def _parcel(view: EnvState, trail: Array, asked: int | None = None, label: str =
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(
-        outline=_outline(view), pose=tuple(true.tolist()), exit=asked, trail=trail,
-        sensed_pose=tuple(sensed.tolist()) if apart else None, label=label,
-    )  # fmt: skip
+        outline=_outline(view),
+        pose=tuple(true.tolist()),
+        exit=asked,
+        trail=trail,
+        sensed_pose=tuple(sensed.tolist()) if apart else None,
+        label=label,
+    )
 
 
 def _outline(view: EnvState) -> Array:

@@ -31,10 +31,15 @@ ENDS = {
 
 
 def simulate(
-    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
-    duration: float = 1.0, dt: float = 0.005, method: Literal["implicit", "explicit"] = "implicit",
+    surface: Surface,
+    parcel: Parcel,
+    pose: ArrayLike,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    duration: float = 1.0,
+    dt: float = 0.005,
+    method: Literal["implicit", "explicit"] = "implicit",
     normal_forces: Literal["dual", "osqp", "scipy"] = "dual",
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     """Move a parcel over a surface whose axes stay as they are.
 
     Args:
@@ -214,10 +219,15 @@ class Encounter:
 
 
 def simulate_together(
-    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike,
-    velocities: ArrayLike | None = None, duration: float = 1.0, dt: float = 0.005,
-    restitution: float = 0.0, side_friction: float = 0.3,
-) -> Encounter:  # fmt: skip
+    surface: Surface,
+    parcels: Sequence[Parcel],
+    poses: ArrayLike,
+    velocities: ArrayLike | None = None,
+    duration: float = 1.0,
+    dt: float = 0.005,
+    restitution: float = 0.0,
+    side_friction: float = 0.3,
+) -> Encounter:
     """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
 
     Sides press at the height of the centre of mass, so they tip no parcel. A parcel that touches no

@@ -146,13 +146,20 @@ class Surface(Elements):
         """Return the surface as the compiled physics reads it."""
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
-            direction=axis_directions(self.axis.ravel()), rotor=np.array(self.rotor),
+            direction=axis_directions(self.axis.ravel()),
+            rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
-            friction=self.friction.copy(), x0=self.origin[0], y0=self.origin[1],
-            pitch_x=self.pitch_x, pitch_y=self.pitch_y, along_factor=1.0, across_factor=1.0,
-            support_factor=1.0, gravity_along=GRAVITY * math.sin(self.tilt),
+            friction=self.friction.copy(),
+            x0=self.origin[0],
+            y0=self.origin[1],
+            pitch_x=self.pitch_x,
+            pitch_y=self.pitch_y,
+            along_factor=1.0,
+            across_factor=1.0,
+            support_factor=1.0,
+            gravity_along=GRAVITY * math.sin(self.tilt),
             gravity_normal=GRAVITY * math.cos(self.tilt),
-        )  # fmt: skip
+        )
 
 
 def _check_stiffness(stiffness: Array) -> None:

@@ -309,10 +309,17 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
     along, across = _along_and_across(surface, observed.element, force)
     slide = _slip_velocity(run, time, step, place, run.states[:, ph.VX : ph.OMEGA + 1])
     return ContactRecord(
-        step=step, time=time[step], element=observed.element, place=place,
-        rotor=surface.rotor[row, column], normal=mass * observed.normal, along=along, across=across,
-        force=force, slip=np.column_stack(_along_and_across(surface, observed.element, slide)),
-    )  # fmt: skip
+        step=step,
+        time=time[step],
+        element=observed.element,
+        place=place,
+        rotor=surface.rotor[row, column],
+        normal=mass * observed.normal,
+        along=along,
+        across=across,
+        force=force,
+        slip=np.column_stack(_along_and_across(surface, observed.element, slide)),
+    )
 
 
 def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tuple[Array, Array]:

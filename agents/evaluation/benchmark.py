@@ -264,9 +264,12 @@ def compute_results(
 
 
 def compute_kept(
-    jobs: Mapping[Any, Callable[[], AnyRow]], make: Callable[..., AnyRow], workers: Workers,
-    file: Path | None, advance: Advance,
-) -> dict[Any, AnyRow]:  # fmt: skip
+    jobs: Mapping[Any, Callable[[], AnyRow]],
+    make: Callable[..., AnyRow],
+    workers: Workers,
+    file: Path | None,
+    advance: Advance,
+) -> dict[Any, AnyRow]:
     """Compute the results that are not kept yet.
 
     Args:

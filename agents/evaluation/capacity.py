@@ -84,11 +84,17 @@ class StreamMethod:
         """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
         preset = STREAM_PRESETS[case.preset]
         return EnvConfig(
-            "flow", stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
-            exits=EXITS, actions=self.actions, sensors=preset.sensors,
-            control_period=self.control_period, duration=SECONDS, actuators=preset.actuators,
-            randomisation=preset.randomisation, gate=self.gate,
-        )  # fmt: skip
+            "flow",
+            stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
+            exits=EXITS,
+            actions=self.actions,
+            sensors=preset.sensors,
+            control_period=self.control_period,
+            duration=SECONDS,
+            actuators=preset.actuators,
+            randomisation=preset.randomisation,
+            gate=self.gate,
+        )
 
 
 @dataclass(frozen=True)

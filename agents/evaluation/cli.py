@@ -98,9 +98,13 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
             sections = report.write_stream_report(several, rows, config.out, console)
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(
-            methods, results, config.out, console,
-            lambda part: advance(len(results), len(results), part), sections,
-        )  # fmt: skip
+            methods,
+            results,
+            config.out,
+            console,
+            lambda part: advance(len(results), len(results), part),
+            sections,
+        )
     console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
 
 

@@ -43,9 +43,12 @@ class Method:
     def config(self, task: Task, preset: Preset) -> EnvConfig:
         return EnvConfig(
             task=task if self.observed_task is None else self.observed_task(task),
-            actions=self.actions, control_period=self.control_period,
-            orientations=self.orientations, observe=self.observe, preset=preset,
-        )  # fmt: skip
+            actions=self.actions,
+            control_period=self.control_period,
+            orientations=self.orientations,
+            observe=self.observe,
+            preset=preset,
+        )
 
     def under(self, *presets: str) -> "Method":
         return replace(self, presets=presets)

@@ -55,9 +55,13 @@ class Section:
 
 
 def write_report(
-    methods: Sequence[Method], results: Sequence[Result], folder: Path, console: Console,
-    advance: Callable[[str], None] = lambda _: None, first: Sequence[Section] = (),
-) -> None:  # fmt: skip
+    methods: Sequence[Method],
+    results: Sequence[Result],
+    folder: Path,
+    console: Console,
+    advance: Callable[[str], None] = lambda _: None,
+    first: Sequence[Section] = (),
+) -> None:
     """Write everything of a comparison into a folder, and show its tables."""
     summaries = summarise(results)
     tasks = list(dict.fromkeys(method.task for method in methods))

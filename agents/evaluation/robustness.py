@@ -253,9 +253,12 @@ def sweep_jobs(methods: Sequence[Method], starts: int) -> dict[SweepKey, Callabl
 
 
 def compute_sweep(
-    methods: Sequence[Method], starts: int, workers: Workers, folder: Path | None = None,
+    methods: Sequence[Method],
+    starts: int,
+    workers: Workers,
+    folder: Path | None = None,
     advance: Advance = lambda *_: None,
-) -> list[SweepResult]:  # fmt: skip
+) -> list[SweepResult]:
     """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)

@@ -191,10 +191,18 @@ def _row(
     task: str, name: str, factor: Factor, level: Level, rate: Rate, error: float | None
 ) -> dict[str, Any]:
     return {
-        "task": task, "controller": name, "factor": factor.name, "level": level,
-        "unit": factor.unit, "seeds": rate.seeds, "starts": rate.starts, "success": rate.value,
-        "success_low": rate.low, "success_high": rate.high, "median_error": error,
-    }  # fmt: skip
+        "task": task,
+        "controller": name,
+        "factor": factor.name,
+        "level": level,
+        "unit": factor.unit,
+        "seeds": rate.seeds,
+        "starts": rate.starts,
+        "success": rate.value,
+        "success_low": rate.low,
+        "success_high": rate.high,
+        "median_error": error,
+    }
 
 
 def find_style(name: str) -> Style:

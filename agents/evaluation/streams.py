@@ -142,9 +142,12 @@ def stream_jobs(
 
 
 def compute_streams(
-    methods: Sequence[StreamMethod], workers: Workers, folder: Path | None = None,
-    advance: Advance = lambda *_: None, loads: Sequence[float] | None = None,
-) -> list[StreamResult]:  # fmt: skip
+    methods: Sequence[StreamMethod],
+    workers: Workers,
+    folder: Path | None = None,
+    advance: Advance = lambda *_: None,
+    loads: Sequence[float] | None = None,
+) -> list[StreamResult]:
     """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
     found = compute_kept(stream_jobs(methods, loads), stream_result, workers, file, advance)
@@ -381,18 +384,24 @@ def stream_numbers(results: StreamResults) -> list[dict[str, Any]]:
             values["ceiling"] = results.rate(CEILING, case)
         if row.eased is not None:
             values |= {
-                "offered": row.eased.offered, "rate": row.eased.rate,
-                "rate_margin": row.eased.margin, "share_right": row.eased.share_right,
-                "touches_per_1000": row.eased.touches_per_1000, "waiting": row.eased.waited,
+                "offered": row.eased.offered,
+                "rate": row.eased.rate,
+                "rate_margin": row.eased.margin,
+                "share_right": row.eased.share_right,
+                "touches_per_1000": row.eased.touches_per_1000,
+                "waiting": row.eased.waited,
                 "jams": float(row.eased.jams),
-            }  # fmt: skip
+            }
         rows += [
             {
-                "controller": row.method, "preset": row.preset, "parcels": row.mix,
+                "controller": row.method,
+                "preset": row.preset,
+                "parcels": row.mix,
                 "speed": row.speed,
                 "load": "80 % of the capacity" if row.load == SEARCHED else row.load,
-                "metric": name, "value": value,
+                "metric": name,
+                "value": value,
             }
             for name, value in values.items()
-        ]  # fmt: skip
+        ]
     return rows

@@ -177,11 +177,16 @@ def task_numbers(task: str, summaries: Summaries) -> list[dict[str, Any]]:
         }
         rows += [
             {
-                "task": task, "controller": method, "preset": preset, "seeds": len(summary.results),
-                "starts": summary.success.shape[1], "metric": name, "value": value,
+                "task": task,
+                "controller": method,
+                "preset": preset,
+                "seeds": len(summary.results),
+                "starts": summary.success.shape[1],
+                "metric": name,
+                "value": value,
             }
             for name, value in values.items()
-        ]  # fmt: skip
+        ]
     return rows
 
 

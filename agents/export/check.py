@@ -70,9 +70,12 @@ class Agreement:
 
 
 def compare(
-    what: str, decision: NetworkDecision | onnx.ModulesDecision, source: Source,
-    observations: Singles, decide: Decide,
-) -> Agreement:  # fmt: skip
+    what: str,
+    decision: NetworkDecision | onnx.ModulesDecision,
+    source: Source,
+    observations: Singles,
+    decide: Decide,
+) -> Agreement:
     """Compare decisions with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))

@@ -124,15 +124,19 @@ def make_metadata(source: "Source") -> dict[str, str]:
 
     config, policy = source.config, source.policy
     return {
-        "agent": source.name, "seed": str(source.seed), "task": policy.env_id,
-        "algorithm": policy.card.algo, "actions": config.actions,
+        "agent": source.name,
+        "seed": str(source.seed),
+        "task": policy.env_id,
+        "algorithm": policy.card.algo,
+        "actions": config.actions,
         "control_period": repr(config.control_period),
         "orientations": json.dumps(config.chosen_orientations),
         "observe": json.dumps(config.observe),
         "features": json.dumps([each.name for each in config.features]),
-        "preset": source.training.preset, "digest": source.digest,
+        "preset": source.training.preset,
+        "digest": source.digest,
         "surface_gym": surface_gym.__version__,
-    }  # fmt: skip
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

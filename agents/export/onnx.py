@@ -89,9 +89,12 @@ class Graph:
         return [Traced(self, name) for name in gathered]
 
     def model(
-        self, shape: tuple[int, int], orientations: Sequence[float], choices: str,
+        self,
+        shape: tuple[int, int],
+        orientations: Sequence[float],
+        choices: str,
         metadata: Mapping[str, str],
-    ) -> bytes:  # fmt: skip
+    ) -> bytes:
         """Return the checked model as it is written to a file."""
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
@@ -408,7 +411,10 @@ def modules_decision(source: Source) -> ModulesDecision:
     later = [f"_between.{k}" for k in between] + ["_logits"]
     layers = [Layer(arrays[f"{name}.weight"], arrays[f"{name}.bias"]) for name in later]
     return ModulesDecision(
-        Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"), config,
+        Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"),
+        config,
         np.array([k for k, name in enumerate(names) if name not in _APART], dtype=np.int64),
-        mirrored_orientations(angles), int(np.abs(np.sin(angles)).argmax()), angles,
-    )  # fmt: skip
+        mirrored_orientations(angles),
+        int(np.abs(np.sin(angles)).argmax()),
+        angles,
+    )

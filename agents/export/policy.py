@@ -88,10 +88,14 @@ def _read(
             "in a stream of parcels the environment decides which module follows which parcel"
         )
     return Source(
-        name, seed, policy, policy.card.env_config(task),
+        name,
+        seed,
+        policy,
+        policy.card.env_config(task),
         torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
-        str(yaml.safe_load(files.card.decode())[DIGEST]), training or Training(NOMINAL),
-    )  # fmt: skip
+        str(yaml.safe_load(files.card.decode())[DIGEST]),
+        training or Training(NOMINAL),
+    )
 
 
 def _read_training(folder: Path) -> Training | None:

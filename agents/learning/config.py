@@ -21,8 +21,11 @@ CPU: DeviceName = "cpu"
 
 # Earlier names of fields, which files and command lines may still have.
 RENAMED = {
-    "lanes": "num_envs", "condition": "preset", "seats": "slots", "parted": "split_probability",
-}  # fmt: skip
+    "lanes": "num_envs",
+    "condition": "preset",
+    "seats": "slots",
+    "parted": "split_probability",
+}
 
 
 def current_option(argument: str) -> str:
@@ -280,8 +283,11 @@ class ParcelsConfig(PPOConfig):
 
 
 CONFIGS: dict[str, type[TrainConfig]] = {
-    "ppo": PPOConfig, "dqn": DQNConfig, "modules": ModulesConfig, "parcels": ParcelsConfig,
-}  # fmt: skip
+    "ppo": PPOConfig,
+    "dqn": DQNConfig,
+    "modules": ModulesConfig,
+    "parcels": ParcelsConfig,
+}
 
 
 def is_registered(task: str) -> bool:
@@ -304,9 +310,13 @@ def make_card(config: TrainConfig) -> "PolicyCard":
     from ..library import PolicyCard, card_env_id
 
     return PolicyCard(
-        card_env_id(config.task), config.algo, config.actions, config.control_period, config.hidden,
+        card_env_id(config.task),
+        config.algo,
+        config.actions,
+        config.control_period,
+        config.hidden,
         config.observe,
-    )  # fmt: skip
+    )
 
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"

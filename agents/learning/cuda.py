@@ -124,9 +124,13 @@ class TotalsCurve(Curve):
     """
 
     def __init__(
-        self, folder: Path, terms: tuple[str, ...], num_envs: int, steps: int,
+        self,
+        folder: Path,
+        terms: tuple[str, ...],
+        num_envs: int,
+        steps: int,
         recent: list[dict[str, float]],
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(folder, terms, steps, recent)
         self._least = max(RECENT_EPISODES, num_envs)
 

@@ -139,10 +139,14 @@ class ModuleLearner:
         uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
         choice = module_policy.draw_choices(log_probability, group, uniform)
         samples = ModuleSamples(
-            torch.from_numpy(self._seen), shared,
+            torch.from_numpy(self._seen),
+            shared,
             module_policy.log_likelihood(log_probability, choice, group, GROUPS * num_envs),
-            torch.bincount(env, minlength=num_envs), place, group - GROUPS * env, choice,
-        )  # fmt: skip
+            torch.bincount(env, minlength=num_envs),
+            place,
+            group - GROUPS * env,
+            choice,
+        )
         return samples, self._view.actions(self._seen, seen, choice.numpy())
 
     @torch.no_grad()
@@ -162,10 +166,13 @@ class ModuleLearner:
         samples = ModuleSamples.concatenate(parts)
         value = self.value(samples.observations).numpy().reshape(len(parts), -1).astype(np.float64)
         advantage = ppo.compute_advantages(
-            torch.from_numpy(np.stack(rewards)), torch.from_numpy(np.stack(ended)),
-            torch.from_numpy(value), torch.from_numpy(np.stack(next_value)), self._config.gamma,
+            torch.from_numpy(np.stack(rewards)),
+            torch.from_numpy(np.stack(ended)),
+            torch.from_numpy(value),
+            torch.from_numpy(np.stack(next_value)),
+            self._config.gamma,
             self._config.gae_lambda,
-        ).numpy()  # fmt: skip
+        ).numpy()
         returns = torch.from_numpy((advantage + value).ravel().astype(np.float32))
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         return samples, torch.from_numpy(advantage.ravel().astype(np.float32)), returns, infos

@@ -67,18 +67,27 @@ def draw_stream(rng: np.random.Generator) -> Stream:
 def training_env_config(control_period: float) -> EnvConfig:
     """Build the configuration of the training line with exact sensors."""
     return EnvConfig(
-        "flow", stream=densest_stream(1.5, ("S", "B")), exits="sides", actions="parcels", gate=True,
-        control_period=control_period, duration=DURATION, sensors=sg.sensors.Exact(),
-    )  # fmt: skip
+        "flow",
+        stream=densest_stream(1.5, ("S", "B")),
+        exits="sides",
+        actions="parcels",
+        gate=True,
+        control_period=control_period,
+        duration=DURATION,
+        sensors=sg.sensors.Exact(),
+    )
 
 
 class SlotVecEnv(BatchVecEnv):
     """Agent slots on environments of one stream as a VecEnv, each slot one environment."""
 
     def __init__(
-        self, env_config: EnvConfig, num_streams: int, slots: int,
+        self,
+        env_config: EnvConfig,
+        num_streams: int,
+        slots: int,
         draw: Callable[[np.random.Generator], Stream],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._batch = StreamBatch(env_config, num_streams)
         self._draw = draw
         self._actions = ParcelActions(env_config)

@@ -20,9 +20,13 @@ MAX_GRAD_NORM = 0.5
 
 
 def compute_advantages(
-    rewards: torch.Tensor, ended: torch.Tensor, value: torch.Tensor, next_value: torch.Tensor,
-    gamma: float, gae_lambda: float,
-) -> torch.Tensor:  # fmt: skip
+    rewards: torch.Tensor,
+    ended: torch.Tensor,
+    value: torch.Tensor,
+    next_value: torch.Tensor,
+    gamma: float,
+    gae_lambda: float,
+) -> torch.Tensor:
     """Compute generalised advantage estimates; all tensors (periods, num_envs), on one device.
 
     Schulman et al., High-dimensional continuous control using generalised advantage estimation,
@@ -42,10 +46,15 @@ def compute_advantages(
 
 
 def ppo_loss(
-    log_prob: torch.Tensor, old_log_prob: torch.Tensor, advantage: torch.Tensor,
-    value: torch.Tensor, returns: torch.Tensor, entropy: torch.Tensor, ent_coef: float,
+    log_prob: torch.Tensor,
+    old_log_prob: torch.Tensor,
+    advantage: torch.Tensor,
+    value: torch.Tensor,
+    returns: torch.Tensor,
+    entropy: torch.Tensor,
+    ent_coef: float,
     value_coef: float,
-) -> torch.Tensor:  # fmt: skip
+) -> torch.Tensor:
     """Compute PPO's loss of samples (samples,) each, with the clipped objective of Eq. (7)."""
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)

@@ -315,10 +315,13 @@ def train_seeds(
         RemoteRun(*run) if isinstance(workers, Cluster) else partial(_train, *run) for run in runs
     ]
     columns = (
-        TextColumn("{task.description}"), BarColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
         TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
-        TextColumn("success {task.fields[success]}"), TimeElapsedColumn(), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("success {task.fields[success]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Bars(*columns, console=console) as bars:
         rows = [bars.add_task(f"seed {run.seed}", total=run.steps, success="-") for run, _ in runs]
 

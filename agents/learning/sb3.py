@@ -89,11 +89,17 @@ def _make_envs(
         line = with_zone(line, columns)
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
-            num_envs=num_envs, max_episode_steps=periods, task=task, line=line,
-            actions=config.actions, control_period=config.control_period, observe=config.observe,
-            preset=preset, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+            num_envs=num_envs,
+            max_episode_steps=periods,
+            task=task,
+            line=line,
+            actions=config.actions,
+            control_period=config.control_period,
+            observe=config.observe,
+            preset=preset,
+            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         )
-    )  # fmt: skip
+    )
 
 
 # Fields of a configuration that are arguments of Stable-Baselines3's algorithms.
@@ -214,9 +220,12 @@ class _Checkpoints(BaseCallback):
     """Checkpoints, where everything is seeded and started anew, and the learning curve."""
 
     def __init__(
-        self, config: PPOConfig | DQNConfig, folder: Path, curve: runs.Curve,
+        self,
+        config: PPOConfig | DQNConfig,
+        folder: Path,
+        curve: runs.Curve,
         on_progress: runs.OnProgress,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         self._config = config
         self._folder = folder

@@ -233,9 +233,12 @@ class SearchModel:
         # Zones that do not differ from parcel to parcel have one row.
         first_row, rows, first, columns = bodies.zone[body % len(bodies.zone)].tolist()
         return SearchNodes(
-            parcels, float(bodies.body[body, HALF_LENGTH]), (first_row, rows, first, columns),
-            self.config.chosen_line, self._batch.surfaces.conditions[0],
-        )  # fmt: skip
+            parcels,
+            float(bodies.body[body, HALF_LENGTH]),
+            (first_row, rows, first, columns),
+            self.config.chosen_line,
+            self._batch.surfaces.conditions[0],
+        )
 
 
 class NominalModel(SearchModel):

@@ -105,10 +105,14 @@ class Oracle:
         parcels = model.parcels
         return Reached(
             outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
-            time=float(parcels.clock[0]), metrics=tuple(parcels.metrics[0].tolist()),
-            poses=np.array(poses), velocity=parcels.truth[0, 3:].copy(), actions=tuple(actions),
-            width=width, seconds=0.0,
-        )  # fmt: skip
+            time=float(parcels.clock[0]),
+            metrics=tuple(parcels.metrics[0].tolist()),
+            poses=np.array(poses),
+            velocity=parcels.truth[0, 3:].copy(),
+            actions=tuple(actions),
+            width=width,
+            seconds=0.0,
+        )
 
     def _model(self, size: int) -> models.TrueModel:
         if size not in self._models:
@@ -117,9 +121,12 @@ class Oracle:
 
 
 def find_reachable(
-    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
+    config: EnvConfig,
+    starts: Sequence[dict[str, Any]],
+    seed: int,
+    budget: int = BUDGET,
     workers: parallel.Workers = 1,
-) -> list[Reached]:  # fmt: skip
+) -> list[Reached]:
     """Find what can be reached from starts, with halves for actions, by an oracle."""
     Oracle(config, budget)
     parallel.check_workers(workers)
@@ -143,9 +150,12 @@ def _find(
 
 
 def run_oracle(
-    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET,
+    config: EnvConfig,
+    starts: Sequence[dict[str, Any]],
+    seed: int,
+    budget: int = BUDGET,
     workers: parallel.Workers = 1,
-) -> Episodes:  # fmt: skip
+) -> Episodes:
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
     runs = find_reachable(config, starts, seed, budget, workers)
     names = config.task.metrics

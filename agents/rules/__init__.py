@@ -43,11 +43,15 @@ RULES = (
 # Rules in environments of their own: the whole path in the observation, axes at any angle.
 MORE_RULES = (
     Rule(
-        "best fixed layout", "track", "modules", layouts.BestTracking, searches=True,
+        "best fixed layout",
+        "track",
+        "modules",
+        layouts.BestTracking,
+        searches=True,
         observed_task=ShownPath.of,
     ),
     Rule("fixed layout, any angle", "sort", "modules", sorting.GradedLayout, orientations=ANY),
-)  # fmt: skip
+)
 
 
 def find_rules(task: str) -> list[Rule]:

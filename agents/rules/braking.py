@@ -68,9 +68,13 @@ def contact_span(config: EnvConfig, seen: LineObservation) -> ContactSpan:
         half_rows = np.clip(under, 1, half_rows)
     from_middle = np.abs(np.arange(rows) - (rows - 1) / 2.0)
     return ContactSpan(
-        place=place, middle=0.5 * (rear + seen.front_in_zone) - place, load=seen.load_ahead,
-        half_length=half_length, row_reach=row_reach, rotor=from_middle < half_rows[:, np.newaxis],
-    )  # fmt: skip
+        place=place,
+        middle=0.5 * (rear + seen.front_in_zone) - place,
+        load=seen.load_ahead,
+        half_length=half_length,
+        row_reach=row_reach,
+        rotor=from_middle < half_rows[:, np.newaxis],
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +116,13 @@ class BrakeModel:
             self._tail = min(MOST_AFTER, math.ceil(0.25 * math.pi / self._turn))
 
     def predict(
-        self, span: ContactSpan, speed: Numbers, frictions: Frictions, lean: Numbers,
+        self,
+        span: ContactSpan,
+        speed: Numbers,
+        frictions: Frictions,
+        lean: Numbers,
         target: Numbers,
-    ) -> Braked:  # fmt: skip
+    ) -> Braked:
         """Predict the state a control period on.
 
         Args:

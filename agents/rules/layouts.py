@@ -36,9 +36,13 @@ def round_sizes(half_length: Numbers) -> Numbers:
 
 
 def _run(
-    zone_axis: Numbers, half_length: float, speed: float, line: sg.lines.BaseLine,
-    zone: tuple[int, int] | None, dt: float,
-) -> sg.Trajectory:  # fmt: skip
+    zone_axis: Numbers,
+    half_length: float,
+    speed: float,
+    line: sg.lines.BaseLine,
+    zone: tuple[int, int] | None,
+    dt: float,
+) -> sg.Trajectory:
     """Run a square box along a line, long enough to cross it by rolling."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
@@ -46,9 +50,13 @@ def _run(
     axis = np.full(rotor.shape, sg.layouts.ROLLING)
     axis[first_row : first_row + rows, first : first + columns] = zone_axis[margin : margin + rows]
     return sg.simulate(
-        line.surface(axis, rotor), sg.Parcel(base), (half_length, line.line_y, 0.0),
-        (speed, 0.0, 0.0), duration=2.0 * line.length / speed, dt=dt,
-    )  # fmt: skip
+        line.surface(axis, rotor),
+        sg.Parcel(base),
+        (half_length, line.line_y, 0.0),
+        (speed, 0.0, 0.0),
+        duration=2.0 * line.length / speed,
+        dt=dt,
+    )
 
 
 @lru_cache(maxsize=1024)
@@ -147,9 +155,13 @@ class FixedStopping(FixedBraking):
 
 @lru_cache(maxsize=4096)
 def angle_at_exit(
-    half_length: float, speed: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None,
-    shape: tuple[int, int], turning: int,
-) -> float:  # fmt: skip
+    half_length: float,
+    speed: float,
+    line: sg.lines.BaseLine,
+    zone: tuple[int, int] | None,
+    shape: tuple[int, int],
+    turning: int,
+) -> float:
     """Compute the angle [rad] to which a box has turned when its rear leaves the zone; infinite if
     it never does.
 

@@ -135,9 +135,12 @@ class LoneRuns:
 
 
 def run_alone(
-    make: Callable[[EnvConfig], Controller], config: EnvConfig, asked: Sequence[Asked],
-    seeds: Sequence[int], opens: Halves | None = None,
-) -> LoneRuns:  # fmt: skip
+    make: Callable[[EnvConfig], Controller],
+    config: EnvConfig,
+    asked: Sequence[Asked],
+    seeds: Sequence[int],
+    opens: Halves | None = None,
+) -> LoneRuns:
     """Run parcels, each alone on a line with a gate.
 
     Args:
@@ -163,9 +166,13 @@ def run_alone(
         times.append(batch.streams.clock.copy())
         poses.append(batch.parcels.truth.reshape(count, alone.stream_task.rows, 6)[:, 0, :3].copy())
     return LoneRuns(
-        np.array(times), np.array(poses), batch.streams.entered[:, 0], batch.streams.left[:, 0],
-        batch.streams.tally[:, RIGHT] > 0, signature,
-    )  # fmt: skip
+        np.array(times),
+        np.array(poses),
+        batch.streams.entered[:, 0],
+        batch.streams.left[:, 0],
+        batch.streams.tally[:, RIGHT] > 0,
+        signature,
+    )
 
 
 def list_asked(config: EnvConfig) -> list[Asked]:

@@ -203,11 +203,15 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         decider = controller.Decider(policy, env_config)
         bounds = env_config.observation_space()
         loop = controller.ControlLoop(
-            SocketDevice(address, env_config.task.name, estimator.shape), estimator, decider,
+            SocketDevice(address, env_config.task.name, estimator.shape),
+            estimator,
+            decider,
             (arranger, estimator.resolver(kind)),
-            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)), bounds,
-            clock, controller.LoopConfig(env_config.control_period, config.watchdog),
-        )  # fmt: skip
+            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
+            bounds,
+            clock,
+            controller.LoopConfig(env_config.control_period, config.watchdog),
+        )
         decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
@@ -219,10 +223,17 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             console.print("stopped")
         seconds = clock.now() - begun
     run = Run(
-        agent=config.name, seed=config.seed or 0, task=env_config.task.name, preset=config.preset,
-        device=config.address or "simulator", period=env_config.control_period,
-        watchdog=config.watchdog, seconds=seconds, load=os.getloadavg(), cores=usable_cores(),
-    )  # fmt: skip
+        agent=config.name,
+        seed=config.seed or 0,
+        task=env_config.task.name,
+        preset=config.preset,
+        device=config.address or "simulator",
+        period=env_config.control_period,
+        watchdog=config.watchdog,
+        seconds=seconds,
+        load=os.getloadavg(),
+        cores=usable_cores(),
+    )
     made = make_report(run, loop.counts, loop.latencies)
     show_report(made, console)
     console.print(f"written: {write_report(made, config.out)}", soft_wrap=True)
@@ -235,8 +246,11 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
     from .controller import WallClock
 
     columns = (
-        TextColumn("running"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn(),
-    )  # fmt: skip
+        TextColumn("running"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
     gc.collect()
     gc.freeze()
     gc.disable()

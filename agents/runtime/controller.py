@@ -270,10 +270,16 @@ class ControlLoop:
     """Runs a policy on a device."""
 
     def __init__(
-        self, device: protocol.Device, estimator: StateEstimator, policy: Decider,
-        fixed: tuple[Arranger, Resolver], limits: AxisLimits, bounds: spaces.Box, clock: Clock,
+        self,
+        device: protocol.Device,
+        estimator: StateEstimator,
+        policy: Decider,
+        fixed: tuple[Arranger, Resolver],
+        limits: AxisLimits,
+        bounds: spaces.Box,
+        clock: Clock,
         config: LoopConfig,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._device, self._estimator, self._policy = device, estimator, policy
         self._arranger, self._by_fixed = fixed
         self._by_policy = estimator.resolver(policy.kind)

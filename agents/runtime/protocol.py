@@ -141,12 +141,18 @@ def to_fields(message: Message) -> dict[str, Any]:
         }
     if isinstance(message, Entered):
         return {
-            "kind": "entered", "number": message.number, "at": message.at,
-            "base": _base_fields(message.parcel.base), "mass": message.parcel.mass,
-            "com_height": message.parcel.com_height, "pose": list(message.pose),
-            "velocity": list(message.velocity), "goal": list(message.goal), "tilt": message.tilt,
+            "kind": "entered",
+            "number": message.number,
+            "at": message.at,
+            "base": _base_fields(message.parcel.base),
+            "mass": message.parcel.mass,
+            "com_height": message.parcel.com_height,
+            "pose": list(message.pose),
+            "velocity": list(message.velocity),
+            "goal": list(message.goal),
+            "tilt": message.tilt,
             "path": None if message.path is None else message.path.tolist(),
-        }  # fmt: skip
+        }
     if isinstance(message, AxesAcknowledged):
         return {
             "kind": "taken",
@@ -215,8 +221,11 @@ def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> Departed:
 
 
 _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
-    "entered": _entered, "frame": _frame, "taken": _acknowledged, "left": _departed,
-}  # fmt: skip
+    "entered": _entered,
+    "frame": _frame,
+    "taken": _acknowledged,
+    "left": _departed,
+}
 
 
 def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:

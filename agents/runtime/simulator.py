@@ -55,11 +55,17 @@ class World:
         self._limit = env_config.task.periods * env_config.timing.steps
         self._batch = batch.Batch(
             replace(
-                env_config, actions="modules", orientations=actions.ANY, control_period=self.dt,
-                sensors=sg.sensors.Exact(), observe=(), observe_axes=False, info=(),
+                env_config,
+                actions="modules",
+                orientations=actions.ANY,
+                control_period=self.dt,
+                sensors=sg.sensors.Exact(),
+                observe=(),
+                observe_axes=False,
+                info=(),
             ),
             1,
-        )  # fmt: skip
+        )
         kind = self._batch.config.action_kind
         self.shape = (kind.rows, kind.columns)
         self._limits = controller.AxisLimits(self.shape, None)
@@ -121,11 +127,15 @@ class World:
         )
         known = state.truth + spread * self._noise.standard_normal(6)
         return wire.Entered(
-            self._number, self._now, _known_parcel(state), _triple(known[:3]), _triple(known[3:]),
+            self._number,
+            self._now,
+            _known_parcel(state),
+            _triple(known[:3]),
+            _triple(known[3:]),
             tuple(state.goal.tolist()),
             math.atan2(state.surface[GRAVITY_ALONG], state.surface[GRAVITY_NORMAL]),
             state.path.copy() if len(state.path) else None,
-        )  # fmt: skip
+        )
 
     def _depart(self, ends: bool) -> wire.Departed:
         parcels, task = self._batch.parcels, self._batch.task

@@ -230,9 +230,13 @@ def best_layout(
 
 
 def evaluate_layout(
-    name: str, axis: Array, case: Case, line: DesignLine, speeds: Array,
+    name: str,
+    axis: Array,
+    case: Case,
+    line: DesignLine,
+    speeds: Array,
     workers: parallel.Workers = 1,
-) -> LayoutResult:  # fmt: skip
+) -> LayoutResult:
     """Evaluate a layout (rows, columns) [rad] of a line's zone over speeds (speeds,) [m/s]."""
     axes = axis[np.newaxis]
     ends = _run_layouts(case, line, axes, speeds, workers)

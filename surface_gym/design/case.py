@@ -483,11 +483,16 @@ class Draws:
         """Build one run for each draw, over a layout; `columns` -1: the zone has no end."""
         every = np.arange(len(self))
         return running.make_runs(
-            speed=np.maximum(0.0, speed + self.speed), tilt=tilt + self.tilt, layout=layout,
+            speed=np.maximum(0.0, speed + self.speed),
+            tilt=tilt + self.tilt,
+            layout=layout,
             stiffness=every if self.stiffness is not None else 0,
-            parcel=every if len(set(self.parcels)) > 1 else 0, friction=self.friction,
-            lateral=self.lateral, heading=self.heading, columns=columns,
-        )  # fmt: skip
+            parcel=every if len(set(self.parcels)) > 1 else 0,
+            friction=self.friction,
+            lateral=self.lateral,
+            heading=self.heading,
+            columns=columns,
+        )
 
 
 def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: int) -> Draws:

@@ -149,9 +149,14 @@ class Question:
             speed=self.speed,
             tilt=math.radians(self.tilt_deg),
             unknown=Unknown(
-                friction=self.friction, rolling=self.rolling, com_offset=self.com_spread,
-                mass=self.mass_spread, stiffness=self.unevenness, lateral=self.lateral,
-                heading=math.radians(self.heading_deg), speed=self.speed_spread,
+                friction=self.friction,
+                rolling=self.rolling,
+                com_offset=self.com_spread,
+                mass=self.mass_spread,
+                stiffness=self.unevenness,
+                lateral=self.lateral,
+                heading=math.radians(self.heading_deg),
+                speed=self.speed_spread,
                 tilt=math.radians(self.tilt_spread_deg),
             ),
             draws=self.draws,
@@ -161,7 +166,7 @@ class Question:
             mu_min=self.mu_min,
             mu_support=self.mu_support,
             step=self.step,
-        )  # fmt: skip
+        )
 
     def _parcel(self) -> Parcel:
         given = [name for name in ("parcel", "disc", "polygon") if getattr(self, name) is not None]
@@ -169,9 +174,12 @@ class Question:
             found = " and ".join(f"--{name}" for name in given) or "none"
             raise ValueError(f"parcel must be one of --parcel, --disc and --polygon, got {found}")
         return Parcel(
-            base=self._base(), mass=10.0 if self.mass is None else self.mass,
-            com_height=self.com_height, inertia=self.inertia, com_offset=self.com_offset,
-        )  # fmt: skip
+            base=self._base(),
+            mass=10.0 if self.mass is None else self.mass,
+            com_height=self.com_height,
+            inertia=self.inertia,
+            com_offset=self.com_offset,
+        )
 
     def _base(self) -> Base:
         if self.disc is not None:
@@ -366,9 +374,15 @@ class AskControl(Question):
 
 
 QUESTIONS: dict[str, Callable[..., Question]] = {
-    "columns": AskColumns, "speed": AskSpeed, "tilt": AskTilt, "friction": AskFriction,
-    "map": AskMap, "sensitivity": AskSensitivity, "layout": AskLayout, "control": AskControl,
-}  # fmt: skip
+    "columns": AskColumns,
+    "speed": AskSpeed,
+    "tilt": AskTilt,
+    "friction": AskFriction,
+    "map": AskMap,
+    "sensitivity": AskSensitivity,
+    "layout": AskLayout,
+    "control": AskControl,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -434,9 +448,12 @@ def _find_answer(question: Question) -> Answer:
 
 def _screen_table(table: Table) -> ScreenTable:
     screen = ScreenTable(
-        title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
+        title=escape(table.title),
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
         collapse_padding=True,
-    )  # fmt: skip
+    )
     for k, name in enumerate(table.header):
         words = any(isinstance(row[k], str) for row in table.rows)
         screen.add_column(escape(name), justify="left" if words else "right")

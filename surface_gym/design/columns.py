@@ -104,11 +104,14 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
         success = float(np.mean(needed <= touched)) if done else 0.0
         worst.append(Worst(group, enough if enough <= line.columns else None, success))
     return Columns(
-        rows=line.rows, columns=touched if done else None, layout=layout.name,
+        rows=line.rows,
+        columns=touched if done else None,
+        layout=layout.name,
         fewest=_fewest(case, line, touched, workers) if done else None,
-        measure=float(case.purpose.measure(ends)[0]), tipping=float(ends.tipping[0]),
+        measure=float(case.purpose.measure(ends)[0]),
+        tipping=float(ends.tipping[0]),
         worst=tuple(worst),
-    )  # fmt: skip
+    )
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:

@@ -71,11 +71,15 @@ class ControlGain(report.Answer):
     def tables(self) -> tuple[report.Table, ...]:
         rows = tuple(
             (
-                gain.controller, "arranged once" if gain.arranged_once else "follow", gain.draws,
-                gain.success, gain.least_speed, gain.error,
+                gain.controller,
+                "arranged once" if gain.arranged_once else "follow",
+                gain.draws,
+                gain.success,
+                gain.least_speed,
+                gain.error,
             )
             for gain in self.gains
-        )  # fmt: skip
+        )
         title = f"{self.asked[0].upper()}{self.asked[1:]}"
         header = (
             "controller", "axes", "draws", "success in them", "from speed [m/s]", "median error",

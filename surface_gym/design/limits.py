@@ -101,10 +101,13 @@ class Limits(report.Answer):
                 tuple(self.limit_rows()),
             ),
             report.Table(
-                f"{name}_curve", f"Success by {what}", ("unknown", f"{what} [{unit}]", "success"),
-                tuple(self.curve_rows()), shown=False,
+                f"{name}_curve",
+                f"Success by {what}",
+                ("unknown", f"{what} [{unit}]", "success"),
+                tuple(self.curve_rows()),
+                shown=False,
             ),
-        )  # fmt: skip
+        )
 
     def limit_rows(self) -> Iterable[tuple[report.Cell, ...]]:
         """Yield a row for each span: its limits, and the success of the case itself."""
@@ -278,9 +281,12 @@ def least_tilt(
 
 
 def friction_range(
-    case: Case, columns: int | None = None, rows: int | None = None, workers: parallel.Workers = 1,
+    case: Case,
+    columns: int | None = None,
+    rows: int | None = None,
+    workers: parallel.Workers = 1,
     on_progress: runs.OnProgress = lambda *_: None,
-) -> FrictionRange:  # fmt: skip
+) -> FrictionRange:
     """Find the limits of friction, alike everywhere: of mu_max along the axes, of mu_min across.
 
     Factors are tried from 1/16 to 16, 48 to a doubling; 8 with draws.

@@ -198,9 +198,12 @@ def _evolve(
     energies = np.array(result.population_energies)
     order = np.argsort(energies, kind="stable")
     return replace(
-        state, population=population[order], cost=energies[order], epoch=state.epoch + 1,
+        state,
+        population=population[order],
+        cost=energies[order],
+        epoch=state.epoch + 1,
         evaluations=state.evaluations + (result.nit + 1) * len(population),
-    )  # fmt: skip
+    )
 
 
 def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState:
@@ -214,7 +217,10 @@ def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState
     population, least = state.population.copy(), state.cost.copy()
     population[0], least[0] = around[first], costs[first]
     return replace(
-        state, population=population, cost=least, column=state.column + 1,
+        state,
+        population=population,
+        cost=least,
+        column=state.column + 1,
         unchanged=state.unchanged + 1 if first == 0 else 0,
         evaluations=state.evaluations + len(around),
-    )  # fmt: skip
+    )

@@ -76,27 +76,35 @@ def find_sorting_layouts(
     progress = runs.split_progress(on_progress, [steps] * len(wanted))
     return {
         (size, offer): best_layout(
-            Case(box(size), Sort(SIDE), seed=seed), SPEEDS, COLUMNS, orientations=OFFERS[offer],
-            effort=effort, workers=workers,
+            Case(box(size), Sort(SIDE), seed=seed),
+            SPEEDS,
+            COLUMNS,
+            orientations=OFFERS[offer],
+            effort=effort,
+            workers=workers,
             checkpoint=None if checkpoints is None else Path(checkpoints) / f"{size}-{offer}.npz",
             on_progress=part,
         )
         for (size, offer), part in zip(wanted, progress, strict=True)
-    }  # fmt: skip
+    }
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
     """Write layouts in the form of the file that ships; an interrupted write changes nothing."""
     rows = [
         {
-            "box": size, "offer": offer, "axis": np.degrees(each.best.axis).round(6).tolist(),
-            "least_speed": each.best.least_speed, "least_sure_speed": each.best.least_sure_speed,
-            "mean_time": round(each.best.mean_time, 6), "study_least_speed": each.study.least_speed,
+            "box": size,
+            "offer": offer,
+            "axis": np.degrees(each.best.axis).round(6).tolist(),
+            "least_speed": each.best.least_speed,
+            "least_sure_speed": each.best.least_sure_speed,
+            "mean_time": round(each.best.mean_time, 6),
+            "study_least_speed": each.study.least_speed,
             "study_least_sure_speed": each.study.least_sure_speed,
             "study_mean_time": round(each.study.mean_time, 6),
         }
         for (size, offer), each in found.items()
-    ]  # fmt: skip
+    ]
     with files.replacing(Path(file)) as part:
         part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

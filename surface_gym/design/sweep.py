@@ -40,9 +40,12 @@ class Arrangement:
         return self.columns + (0 if self.case.purpose.leaves_zone else self.line.run_out)
 
     def run(
-        self, drawn: cases.Draws, runs: running.Runs, workers: parallel.Workers = 1,
+        self,
+        drawn: cases.Draws,
+        runs: running.Runs,
+        workers: parallel.Workers = 1,
         on_progress: OnProgress = lambda *_: None,
-    ) -> running.Ends:  # fmt: skip
+    ) -> running.Ends:
         """Simulate runs of draws over the layout."""
         axes = self.layout.axis[np.newaxis]
         return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
@@ -104,9 +107,12 @@ def arrange(
 
 
 def success_shares(
-    arrangement: Arrangement, drawn: cases.Draws, points: SweepPoints,
-    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
-) -> Array:  # fmt: skip
+    arrangement: Arrangement,
+    drawn: cases.Draws,
+    points: SweepPoints,
+    workers: parallel.Workers = 1,
+    on_progress: OnProgress = lambda *_: None,
+) -> Array:
     """Return the share (points,) of the draws that succeed, with the same draws at every point."""
     each_point = []
     for k in range(len(points)):
@@ -140,11 +146,15 @@ USUAL = cases.Unknown(
 # Fields of `Unknown`: label, scale and unit of the spread.
 FIELDS = {
     "friction": ("friction along axes", 100.0, " %"),
-    "rolling": ("friction across axes", 100.0, " %"), "com_offset": ("centre of mass", 100.0, " %"),
-    "mass": ("mass at its inertia", 100.0, " %"), "stiffness": ("unevenness", 1.0, ""),
-    "lateral": ("place across", 1000.0, " mm"), "heading": ("heading", 180.0 / math.pi, " deg"),
-    "speed": ("entry speed", 1.0, " m/s"), "tilt": ("tilt", 180.0 / math.pi, " deg"),
-}  # fmt: skip
+    "rolling": ("friction across axes", 100.0, " %"),
+    "com_offset": ("centre of mass", 100.0, " %"),
+    "mass": ("mass at its inertia", 100.0, " %"),
+    "stiffness": ("unevenness", 1.0, ""),
+    "lateral": ("place across", 1000.0, " mm"),
+    "heading": ("heading", 180.0 / math.pi, " deg"),
+    "speed": ("entry speed", 1.0, " m/s"),
+    "tilt": ("tilt", 180.0 / math.pi, " deg"),
+}
 
 
 @dataclass(frozen=True)
@@ -207,11 +217,14 @@ class Sensitivity(report.Answer):
         first: tuple[report.Cell, ...] = ("nothing", known, known, float(self.success), "")
         rows = [
             (
-                bar.label, purpose.scale * bar.low, purpose.scale * bar.high, bar.success,
+                bar.label,
+                purpose.scale * bar.low,
+                purpose.scale * bar.high,
+                bar.success,
                 "usual" if bar.usual else "the case's",
             )
             for bar in self.bars
-        ]  # fmt: skip
+        ]
         title = f"{purpose.measured.capitalize()} [{purpose.unit}]"
         header = ("unknown alone", *quantiles, "success", "spread is")
         return (report.Table("sensitivity", title, header, (first, *rows)),)
@@ -255,9 +268,12 @@ class Sensitivity(report.Answer):
 
 
 def sensitivity(
-    case: cases.Case, columns: int | None = None, rows: int | None = None,
-    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
-) -> Sensitivity:  # fmt: skip
+    case: cases.Case,
+    columns: int | None = None,
+    rows: int | None = None,
+    workers: parallel.Workers = 1,
+    on_progress: OnProgress = lambda *_: None,
+) -> Sensitivity:
     """Find the effect of each field of `Unknown` alone, on the purpose's measure and on success.
 
     A field whose spread is 0 in the case is drawn with a usual one, `USUAL`, and marked so.
@@ -339,10 +355,13 @@ class SuccessMap(report.Answer):
                 written=False,
             ),
             report.Table(
-                "map", "Success by size and speed",
-                ("size [-]", "speed [m/s]", "nothing unknown", "success"), cells, shown=False,
+                "map",
+                "Success by size and speed",
+                ("size [-]", "speed [m/s]", "nothing unknown", "success"),
+                cells,
+                shown=False,
             ),
-        )  # fmt: skip
+        )
 
     def draw(self) -> "report.Figure":
         """Draw success over entry speed and size."""

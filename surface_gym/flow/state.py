@@ -81,18 +81,27 @@ def make_streams(
     """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
     return StreamState(
-        **_arrivals(surfaces, 1), arrivals=np.zeros(surfaces, dtype=np.int64),
-        coming=np.zeros(surfaces, dtype=np.int64), due=np.zeros(surfaces, dtype=np.int64),
+        **_arrivals(surfaces, 1),
+        arrivals=np.zeros(surfaces, dtype=np.int64),
+        coming=np.zeros(surfaces, dtype=np.int64),
+        due=np.zeros(surfaces, dtype=np.int64),
         number=np.full((surfaces, rows), NOBODY),
         present=np.zeros((surfaces, rows), dtype=np.bool_),
-        touched_at=np.full((surfaces, rows, rows), NEVER), clock=np.zeros(surfaces),
-        steps=np.zeros(surfaces, dtype=np.int64), still=np.zeros(surfaces),
-        waited=np.zeros(surfaces), owner=np.full(grid, NOBODY, dtype=np.int32),
-        soonest=np.zeros(grid), commanded=np.zeros(grid), obeys=obeys,
-        tally=np.zeros((surfaces, 5), dtype=np.int64), terms=np.zeros((surfaces, terms)),
-        reward=np.zeros(surfaces), outcome=np.zeros(surfaces, dtype=np.int64),
+        touched_at=np.full((surfaces, rows, rows), NEVER),
+        clock=np.zeros(surfaces),
+        steps=np.zeros(surfaces, dtype=np.int64),
+        still=np.zeros(surfaces),
+        waited=np.zeros(surfaces),
+        owner=np.full(grid, NOBODY, dtype=np.int32),
+        soonest=np.zeros(grid),
+        commanded=np.zeros(grid),
+        obeys=obeys,
+        tally=np.zeros((surfaces, 5), dtype=np.int64),
+        terms=np.zeros((surfaces, terms)),
+        reward=np.zeros(surfaces),
+        outcome=np.zeros(surfaces, dtype=np.int64),
         fault=np.zeros(surfaces, dtype=np.int64),
-    )  # fmt: skip
+    )
 
 
 def with_room(streams: StreamState, arrivals: int) -> StreamState:
@@ -110,11 +119,15 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
     """Make the arrays that have a column an arrival."""
     shape = (surfaces, room)
     return {
-        "time": np.zeros(shape), "start": np.zeros((*shape, STATE_SIZE)),
-        "body": np.zeros(shape, dtype=np.int64), "exit": np.zeros(shape, dtype=np.int64),
-        "entered": np.full(shape, np.nan), "left": np.full(shape, np.nan),
-        "taken": np.full(shape, ON_ITS_WAY), "touches": np.zeros(shape, dtype=np.int64),
-    }  # fmt: skip
+        "time": np.zeros(shape),
+        "start": np.zeros((*shape, STATE_SIZE)),
+        "body": np.zeros(shape, dtype=np.int64),
+        "exit": np.zeros(shape, dtype=np.int64),
+        "entered": np.full(shape, np.nan),
+        "left": np.full(shape, np.nan),
+        "taken": np.full(shape, ON_ITS_WAY),
+        "touches": np.zeros(shape, dtype=np.int64),
+    }
 
 
 @dataclass(frozen=True)

@@ -103,9 +103,12 @@ class Stream:
         time = self.arrivals.times(rng, duration)
         kind, leaving, speed = rng.random((len(time), 3)).T
         return Arrivals(
-            time=time, parcel=_drawn([odds for _, odds in self.parcels], kind), kinds=self.kinds,
-            speed=self._speed(speed), exit=self._exit(exits, leaving),
-        )  # fmt: skip
+            time=time,
+            parcel=_drawn([odds for _, odds in self.parcels], kind),
+            kinds=self.kinds,
+            speed=self._speed(speed),
+            exit=self._exit(exits, leaving),
+        )
 
     def _exit(self, exits: Exits, number: Numbers) -> Places:
         if self.destinations is None:

@@ -54,9 +54,12 @@ class Zone:
     def surface(self) -> Surface:
         """The line with as many columns at 90 deg behind the zone as before it."""
         return layouts.slowing(
-            self.size, self.towards * 0.25 * math.pi, self.columns,
-            columns=self.columns + 2 * layouts.LEAD_IN[self.size], tilt=math.radians(self.tilt),
-        )  # fmt: skip
+            self.size,
+            self.towards * 0.25 * math.pi,
+            self.columns,
+            columns=self.columns + 2 * layouts.LEAD_IN[self.size],
+            tilt=math.radians(self.tilt),
+        )
 
 
 @dataclass(frozen=True)

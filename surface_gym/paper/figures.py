@@ -34,10 +34,13 @@ COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 def draw_figures(reproduction: Reproduction, folder: Path) -> list[Path]:
     """Write the figures into the folder, and return their paths."""
     figures = {
-        "figure6": draw_kinds(), "figure7": draw_trajectories(),
-        "figure8": draw_rates(reproduction), "figure9": draw_slowing_layouts(),
-        "figure10": draw_slowing(), "alignment": draw_alignment(),
-    }  # fmt: skip
+        "figure6": draw_kinds(),
+        "figure7": draw_trajectories(),
+        "figure8": draw_rates(reproduction),
+        "figure9": draw_slowing_layouts(),
+        "figure10": draw_slowing(),
+        "alignment": draw_alignment(),
+    }
     paths = []
     for name, figure in figures.items():
         for suffix in SUFFIXES:

@@ -94,9 +94,12 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
     )
     return Reproduction(
         tables=(
-            build_table2(targets, runs.INTEGRATIONS, track), build_passing(targets),
-            build_table3(targets, by_speed), build_slowest_sorted(targets, track),
-            build_table4(targets, runs.INTEGRATIONS, track), build_slowing_ratios(targets),
+            build_table2(targets, runs.INTEGRATIONS, track),
+            build_passing(targets),
+            build_table3(targets, by_speed),
+            build_slowest_sorted(targets, track),
+            build_table4(targets, runs.INTEGRATIONS, track),
+            build_slowing_ratios(targets),
             build_stopping(targets, track),
         ),
         sorted_by_speed=by_speed,
@@ -115,7 +118,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
         by_step=count_agreements(targets, track),
         self_stopping=claims.study_standstill(track),
         alignment=claims.study_alignment(track),
-    )  # fmt: skip
+    )
 
 
 def build_table2(
@@ -185,12 +188,16 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
         "in steps of 0.1 m/s",
         tuple(
             Cell(
-                "v0 [m/s]", f"{size}-box", size, targets.slowest_sorted[size],
-                tuple(runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS), 1,
+                "v0 [m/s]",
+                f"{size}-box",
+                size,
+                targets.slowest_sorted[size],
+                tuple(runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS),
+                1,
             )
             for size in track(runs.SIZES, "Slowest speed sorted")
         ),
-    )  # fmt: skip
+    )
 
 
 def build_table4(
@@ -203,12 +210,15 @@ def build_table4(
         "the fewest columns with 0.5 v0 >= v_out > 0; / where no layout does that",
         tuple(
             Cell(
-                f"{speed:.1f}", f"{size}-box", size, layout,
+                f"{speed:.1f}",
+                f"{size}-box",
+                size,
+                layout,
                 tuple(runs.smallest_layout(size, speed, each) for each in integrations),
             )
             for size, speed, layout in track(_slowing_cases(targets), "Table 4")
         ),
-    )  # fmt: skip
+    )
 
 
 def build_slowing_ratios(targets: Targets) -> Table:

@@ -181,9 +181,12 @@ def line(
 
 
 def lines(
-    canvas: pygame.Surface, pieces: Sequence[Points], width: float, colour: Colour,
+    canvas: pygame.Surface,
+    pieces: Sequence[Points],
+    width: float,
+    colour: Colour,
     opacity: float = 1.0,
-) -> None:  # fmt: skip
+) -> None:
     """Draw several lines that lie near each other."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)

@@ -13,8 +13,11 @@ from surface_gym.rendering import ink, marks
 from surface_gym.rendering.scene import Heading, Layout, Scene
 
 _LEGEND = (
-    ("0°", 0.0), ("45°", math.pi / 4), ("\N{MINUS SIGN}45°", -math.pi / 4), ("90°", math.pi / 2),
-)  # fmt: skip
+    ("0°", 0.0),
+    ("45°", math.pi / 4),
+    ("\N{MINUS SIGN}45°", -math.pi / 4),
+    ("90°", math.pi / 2),
+)
 _BARS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)  # [m] lengths a scale bar may have
 _GAP = 1.4  # [font sizes] between the readings of a stream
 

@@ -8,7 +8,11 @@ from surface_gym.tasks.stop import Stop
 from surface_gym.tasks.track import Track
 
 TASKS: dict[str, type[Task]] = {
-    "sort": Sort, "slow": Slow, "stop": Stop, "track": Track, "orient": Orient,
-}  # fmt: skip
+    "sort": Sort,
+    "slow": Slow,
+    "stop": Stop,
+    "track": Track,
+    "orient": Orient,
+}
 
 __all__ = ["TASKS", "Orient", "Slow", "Sort", "Stop", "Task", "Track"]

@@ -121,17 +121,26 @@ def decode_line(seen: Observed) -> LineObservation:
     load_x, load_y = seen["load learned, x"], seen["load learned, y"]
     load_ahead = np.cos(seen.theta) * load_x - np.sin(seen.theta) * load_y
     return LineObservation(
-        into_zone=into_zone, offset=mirror * 0.3 * seen["lateral offset"], theta=theta,
-        vx=1.0 + seen["forward speed"], vy=mirror * 0.5 * seen["lateral speed"],
-        omega=mirror * 3.0 * seen["turning speed"], half_length=half_length, pitch=seen.pitch,
-        side=side, ratio=seen["asked ratio"],
+        into_zone=into_zone,
+        offset=mirror * 0.3 * seen["lateral offset"],
+        theta=theta,
+        vx=1.0 + seen["forward speed"],
+        vy=mirror * 0.5 * seen["lateral speed"],
+        omega=mirror * 3.0 * seen["turning speed"],
+        half_length=half_length,
+        pitch=seen.pitch,
+        side=side,
+        ratio=seen["asked ratio"],
         entry_speed=np.where(seen["asked ratio"] > 0.0, 1.5 + seen["entry speed"], 0.0),
-        to_go=0.5 * seen["to go"], angle=seen["asked angle"], front_in_zone=front_in_zone,
-        rear_to_go=rear_to_go, half_width=0.175 + 0.05 * seen["width"] if shown else half_length,
+        to_go=0.5 * seen["to go"],
+        angle=seen["asked angle"],
+        front_in_zone=front_in_zone,
+        rear_to_go=rear_to_go,
+        half_width=0.175 + 0.05 * seen["width"] if shown else half_length,
         fill=seen["fill"] if shown else np.ones_like(half_length),
         friction=1.0 + seen.friction_spread * seen["friction learned"],
         load_ahead=seen.load_spread * load_ahead,
-    )  # fmt: skip
+    )
 
 
 def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:

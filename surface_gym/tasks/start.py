@@ -55,9 +55,12 @@ class Draw:
     """
 
     def __init__(
-        self, numbers: Numbers, options: Sequence[Mapping[str, Any]], line: BaseLine,
+        self,
+        numbers: Numbers,
+        options: Sequence[Mapping[str, Any]],
+        line: BaseLine,
         zone: tuple[int, int] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.numbers = numbers.T  # (draws, starts)
         self.line = line
         self.zone = zone

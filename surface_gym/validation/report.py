@@ -78,10 +78,13 @@ def _targets(study: Study) -> Table:
 
 def _convergence(study: Study) -> Table:
     table = make_table(
-        "MuJoCo's own convergence: end pose moved by a change; error against implicit", "case",
-        "change", *("moved\nx [mm]", "\ny [mm]", "theta\n[deg]"),
-        *("error\nx [mm]", "\ny [mm]", "theta\n[deg]"), labels=2,
-    )  # fmt: skip
+        "MuJoCo's own convergence: end pose moved by a change; error against implicit",
+        "case",
+        "change",
+        *("moved\nx [mm]", "\ny [mm]", "theta\n[deg]"),
+        *("error\nx [mm]", "\ny [mm]", "theta\n[deg]"),
+        labels=2,
+    )
     last = None
     for variant in study.convergence:
         if last is not None and variant.case != last:
@@ -157,9 +160,12 @@ def _table7(summaries: Iterable[comparison.Summary], runs: int) -> Table:
     for summary in summaries:
         for k, row in enumerate(("mean", "SD")):
             table.add_row(
-                "" if k else summary.title, row, *_numbers(summary.percent[k]),
-                *_numbers(summary.absolute[k]), end_section=k == 1,
-            )  # fmt: skip
+                "" if k else summary.title,
+                row,
+                *_numbers(summary.percent[k]),
+                *_numbers(summary.absolute[k]),
+                end_section=k == 1,
+            )
     return table
 
 

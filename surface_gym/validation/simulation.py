@@ -316,9 +316,14 @@ TOGETHER_RECIPE = Recipe(step=2e-5).lighter_rotors(1000.0)
 
 
 def simulate(
-    surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
-    duration: float = 1.0, recipe: Recipe = RECIPE, heights: ArrayLike | None = None,
-) -> Trajectory:  # fmt: skip
+    surface: Surface,
+    parcel: Parcel,
+    pose: ArrayLike,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    duration: float = 1.0,
+    recipe: Recipe = RECIPE,
+    heights: ArrayLike | None = None,
+) -> Trajectory:
     """Move a parcel over a surface as `surface_gym.simulate` does, whose arguments these are.
 
     The tops of the elements lie at `heights` (rows, columns) [m] above the plane; None: in it. Only
@@ -354,9 +359,15 @@ def simulate(
 
 
 def simulate_together(
-    surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike,
-    duration: float, within: Booleans, recipe: Recipe = TOGETHER_RECIPE, sides: Sides = SIDES,
-) -> tuple[Trajectory, ...]:  # fmt: skip
+    surface: Surface,
+    parcels: Sequence[Parcel],
+    poses: ArrayLike,
+    velocities: ArrayLike,
+    duration: float,
+    within: Booleans,
+    recipe: Recipe = TOGETHER_RECIPE,
+    sides: Sides = SIDES,
+) -> tuple[Trajectory, ...]:
     """Move parcels that push each other, as `surface_gym.simulate_together` does.
 
     `within` (rows, columns) are the elements to build.

@@ -22,10 +22,13 @@ MEETINGS = 30  # of two parcels that push each other
 
 CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
 VARIANTS = {
-    "recipe": RECIPE, "step / 2": RECIPE.finer(2.0), "step x 2": RECIPE.finer(0.5),
-    "stiffness x 2": RECIPE.stiffer(2.0), "stiffness / 2": RECIPE.stiffer(0.5),
+    "recipe": RECIPE,
+    "step / 2": RECIPE.finer(2.0),
+    "step x 2": RECIPE.finer(0.5),
+    "stiffness x 2": RECIPE.stiffer(2.0),
+    "stiffness / 2": RECIPE.stiffer(0.5),
     "rotors / 1000": RECIPE.lighter_rotors(1000.0),
-}  # fmt: skip
+}
 JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 
