@@ -279,6 +279,8 @@ def _work(pipe: "Connection[Any, Any]") -> None:
     """Do jobs until the process that submits them closes the pipe or ends."""
     if os.name == "posix":
         os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once
+        # What a shell starts in the background does not listen to it by itself.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         while True:
             job = partial(_unpack_and_run, pipe.recv_bytes(), pipe)

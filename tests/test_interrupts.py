@@ -28,6 +28,8 @@ REST = (0.5, 1.0, 0.0)
 
 # Each is warm before it says that it begins, and would take minutes.
 LONG = """
+import signal
+
 import numpy as np
 import surface_gym as sg
 from surface_gym.design import runs
@@ -40,6 +42,7 @@ axes = np.zeros((1, line.rows, line.columns))
 envs = sg.SmartSurfaceVectorEnv(10_000, control_period=10.0)
 envs.reset(seed=0)
 actions = np.zeros(envs.action_space.shape, dtype=np.int64)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also in a shell's background
 
 
 def simulate(duration):

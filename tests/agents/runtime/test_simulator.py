@@ -317,9 +317,12 @@ def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path
 
 
 def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
-    program = [sys.executable, "-c", "from surface_gym.cli import main; main()"]
+    # Started in the background, as some shells start the tests, a process would not listen to it.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    program = listen + "from surface_gym.cli import main; main()"
     with subprocess.Popen(
-        [*program, "runtime", "stop-ppo", "--preset", "camera", "--out", str(tmp_path)],
+        [sys.executable, "-c", program, "runtime", "stop-ppo", "--preset", "camera",
+         "--out", str(tmp_path)],
         cwd=Path(__file__).parents[3], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         env={**os.environ, "PYTHONUNBUFFERED": "1", "TERM": "dumb"}, text=True,
     ) as process:  # fmt: skip
@@ -328,8 +331,11 @@ def test_ctrl_c_ends_a_run_with_its_report(tmp_path) -> None:
                 break
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
-        printed = process.stdout.read()
-        assert process.wait(PATIENCE) == 0, printed
+        try:
+            printed, _ = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert process.returncode == 0, printed
     assert "stopped" in printed
     counts = json.loads((tmp_path / "report.json").read_text())["counts"]
     assert counts["missed"] <= counts["periods"]
