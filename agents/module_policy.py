@@ -22,8 +22,12 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS as FEATURE_GROUPS
-from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
+from surface_gym.core.actions import (
+    GROUPS as FEATURE_GROUPS,
+    QUADRANT_SIZE,
+    QUADRANTS,
+    group_features,
+)
 from surface_gym.lines import BaseLine, Line
 from surface_gym.tasks import planning, sort
 

@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Parcel, filled_up
-from surface_gym.physics import references, rollout
-from surface_gym.physics import step as stepping
-from surface_gym.physics import types as ph
+from surface_gym.physics import references, rollout, step as stepping, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch

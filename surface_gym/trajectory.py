@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
-from surface_gym.physics import rollout
-from surface_gym.physics import types as ph
+from surface_gym.physics import rollout, types as ph
 from surface_gym.physics.references import find_support, support_load_by
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.surface import Surface

@@ -4,8 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import surface_gym as sg
 from tests.strategies import COLUMNS, ROWS, Scene, scenes

@@ -21,8 +21,7 @@ from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
-from tests.environments import HEPTAGON, PARCELS, put
-from tests.environments import batch_with as batch_at
+from tests.environments import HEPTAGON, PARCELS, batch_with as batch_at, put
 from tests.flow import flows
 from tests.flow.flows import BOX, PLUS_45, ROLL, SHORT, bare, same_choice, trace, truths
 

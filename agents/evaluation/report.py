@@ -26,10 +26,16 @@ from surface_gym.tasks.benchmark import Column
 
 from .. import library
 from ..base import Controller
-from . import plots, streams
-from . import tables as texts
-from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
-from .benchmark import play as play_benchmark
+from . import plots, streams, tables as texts
+from .benchmark import (
+    SEED,
+    Result,
+    Summaries,
+    compute_results,
+    find_benchmark,
+    play as play_benchmark,
+    summarise,
+)
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
 from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults

@@ -20,8 +20,13 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
+from rich.progress import (
+    BarColumn,
+    Progress as Bars,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from surface_gym.cli import TRAIN, command_line
 from surface_gym.files import SUFFIX, replacing

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.config import SURE, EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.assembly import make_env_params, make_state, task_functions

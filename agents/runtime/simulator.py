@@ -25,8 +25,7 @@ from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
-from . import controller, estimator
-from . import protocol as wire
+from . import controller, estimator, protocol as wire
 from .config import SimulatorConfig, WorldOptions, parse_address
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock

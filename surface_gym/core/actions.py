@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import inlined

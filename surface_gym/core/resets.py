@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import NO_EDGE, Parcel, filled_up

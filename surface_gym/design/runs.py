@@ -15,13 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
-from surface_gym.physics import step as stepping
-from surface_gym.physics import types as ph
+from surface_gym.physics import step as stepping, types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compiled, inlined

@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from surface_gym import checks, parallel
-from surface_gym.design import case as cases
-from surface_gym.design import report
-from surface_gym.design import runs as running
+from surface_gym.design import case as cases, report, runs as running
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.design.runs import DesignLine, OnProgress
 from surface_gym.parcel import Parcel

@@ -14,8 +14,7 @@ from surface_gym.core.assembly import choose_actuation, compiled_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
-from surface_gym.flow import kernel
-from surface_gym.flow import state as fs
+from surface_gym.flow import kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel

@@ -21,8 +21,7 @@ from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
 from surface_gym.tasks.base import Feature, Task
-from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
-from surface_gym.tasks.sort import HORIZON, lateral_reach
+from surface_gym.tasks.sort import FEATURES as SORT_FEATURES, HORIZON, lateral_reach
 
 HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
 

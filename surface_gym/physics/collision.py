@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surface_gym.physics import signed_distance as sd
-from surface_gym.physics import types as ph
+from surface_gym.physics import signed_distance as sd, types as ph
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import OFF_SURFACE

@@ -18,10 +18,7 @@ out of it, and pushes it in the next.
 
 import math
 
-from surface_gym.physics import collision
-from surface_gym.physics import island as islands
-from surface_gym.physics import signed_distance as sd
-from surface_gym.physics import types as ph
+from surface_gym.physics import collision, island as islands, signed_distance as sd, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.friction import implicit_velocity, load_contacts
 from surface_gym.physics.island import Island

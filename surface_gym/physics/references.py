@@ -12,8 +12,7 @@ import osqp
 from scipy import sparse
 from scipy.optimize import nnls
 
-from surface_gym.physics import contacts, friction, normal_forces, step
-from surface_gym.physics import types as ph
+from surface_gym.physics import contacts, friction, normal_forces, step, types as ph
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import Array, Body, Grid, Scratch, table_row
 

@@ -9,9 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym.physics import signed_distance as sd
-from surface_gym.physics import step
-from surface_gym.physics import types as ph
+from surface_gym.physics import signed_distance as sd, step, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.friction import friction_gradient

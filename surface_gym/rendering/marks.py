@@ -12,8 +12,7 @@ import numpy as np
 import pygame
 
 from surface_gym.physics.types import Array
-from surface_gym.rendering import ink
-from surface_gym.rendering import scene as scenes
+from surface_gym.rendering import ink, scene as scenes
 from surface_gym.rendering.scene import Layout, Pose, Scene, SceneParcel, StopLine
 
 _FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a trail: faded, coloured

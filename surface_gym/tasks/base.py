@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
 from surface_gym.physics.jit import kernel_function

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
-from surface_gym import state as st
+from surface_gym import checks, state as st
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel

@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from surface_gym.agents import train_cli
-from surface_gym.agents.learning import config as configs
-from surface_gym.agents.learning import runs
+from surface_gym.agents.learning import config as configs, runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
 

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numba import typeof
-from numba import types as numba_types
+from numba import typeof, types as numba_types
 
 from surface_gym.config import EnvConfig
 from surface_gym.cuda.kernels import Translator

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from surface_gym.paper import command
-from surface_gym.paper import reproduction as ours
+from surface_gym.paper import command, reproduction as ours
 from surface_gym.paper.reproduction import LAST_DIGITS, POSITION_TOLERANCE
 from surface_gym.paper.runs import COARSE, SIZES, Cell, Found, SlowingLayout, Table, load_targets
 

@@ -23,8 +23,7 @@ from surface_gym import parallel, ray_executor
 from surface_gym.agents.evaluation.benchmark import compute_results
 from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
 from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
-from surface_gym.agents.learning.runs import CARD as CARD_FILE
-from surface_gym.agents.learning.runs import CURVE, make_folder, train_seeds
+from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, Sort, success_map

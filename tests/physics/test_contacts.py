@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import surface_gym as sg
-from surface_gym.physics import contacts
-from surface_gym.physics import types as ph
+from surface_gym.physics import contacts, types as ph
 from surface_gym.physics.contacts import EDGE_TOLERANCE
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import find_contacts, step_implicit

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from surface_gym.physics.references import SOLVERS, Solver
 from tests.physics.contact_sets import PITCH, SQUARE, WEIGHT, draw_arms, dual

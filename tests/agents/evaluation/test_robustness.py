@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.evaluation import robustness
-from surface_gym.agents.evaluation import robustness_report as report
+from surface_gym.agents.evaluation import robustness, robustness_report as report
 from surface_gym.agents.evaluation.benchmark import find_benchmark, interval
 from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
 from surface_gym.agents.evaluation.robustness import TRAINED, Change, situation, sweep_jobs

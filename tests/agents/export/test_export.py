@@ -10,8 +10,7 @@ import pytest
 from torch import nn
 
 from surface_gym import agents
-from surface_gym.agents.export import check, policy
-from surface_gym.agents.export import onnx as graphs
+from surface_gym.agents.export import check, onnx as graphs, policy
 from surface_gym.agents.export.c_header import make_header
 from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model

@@ -17,8 +17,7 @@ import torch
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.learning import config as configs
-from surface_gym.agents.learning import runs
+from surface_gym.agents.learning import config as configs, runs
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.library import WEIGHTS

@@ -23,8 +23,7 @@ from surface_gym.agents.learning.config import PPOConfig, defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult, train
 from surface_gym.agents.policy import load_policy
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning import sweep as sweeps
+from surface_gym.agents.tuning import study, sweep as sweeps
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, main, open_folder, search
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
