@@ -158,61 +158,33 @@ class ParcelNetwork(policies.ActorCriticPolicy):
     choices are drawn evenly and teach nothing.
     """
 
-    def distributions(self, obs: torch.Tensor) -> list[Categorical]:
-        """Compute each choice's distribution for observations (parcels, features)."""
-        policy, _ = self._latents(obs)
-        return self._masked(obs, self.action_net(policy))
-
-    def _masked(self, obs: torch.Tensor, logits: torch.Tensor) -> list[Any]:
-        present = obs[:, PRESENT : PRESENT + 1]
-        waits = obs[:, WAITS : WAITS + 1]
-        space: Any = self.action_space
-        masks = [present - waits, present - waits, present * waits]
-        return [
-            Categorical(logits=part * mask, validate_args=False)
-            for part, mask in zip(
-                torch.split(logits, space.nvec.tolist(), dim=1), masks, strict=True
-            )
-        ]
-
-    def _latents(self, obs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def get_distribution(self, obs: type_aliases.PyTorchObs) -> MultiCategoricalDistribution:
+        assert isinstance(obs, torch.Tensor)
+        assert isinstance(self.action_dist, MultiCategoricalDistribution)
         features = self.extract_features(obs, self.features_extractor)
-        policy, value = self.mlp_extractor(features)
-        return policy, value
+        logits = self.action_net(self.mlp_extractor.forward_actor(features))
+        present, waits = obs[:, PRESENT : PRESENT + 1], obs[:, WAITS : WAITS + 1]
+        masks = (present - waits, present - waits, present * waits)
+        parts = torch.split(logits, self.action_dist.action_dims, dim=1)
+        self.action_dist.distribution = [
+            Categorical(logits=part * mask, validate_args=False)
+            for part, mask in zip(parts, masks, strict=True)
+        ]
+        return self.action_dist
 
     def forward(
         self, obs: torch.Tensor, deterministic: bool = False
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        policy, value = self._latents(obs)
-        parts = self._masked(obs, self.action_net(policy))
-        actions = _choose(parts, deterministic)
-        return actions, self.value_net(value), _log_prob(parts, actions)
+        found = self.get_distribution(obs)
+        actions = found.get_actions(deterministic)
+        return actions, self.predict_values(obs), found.log_prob(actions)
 
     def evaluate_actions(
         self, obs: type_aliases.PyTorchObs, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        assert isinstance(obs, torch.Tensor)
-        policy, value = self._latents(obs)
-        parts = self._masked(obs, self.action_net(policy))
-        entropy = torch.stack([part.entropy() for part in parts], dim=1).sum(dim=1)
-        return self.value_net(value), _log_prob(parts, actions), entropy
-
-    def _predict(
-        self, observation: type_aliases.PyTorchObs, deterministic: bool = False
-    ) -> torch.Tensor:
-        assert isinstance(observation, torch.Tensor)
-        return _choose(self.distributions(observation), deterministic)
-
-
-def _choose(parts: list[Any], deterministic: bool) -> torch.Tensor:
-    """Return the likeliest choices (parcels, choices), or draw them."""
-    chosen = [part.probs.argmax(dim=1) if deterministic else part.sample() for part in parts]
-    return torch.stack(chosen, dim=1)
-
-
-def _log_prob(parts: list[Any], actions: torch.Tensor) -> torch.Tensor:
-    each = [part.log_prob(actions[:, k].long()) for k, part in enumerate(parts)]
-    return torch.stack(each, dim=1).sum(dim=1)
+        found = self.get_distribution(obs)
+        entropy = found.entropy()  # first: gradients are summed in the order of use
+        return self.predict_values(obs), found.log_prob(actions), entropy
 
 
 def make_parcel_network(card: PolicyCard) -> ParcelNetwork:

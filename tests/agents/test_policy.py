@@ -302,7 +302,7 @@ class TestPolicy:
     )
     def test_only_the_choices_of_a_parcel_count(self, policy, present, waits, counts) -> None:
         seen = self.rows(present, waits)
-        for place, part in enumerate(policy.distributions(seen)):
+        for place, part in enumerate(policy.get_distribution(seen).distribution):
             even = part.probs.allclose(torch.full_like(part.probs, 1.0 / part.probs.shape[1]))
             assert even == (place not in counts)
         actions = torch.zeros((5, 3))
@@ -316,7 +316,7 @@ class TestPolicy:
         chosen, _, likelihood = policy(seen, deterministic=True)
         _, again, _ = policy.evaluate_actions(seen, chosen)
         assert torch.allclose(likelihood, again)
-        for place, part in enumerate(policy.distributions(seen)):
+        for place, part in enumerate(policy.get_distribution(seen).distribution):
             assert torch.equal(part.probs.argmax(dim=1), chosen[:, place])
 
 
