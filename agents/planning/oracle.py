@@ -3,16 +3,14 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from surface_gym import checks, parallel
+from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.state import OUT_OF_TIME, RUNNING
-from surface_gym.tasks import stop
 from surface_gym.tasks.planning import PlanCost
 
 from ..base import Numbers
@@ -22,8 +20,6 @@ from . import models, planner
 BUDGET = 256  # nodes followed at a time at most
 LEAST = 8  # nodes followed at first: most starts need no more
 MORE = 4  # times as many, where those have found no success
-AT_ONCE = 5  # starts that a process is handed at a time
-FAR = 1000.0  # [m] beyond any line: what is not to be passed
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,77 +117,25 @@ class Oracle:
 
 
 def find_reachable(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
-    workers: parallel.Workers = 1,
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET
 ) -> list[Reached]:
     """Find what can be reached from starts, with halves for actions, by an oracle."""
-    Oracle(config, budget)
-    parallel.check_workers(workers)
-    firsts = range(0, len(starts), AT_ONCE)
-    jobs = [
-        partial(
-            parallel.without_report,
-            partial(_find, config, starts[k : k + AT_ONCE], seed + k, budget),
-        )
-        for k in firsts
-    ]
-    found = dict(parallel.map_jobs(jobs, workers))
-    return [reached for k in range(len(jobs)) for reached in found[k]]
-
-
-def _find(
-    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int
-) -> list[Reached]:
     oracle = Oracle(config, budget)
     return [oracle.find(start, seed + k) for k, start in enumerate(starts)]
 
 
 def run_oracle(
-    config: EnvConfig,
-    starts: Sequence[dict[str, Any]],
-    seed: int,
-    budget: int = BUDGET,
-    workers: parallel.Workers = 1,
+    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET
 ) -> Episodes:
     """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
-    runs = find_reachable(config, starts, seed, budget, workers)
-    names = config.task.metrics
+    runs = find_reachable(config, starts, seed, budget)
     metrics = np.array([run.metrics for run in runs]).T
     return Episodes(
         success=np.array([run.success for run in runs]),
         outcome=tuple(run.outcome for run in runs),
         time=np.array([run.time for run in runs]),
-        metrics=dict(zip(names, metrics, strict=True)),
+        metrics=dict(zip(config.task.metrics, metrics, strict=True)),
         pose=stack_poses([run.poses for run in runs]),
         velocity=np.array([run.velocity for run in runs]),
         decision_times=np.array([run.seconds / len(run.actions) for run in runs]),
     )
-
-
-def stops_past(config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int) -> Numbers:
-    """Compute how far past the asked x starts of Stop end if every axis is at 0 deg all along.
-
-    Nothing takes more speed from a parcel that runs straight. Where this is more than the task
-    allows, only a parcel that could turn onto more rotors might be stopped.
-
-    Returns:
-        (starts,) [m], negative short of it.
-    """
-    checks.one_of("task", config.task_name, ("stop",))
-    checks.one_of("actions", config.actions, ("halves",))
-    model = models.TrueModel(config, 1)
-    brake = model.uniform_action(0.0)
-    past = []
-    for k, options in enumerate(starts):
-        model.begin(options, seed + k)
-        asked = float(model.parcels.goal[0, stop.POSITION])
-        model.parcels.goal[0, stop.POSITION] = FAR
-        model.spread()
-        for _ in range(config.task.periods):
-            if model.step(brake).parcels.outcome[0] != RUNNING:
-                break
-        past.append(float(model.parcels.truth[0, 0]) - asked)
-    return np.array(past)

@@ -7,6 +7,7 @@ the start, the goal and the physics at nominal friction; not the noise, nor whic
 import math
 from abc import abstractmethod
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -220,70 +221,26 @@ class FixedTurning(FixedRule):
         )
 
 
-class _LineSearch:
-    """A search for each start of a line, from known layouts (layouts, modules) on."""
-
-    def __init__(self, config: EnvConfig, cost: search.LayoutCost, known: Commands) -> None:
-        self._config = config
-        self._cost = cost
-        self._axes = find_axes(config)
-        self._known = known.reshape(len(known), *config.action_kind.shape)
-        self._model = search.LayoutModel(config, max(search.LAYOUTS, len(known)))
-
-    def __call__(self, observations: Observations) -> Commands:
-        layouts = [self._one(self._config.decode_start(seen)) for seen in observations]
-        return np.stack(layouts).reshape(len(observations), -1)
-
-    def _one(self, start: Start) -> Commands:
-        self._model.begin_at(start)
-        return search.search_layout(self._model, self._cost, self._axes, self._known)
-
-
 class _Searched(FixedRule):
-    """Layouts that are searched for each start."""
+    """Layouts that are searched for each start, from known ones (layouts, modules) on."""
 
-    _search: _LineSearch
+    _layouts: Commands
+    _cost: search.LayoutCost
+
+    def __init__(self, config: EnvConfig, *arguments: Any) -> None:
+        super().__init__(config, *arguments)
+        self._turns = find_axes(config)
+        self._known = self._layouts.reshape(-1, *self._kind.shape)
+        self._model = search.LayoutModel(config, max(search.LAYOUTS, len(self._known)))
 
     def _layout(self, observations: Observations) -> Commands:
-        return self._search(observations)
+        layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
+        return np.stack(layouts).reshape(len(observations), -1)
 
-
-class BestSlowing(_Searched, FixedSlowing):
-    """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        super().__init__(config)
-        self._search = _LineSearch(config, _graded(sg.tasks.slow.MISSED, 2e-4), self._layouts)
-
-
-class BestStopping(_Searched, FixedStopping):
-    """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        super().__init__(config)
-        cost = search.LayoutCost(_stop_cost, 2e-5, False)
-        self._search = _LineSearch(config, cost, self._layouts)
-
-
-class BestTurning(_Searched, FixedTurning):
-    """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        super().__init__(config)
-        self._search = _TurnSearch(
-            config, _graded(sg.tasks.orient.MISSED, 1e-3, True), self._layouts
-        )
-
-
-class _TurnSearch(_LineSearch):
-    """A search for turns to the left; others are searched in a mirror."""
-
-    def _one(self, start: Start) -> Commands:
-        (angle,) = start.goal
-        if float(np.asarray(angle)) >= 0.0:
-            return super()._one(start)
-        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
-        return self._axes.mirrored(super()._one(image._replace(goal=(-np.asarray(angle),))))
+    def _search(self, start: Start) -> Commands:
+        """Choose (rows, columns)."""
+        self._model.begin_at(start)
+        return search.search_layout(self._model, self._cost, self._turns, self._known)
 
 
 def _graded(missed: int, enough: float, halves: bool = False) -> search.LayoutCost:
@@ -299,6 +256,32 @@ def _stop_cost(nodes: Nodes) -> Numbers:
     passed = search.MISSED + np.abs(parcels.metrics[:, sg.tasks.stop.STOP_ERROR]) + farther
     graded = search.graded_cost(nodes, sg.tasks.stop.MISSED)
     return np.where(parcels.outcome == sg.tasks.stop.OVERSHOT, passed, graded)
+
+
+class BestSlowing(_Searched, FixedSlowing):
+    """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
+
+    _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
+
+
+class BestStopping(_Searched, FixedStopping):
+    """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
+
+    _cost = search.LayoutCost(_stop_cost, 2e-5, False)
+
+
+class BestTurning(_Searched, FixedTurning):
+    """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
+
+    _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
+
+    def _search(self, start: Start) -> Commands:
+        """Search for turns to the left; others are searched in a mirror."""
+        (angle,) = start.goal
+        if float(np.asarray(angle)) >= 0.0:
+            return super()._search(start)
+        image = _mirror(start, 2.0 * self._config.chosen_line.line_y)
+        return self._turns.mirrored(super()._search(image._replace(goal=(-np.asarray(angle),))))
 
 
 class BestTracking(FixedRule):

@@ -117,11 +117,6 @@ def packed_rate(gaps: Numbers, odds: Numbers) -> float:
     return float(arrivals.HOUR / (share @ gaps @ share))
 
 
-def steady_rate(gaps: Numbers) -> float:
-    """Compute the rate [parcels/h] of a stream with equal gaps, in which every pair may come."""
-    return float(arrivals.HOUR / gaps.max())
-
-
 @dataclass(frozen=True, eq=False)
 class LoneRuns:
     """Runs of parcels that each have the line to themselves, by one controller."""
@@ -198,7 +193,6 @@ def list_asked(config: EnvConfig) -> list[Asked]:
 class Trajectories:
     """Trajectories of some parcels, each alone on the line, by one controller."""
 
-    asked: tuple[Asked, ...]
     each: tuple[ParcelTrajectory, ...]
     right: tuple[bool, ...]  # whether it leaves by its own exit
     signature: Numbers  # (trajectories, features) by which each is known as it waits
@@ -211,7 +205,6 @@ def find_trajectories(
     exact = replace(config, sensors=sg.sensors.Exact(), randomisation=sg.Randomisation())
     runs = run_alone(make, exact, asked, range(len(asked)))
     return Trajectories(
-        tuple(asked),
         tuple(_trajectory(parcel, runs, i) for i, (parcel, _, _) in enumerate(asked)),
         tuple(runs.right.tolist()),
         runs.signature,

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from surface_gym import Parcel, Rectangle
-from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle, stops_past
+from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
-from surface_gym.layouts import box
-from surface_gym.lines import Line
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks import Slow, Stop
-from surface_gym.tasks.base import BRAKING, zone_span
 from tests.agents.rules.runs import Scripted
 
 SEED = 11
@@ -63,13 +60,6 @@ def test_each_start_is_found_as_if_it_were_alone() -> None:
         assert alone.actions == together[place].actions
 
 
-def test_processes_find_the_same() -> None:
-    alone, shared = (find_reachable(HALVES, [{}] * 6, SEED, 1, workers) for workers in (1, 2))
-    assert [each.actions for each in alone] == [each.actions for each in shared]
-    with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
-        find_reachable(HARD, [{}], SEED, workers=0)
-
-
 def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
     """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
     starts = [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}]
@@ -111,22 +101,3 @@ def test_it_stops_wide_parcels_and_follows_paths_but_not_beyond_its_time(
 def test_what_it_cannot_search_is_refused(settings, budget, message) -> None:
     with pytest.raises(ValueError, match=message):
         Oracle(EnvConfig(**{"task": "slow", "actions": "halves", **settings}), budget)
-
-
-def test_full_braking_ends_where_the_law_of_motion_says() -> None:
-    """Half a pitch around where the box, as it comes in, is borne by the zone at last."""
-    speeds = np.array([1.5, 2.0, 2.5])
-    starts = [{"speed": speed, "position": 1.0, "parcel": "S"} for speed in speeds.tolist()]
-    begins, _ = zone_span(Line(), box("S"), None)
-    ends = 1.0 + stops_past(HALVES, starts, SEED)
-    np.testing.assert_allclose(ends, begins + speeds**2 / (2.0 * BRAKING), atol=0.1)
-    # What is asked counts.
-    lab = EnvConfig(task="stop", actions="halves", preset="lab")
-    near, far = (stops_past(lab, [{"speed": 2.0, "position": x}], SEED) for x in (1.0, 1.5))
-    np.testing.assert_allclose(near - far, 0.5)
-
-
-@pytest.mark.parametrize(("task", "actions"), [("slow", "halves"), ("stop", "modules")])
-def test_only_stops_by_halves_have_such_a_limit(task, actions) -> None:
-    with pytest.raises(ValueError, match="task must" if task == "slow" else "actions"):
-        stops_past(EnvConfig(task=task, actions=actions), [{}], SEED)

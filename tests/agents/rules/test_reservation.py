@@ -142,7 +142,6 @@ def test_rates_are_those_of_the_gaps() -> None:
     assert reservation.packed_rate(gaps, np.array([3.0, 0.0])) == pytest.approx(
         3600.0 / 0.2, rel=0.02
     )
-    assert reservation.steady_rate(gaps) == pytest.approx(3600.0 / 0.2, rel=0.02)
 
 
 CONFIG = gated()
