@@ -22,12 +22,7 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import (
-    GROUPS as FEATURE_GROUPS,
-    QUADRANT_SIZE,
-    QUADRANTS,
-    group_features,
-)
+from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.lines import BaseLine, Line
 from surface_gym.tasks import planning, sort
 
@@ -42,7 +37,7 @@ MARGIN = 0.01  # [m] a module this near to the base may bear it
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
 # The side is mirrored away. The time would tie the policy to one length of lead-in.
 _SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
-_ROTORS = {feature.name for feature in FEATURE_GROUPS["rotors"].features}
+_ROTORS = {feature.name for feature in group_features(("rotors",))}
 _PLACE_SIZE = 9  # features of a module's place
 
 

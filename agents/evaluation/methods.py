@@ -80,13 +80,8 @@ def shipped(task: str) -> list[Method]:
     for name in library.names():
         of_task, algo, *preset = name.split("-")
         if of_task == task:
-            card = library.load(name).card
-            found.append(
-                Method(
-                    ", ".join((LABELS[algo], *preset)), task, card.actions, card.control_period,
-                    partial(_loaded, name), library.seeds(name), observe=card.observe,
-                )
-            )  # fmt: skip
+            agent = trained(policy_folders(library.SHELF / name))
+            found.append(replace(agent, name=", ".join((LABELS[algo], *preset))))
     labels = list(LABELS.values())
 
     def place(method: Method) -> tuple[int, int]:
@@ -159,23 +154,15 @@ def _planned(config: EnvConfig, _seed: int) -> Controller:
     return Planner(config)
 
 
-def _loaded(name: str, config: EnvConfig, seed: int) -> Controller:
-    return _for_zone(library.load(name, seed), config)
-
-
 def _read(
     files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int
 ) -> Controller:
-    return _for_zone(library.from_files(files[seed], _own(task)), config)
-
-
-def _for_zone(policy: Any, config: EnvConfig) -> Controller:
-    """Fit a policy whose weights all modules share to the zone; leave others as they are."""
-    found: Controller = policy
+    """Build the policy of a seed; fit one whose weights all modules share to the zone."""
+    policy: Any = library.from_files(files[seed], _own(task))
     columns = config.action_kind.columns
     if policy.card.algo == SHARED and columns != policy.card.env_config().action_kind.columns:
-        found = policy.for_zone((0, columns - 1))
-    return found
+        policy = policy.for_zone((0, columns - 1))
+    return policy
 
 
 def _own(task: str | None) -> Task | None:

@@ -26,16 +26,8 @@ from surface_gym.tasks.benchmark import Column
 
 from .. import library
 from ..base import Controller
-from . import plots, streams, tables as texts
-from .benchmark import (
-    SEED,
-    Result,
-    Summaries,
-    compute_results,
-    find_benchmark,
-    play as play_benchmark,
-    summarise,
-)
+from . import benchmark, plots, streams, tables as texts
+from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
 from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults
@@ -108,22 +100,22 @@ def speed_tables(task: str, summaries: Summaries) -> list[texts.Table]:
 
 def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) -> Pictures:
     task = methods[0].task
-    benchmark, label = find_benchmark(task), library.task_label(task)
+    compared, label = find_benchmark(task), library.task_label(task)
     success = folder / f"{label}-success.png"
     plots.draw_success(task, summaries, success)
     pictures = [(success, "Success by preset, with 95 % intervals.")]
     both = rivals(methods)
-    if benchmark.grid is not None:
+    if compared.grid is not None:
         times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        plots.draw_times(task, benchmark.grid, summaries, times)
+        plots.draw_times(task, compared.grid, summaries, times)
         pictures.append(
             (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
         )
         write_trajectories(both, paths)
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
-    elif benchmark.error is not None:
+    elif compared.error is not None:
         errors = folder / f"{label}-errors.png"
-        plots.draw_errors(task, benchmark.error, summaries, errors)
+        plots.draw_errors(task, compared.error, summaries, errors)
         pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
     return [*pictures, write_example(both, folder)]
 
@@ -133,7 +125,7 @@ def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
     several = list(methods)
     grid = find_benchmark(several[0].task).grid
     if grid is not None:
-        episodes = {each.name: play_benchmark(each, each.seeds[0], "exact")[1] for each in several}
+        episodes = {each.name: benchmark.play(each, each.seeds[0], "exact")[1] for each in several}
         plots.draw_trajectories(grid, episodes, file)
     return grid is not None
 
@@ -141,19 +133,19 @@ def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
     """Film methods of a task side by side, the first seed of each; return file and caption."""
     task = methods[0].task
-    benchmark = find_benchmark(task)
+    compared = find_benchmark(task)
     players = []
     for method in methods:
-        config = method.config(benchmark.task, PRESETS["exact"])
+        config = method.config(compared.task, PRESETS["exact"])
         controller = method.make(config, method.seeds[0])
         rng = np_random(SEED)[0]
-        players.append(Player(method.name, controller, config, rng, benchmark.example))
+        players.append(Player(method.name, controller, config, rng, compared.example))
     file = folder / f"{library.task_label(task)}.mp4"
     outcomes = ", ".join(
         f"{player.name} {'succeeds' if success else 'fails'}"
         for player, success in zip(players, write_comparison(players, file), strict=True)
     )
-    return file, f"{benchmark.example_description}: {outcomes}"
+    return file, f"{compared.example_description}: {outcomes}"
 
 
 def write_stream_report(
@@ -308,7 +300,11 @@ def evaluate_run(
     each time.
     """
     if is_of_streams(run):
-        results = _stream_run(run, workers, console)
+        found = compare_streams(run, workers, console)
+        results = {
+            preset: {case.label: _stream_card(found, case) for case in streams.cases(preset)}
+            for preset in STREAM_PRESETS
+        }
     else:
         results = _parcel_run(of_run(run, task), run, workers, console)
     console.print(f"everything is in {run}")
@@ -355,7 +351,15 @@ def is_of_streams(run: Path) -> bool:
 def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:
     """Measure the policies of a run on streams, into the run's folder."""
     reservation = next(each for each in streams.stream_methods() if each.name == RESERVATION)
-    methods = [reservation, *_of_seeds(policy_folders(run))]
+    files = {seed: library.read_files(each) for seed, each in policy_folders(run).items()}
+    period = library.from_files(next(iter(files.values()))).card.control_period
+    methods = [
+        reservation,
+        *(
+            StreamMethod(f"seed {k}", "parcels", True, partial(_read, each), control_period=period)
+            for k, each in files.items()
+        ),
+    ]
     results = StreamResults.of(methods, streams.compute_streams(methods, workers, loads=()))
     tables = [
         make(results, preset)
@@ -368,25 +372,8 @@ def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResu
     return results
 
 
-def _of_seeds(folders: dict[int, Path]) -> list[StreamMethod]:
-    files = {seed: library.read_files(folder) for seed, folder in folders.items()}
-    period = library.from_files(next(iter(files.values()))).card.control_period
-    return [
-        StreamMethod(f"seed {seed}", "parcels", True, partial(_read, each), control_period=period)
-        for seed, each in files.items()
-    ]
-
-
 def _read(files: library.PolicyFiles, _config: EnvConfig) -> Controller:
     return library.from_files(files)
-
-
-def _stream_run(run: Path, workers: Workers, console: Console) -> dict[str, dict[str, Any]]:
-    results = compare_streams(run, workers, console)
-    return {
-        preset: {case.label: _stream_card(results, case) for case in streams.cases(preset)}
-        for preset in STREAM_PRESETS
-    }
 
 
 def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:
