@@ -170,17 +170,13 @@ _COMPARISONS = (np.less, np.less_equal, np.greater, np.greater_equal)
 _APART = ("side", "time")  # features that modules do not see
 
 
-@dataclass(frozen=True, eq=False)
-class SeenByModules:
-    """Arrays (parcels, modules), or (parcels, 1), traced or computed."""
+def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> tuple[tuple[Any, ...], Any, Any]:
+    """Compute what each module sees, in the action's order.
 
-    place: tuple[Any, ...]  # numbers that a module sees of itself
-    bears: Any  # whether it bears the parcel, or will by the next decision
-    mirrored: Any  # whether the asked side is y < 0
-
-
-def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules:
-    """Compute what each module sees, in the action's order."""
+    Returns:
+        Numbers that a module sees of itself, whether it bears the parcel, or will by the next
+        decision, and whether the asked side is y < 0: arrays (parcels, modules), or (parcels, 1).
+    """
     see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}
     kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0
@@ -215,7 +211,7 @@ def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> SeenByModules
         & (abs(x) < close)
         & (abs(y) < close)
     )
-    return SeenByModules(place, bears, mirrored)
+    return place, bears, mirrored
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,14 +363,14 @@ class ModulesDecision:
         doubts: list[Any] = []
         columns = observations.astype(np.float64).T[..., np.newaxis]
         with np.errstate(divide="ignore", invalid="ignore"):  # of what is not chosen
-            seen = seen_by_modules(
+            own, bearing, _ = seen_by_modules(
                 self.config, [Watched(column, doubts, exact=True) for column in columns]
             )
         shape = (len(observations), self.parts)
-        place = np.stack([np.broadcast_to(each.value, shape) for each in seen.place], axis=2)
+        place = np.stack([np.broadcast_to(each.value, shape) for each in own], axis=2)
         alike = np.repeat(observations[:, np.newaxis, self.shared], self.parts, axis=1)
         inputs = np.concatenate([alike, place.astype(np.float32)], axis=2)
-        bears = np.broadcast_to(seen.bears.value, shape)
+        bears = np.broadcast_to(bearing.value, shape)
         close = np.zeros(shape, dtype=np.bool_)
         close[bears] = are_close(self.network.scores(inputs[bears].astype(np.float64)), tie)
         for doubt in doubts:
@@ -384,9 +380,9 @@ class ModulesDecision:
 
 def add_modules_decision(graph: Graph, decision: ModulesDecision) -> str:
     """Add the decision of modules; returns the name of the choices (parcels, parts)."""
-    seen = seen_by_modules(decision.config, graph.features(decision.features))
+    seen, bears, mirrored = seen_by_modules(decision.config, graph.features(decision.features))
     last = graph.integers(2)
-    place = [graph.add("Unsqueeze", each.name, last) for each in seen.place]
+    place = [graph.add("Unsqueeze", each.name, last) for each in seen]
     alike = graph.add("Gather", OBSERVATION, graph.array(decision.shared), axis=1)
     one = graph.add("Unsqueeze", alike, graph.integers(1))
     each = graph.add("Expand", one, graph.integers(1, decision.parts, 1))
@@ -395,8 +391,8 @@ def add_modules_decision(graph: Graph, decision: ModulesDecision) -> str:
     scores = graph.network(decision.network, inputs)
     best = graph.add("ArgMax", scores, axis=2, keepdims=0)
     image = graph.add("Gather", graph.array(decision.images), best)
-    turned = graph.add("Where", seen.mirrored.name, image, best)
-    return graph.add("Where", seen.bears.name, turned, graph.array(np.array(decision.rest)))
+    turned = graph.add("Where", mirrored.name, image, best)
+    return graph.add("Where", bears.name, turned, graph.array(np.array(decision.rest)))
 
 
 def modules_decision(source: Source) -> ModulesDecision:

@@ -3,7 +3,6 @@
 import math
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -156,17 +155,12 @@ def truncate_last(model: DoubleDQN) -> None:
     buffer.timeouts[last] = np.logical_or(buffer.timeouts[last], buffer.dones[last] == 0.0)
 
 
-def _initial_share(initial: float, left: float) -> float:
-    """Compute the learning rate where the share `left` of the run lies ahead."""
-    return initial * left
-
-
 def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | DoubleDQN:
     """Build PPO or DQN, with weights drawn from the seed."""
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
         **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
-        "learning_rate": partial(_initial_share, config.learning_rate),
+        "learning_rate": lambda left: config.learning_rate * left,  # of the run, from 1 to 0
         "policy_kwargs": {"net_arch": list(config.hidden)},
         "device": "cpu",
     }

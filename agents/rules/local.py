@@ -29,23 +29,6 @@ MOST_SUMMED = 0.1  # [m] of each component of the error: beyond, a PID winds up 
 
 
 @dataclass(frozen=True)
-class Thresholds:
-    """Errors from which on a module acts."""
-
-    across: float  # [m/s] too little speed to one side: it leads there
-    along: float  # [m/s] too much speed along x: it brakes
-
-
-@dataclass(frozen=True)
-class Gains:
-    """Changes of the velocity above a module, for its error."""
-
-    proportional: float  # [-]
-    integral: float  # [1/s]
-    derivative: float  # [s]
-
-
-@dataclass(frozen=True)
 class LocalTask:
     """The part of a task that local rules need."""
 
@@ -53,8 +36,9 @@ class LocalTask:
     positions: Callable[[Any, Any], ModulePositions]
     motion: Callable[[Any], Motion]  # that the parcel has
     wanted: Callable[[Any], Motion]  # that it should have
-    thresholds: Thresholds
-    gains: Gains
+    # [m/s] too little speed to one side, where a module leads; too much along x, where it brakes
+    thresholds: tuple[float, float]
+    gains: tuple[float, float, float]  # [-], [1/s], [s] of a PID
 
 
 def _line_motion(seen: planning.LineObservation) -> Motion:
@@ -100,15 +84,15 @@ def _along_path(path: track.PathObservation) -> Motion:
 LOCAL_TASKS = {
     "sort": LocalTask(
         "modules", line_positions, _line_motion, _off_the_line,
-        Thresholds(across=0.05, along=0.05), Gains(1.0, 1.0, 0.01),
+        (0.05, 0.05), (1.0, 1.0, 0.01),
     ),
     "orient": LocalTask(
         "modules", line_positions, _line_motion, _turned,
-        Thresholds(across=0.03, along=0.2), Gains(4.0, 0.0, 0.01),
+        (0.03, 0.2), (4.0, 0.0, 0.01),
     ),
     "track": LocalTask(
         "window", window_positions, _path_motion, _along_path,
-        Thresholds(across=0.12, along=0.02), Gains(1.0, 4.0, 0.01),
+        (0.12, 0.02), (1.0, 4.0, 0.01),
     ),
 }  # fmt: skip
 
@@ -153,9 +137,9 @@ class ThresholdRule(LocalRule):
 
     def _turn(self, above: Above, *_: Any) -> Decision:
         along, across = above.error[..., 0], above.error[..., 1]
-        least, axes = self._task.thresholds, self._axes
+        (aside, ahead), axes = self._task.thresholds, self._axes
         return np.select(
-            [across > least.across, across < -least.across, along < -least.along],
+            [across > aside, across < -aside, along < -ahead],
             [axes.left, axes.right, axes.brake],
             axes.roll,
         ), None
@@ -184,12 +168,9 @@ class PidRule(LocalRule):
         summed = np.clip(summed, -MOST_SUMMED, MOST_SUMMED)
         summed = np.where(above.under[..., np.newaxis], summed, 0.0)
         last = np.where(began, error, memory[:, 1])
-        gains = self._task.gains
-        wanted = (
-            gains.proportional * error
-            + gains.integral * summed
-            + gains.derivative * (error - last) / self._period
-        )
+        proportional, integral, derivative = self._task.gains
+        change = derivative * (error - last) / self._period
+        wanted = proportional * error + integral * summed + change
         miss = wanted[:, :, np.newaxis] - self._changes(above.velocity)
         choice: Commands = (miss**2).sum(axis=-1).argmin(axis=-1)
         return choice, np.stack([summed, error], axis=1)
