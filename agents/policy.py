@@ -161,8 +161,7 @@ class ParcelNetwork(policies.ActorCriticPolicy):
     def get_distribution(self, obs: type_aliases.PyTorchObs) -> MultiCategoricalDistribution:
         assert isinstance(obs, torch.Tensor)
         assert isinstance(self.action_dist, MultiCategoricalDistribution)
-        features = self.extract_features(obs, self.features_extractor)
-        logits = self.action_net(self.mlp_extractor.forward_actor(features))
+        logits = self.action_net(self.mlp_extractor.policy_net(self.extract_features(obs)))
         present, waits = obs[:, PRESENT : PRESENT + 1], obs[:, WAITS : WAITS + 1]
         masks = (present - waits, present - waits, present * waits)
         parts = torch.split(logits, self.action_dist.action_dims, dim=1)

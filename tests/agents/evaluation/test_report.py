@@ -252,9 +252,8 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
     observation, _ = env.reset(seed=3)
     for picture in pictures[:11]:
         drawn: Any = env.render()
-        assert (
-            np.abs(picture - with_caption(drawn, "event")).mean() < 4.0
-        )  # of 255: the codec loses a little
+        shown = with_caption(drawn, "event")
+        assert np.abs(picture - shown).mean() < 4.0  # of 255: the codec loses a little
         observation = env.step(rule.predict(observation)[0])[0]
     assert np.abs(pictures[-1] - pictures[50]).mean() < 1.0
 
