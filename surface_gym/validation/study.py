@@ -14,7 +14,7 @@ from surface_gym import parallel, trajectory
 from surface_gym.paper.runs import Integration
 from surface_gym.physics.types import Array
 from surface_gym.validation import comparison, drawn
-from surface_gym.validation.comparison import Case, Errors, Run, Summary, Target
+from surface_gym.validation.comparison import Case, Errors, Run, Summary
 from surface_gym.validation.simulation import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
@@ -169,13 +169,6 @@ class Study:
         return (
             self.implicit.summary(f"MuJoCo / implicit, {1e3 * comparison.IMPLICIT.dt:g} ms"),
             self.explicit.summary(f"MuJoCo / explicit, {1e3 * comparison.EXPLICIT.dt:g} ms"),
-        )
-
-    @property
-    def targets(self) -> tuple[Target, ...]:
-        """Bounds on MuJoCo against the implicit method."""
-        return comparison.check_targets(
-            self.implicit, comparison.compute_errors([self.pushed], lambda run: run.implicit)
         )
 
     @property
