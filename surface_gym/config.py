@@ -100,11 +100,6 @@ PRESETS = {preset.name: preset for preset in _EACH}
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
-RENAMED = {
-    "plant": "line",
-    "condition": "preset",
-    "places": "max_parcels",
-}  # old names of arguments
 
 
 @dataclass(frozen=True, init=False)
@@ -145,9 +140,6 @@ class EnvConfig:
     def __init__(
         self, task: str | Task = "sort", *, preset: str | Preset | None = None, **arguments: Any
     ) -> None:
-        for name in arguments:
-            if name in RENAMED:
-                raise TypeError(f"argument {name!r} is now {RENAMED[name]!r}")
         own = {
             each.name: arguments.pop(each.name, each.default)
             for each in fields(self)

@@ -62,9 +62,7 @@ class Randomisation:
     # [-] centre of mass, x and y uniform within this share of half the base's extent; drawn again
     # where that is not over the base
     com_offset: float = 0.0
-    stiffness: float = (
-        0.0  # [-] log-normal spread of each element's, by which it bears more or less
-    )
+    stiffness: float = 0.0  # [-] log-normal spread of each element's: it bears more or less
     # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again
     # where the centre of mass would not be over the surface
     lateral: float = 0.0
