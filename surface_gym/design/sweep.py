@@ -96,11 +96,10 @@ def success_shares(
 
     Of the points, speed, tilt and friction count.
     """
-    each_point = []
-    for k in range(len(points)):
-        runs = drawn.runs(float(points.speed[k]), float(points.tilt[k]), arrangement.passed)
-        each_point.append(replace(runs, friction=runs.friction * points.friction[k]))
-    runs = running.join_runs(each_point)
+    speed, tilt, factors = (
+        values[:, np.newaxis] for values in (points.speed, points.tilt, points.friction)
+    )
+    runs = drawn.runs(speed, tilt, arrangement.passed, friction=factors)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
     return done.reshape(len(points), len(drawn)).mean(axis=1)

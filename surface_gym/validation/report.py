@@ -242,14 +242,9 @@ def as_data(study: Study) -> dict[str, Any]:
         ],
         "sorts_from_deg": {"Adams, as printed": paper.sorts_from, **study.sorts_from},
         "adams_displacements": {
-            run: dict(
-                zip(
-                    ("low", "high"),
-                    (bound.tolist() for bound in comparison.adams_displacement(run)),
-                    strict=True,
-                )
-            )
+            run: {"low": low.tolist(), "high": high.tolist()}
             for run in ("gamma10", "v09")
+            for low, high in [comparison.adams_displacement(run)]
         },
         "convergence": [
             {
