@@ -480,7 +480,7 @@ class Draws:
         return len(self.parcels)
 
     def runs(
-        self, speed: ArrayLike, tilt: ArrayLike, columns: int, layout: int = 0,
+        self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
         friction: ArrayLike = 1.0,
     ) -> Runs:  # fmt: skip
         """Build one run for each draw, over a layout; `columns` -1: the zone has no end.

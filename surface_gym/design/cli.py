@@ -428,11 +428,9 @@ def _find_answer(question: Question) -> Answer:
         *bars, console=console, transient=True, disable=not console.is_terminal
     ) as progress:
         bar = progress.add_task("", total=None)
-
-        def on_progress(done: int, total: int) -> None:
-            progress.update(bar, completed=done, total=total)
-
-        return question.answer(on_progress)
+        return question.answer(
+            lambda done, total: progress.update(bar, completed=done, total=total)
+        )
 
 
 def _screen_table(table: Table) -> ScreenTable:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -342,7 +342,7 @@ def _sweep(
         grids.append(np.unique(np.append(multiples[apart].round(9), own)))
 
     def at(values: Array) -> runs.Runs:
-        swept = {"speed": case.speed, "tilt": case.tilt, quantity.name: values}
+        swept: dict[str, Any] = {"speed": case.speed, "tilt": case.tilt, quantity.name: values}
         return runs.make_runs(**swept)
 
     return _limits(arrangement, quantity, own, grids, case.unknown, at, workers, on_progress)

@@ -9,7 +9,7 @@ from surface_gym.physics.types import GYRATION, OMEGA, RADIUS, THETA, VX, VY, Ar
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import Entry, Physics
 from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Observer
-from surface_gym.sensors.switches import agree, is_any_pressed, take_contradictions, take_switches
+from surface_gym.sensors.switches import agree, mean_of_pressed, take_contradictions, take_switches
 from surface_gym.state import GRAVITY_ALONG, EnvState
 
 SURE = 3.0  # standard deviations of an entry that count
@@ -155,7 +155,7 @@ class Presence(Observer):
         tolerance = numbers[TOLERANCE]
         take_switches(state, state.sensor_state[SAMPLED : SAMPLED + 3], interval, tolerance)
         # Where no switch is pressed it is not known where the parcel has left the rotors to.
-        if is_any_pressed(state) and take_contradictions(state, tolerance) > 0.0:
+        if mean_of_pressed(state)[0] > 0 and take_contradictions(state, tolerance) > 0.0:
             agree(state, tolerance)
         keep_possible(state, state.sensor_state[ENERGY])
         _keep_sample(state, state.steps)

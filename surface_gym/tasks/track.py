@@ -9,6 +9,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import BaseLine, Field
+from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
@@ -231,11 +232,7 @@ asked one |
         path = np.concatenate([[0.0], np.cumsum(PIECE * slope)])
         aside = float(shown.cross_error[0]) * math.sqrt(1.0 + float(shown.slope[0, 0]) ** 2)
         path += (y - aside) - 0.5 * (path[BEHIND] + path[BEHIND + 1])
-        vx, vy = (float(each[0]) for each in shown.velocity)
-        parcel = nearest_parcel(self.parcels, float(shown.half_length[0]))
-        pose, velocity = (x, y, float(shown.theta[0])), (vx, vy, float(shown.omega[0]))
-        goal = float(shown.asked_speed[0]), x + float(from_centre[0]), PIECE
-        return Start(parcel, pose, velocity, goal, float(shown.tilt[0]), path)
+        return shown.start(self.parcels, (x, y), (x + float(from_centre[0]), PIECE), path)
 
     def cost(self) -> PlanCost:
         return PlanCost(
@@ -423,6 +420,23 @@ class PathObservation:
         cosine = 1.0 / np.sqrt(1.0 + self.slope[:, 0] ** 2)
         sine = self.slope[:, 0] * cosine
         return along * cosine - self.cross_speed * sine, along * sine + self.cross_speed * cosine
+
+    def start(
+        self,
+        parcels: tuple[Parcel, ...],
+        place: tuple[float, float],
+        grid: tuple[float, float],
+        path: Numbers,
+    ) -> Start:
+        """Build the start of the first parcel, one of some in size, at a place (x, y) [m].
+
+        The grid is the path's first x and its step in x [m], the path its y (PATH_POINTS,) [m].
+        """
+        vx, vy = (float(each[0]) for each in self.velocity)
+        parcel = nearest_parcel(parcels, float(self.half_length[0]))
+        pose, velocity = (*place, float(self.theta[0])), (vx, vy, float(self.omega[0]))
+        goal = (float(self.asked_speed[0]), *grid)
+        return Start(parcel, pose, velocity, goal, float(self.tilt[0]), path)
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
