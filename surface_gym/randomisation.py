@@ -90,14 +90,6 @@ class Randomisation:
         """Return the base at the largest size that may be drawn."""
         return base.scaled(1.0 + self.size)
 
-    def check_room(self, width: float) -> None:
-        """Raise a ValueError where parcels would often start beside a surface of a width [m]."""
-        if self.lateral > 0.25 * width:
-            raise ValueError(
-                f"lateral must be at most a quarter of the surface's width, {0.25 * width:g} m, "
-                f"got {self.lateral!r}"
-            )
-
     def least(self, base: Base) -> Base:
         """Return the base at the least size that may be drawn."""
         return base.scaled(1.0 - self.size)
