@@ -210,15 +210,6 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
     return given
 
 
-def assumed_friction(mu_max: float | None, mu_min: float | None, mu_support: float | None) -> None:
-    """Raise a ValueError for friction that no surface has, where a sensor assumes it."""
-    for name, mu in (("mu_max", mu_max), ("mu_min", mu_min), ("mu_support", mu_support)):
-        if mu is not None:
-            not_negative(name, mu, checks.FRICTION)
-    if mu_max is not None and mu_min is not None:
-        rolling(mu_max, mu_min)
-
-
 def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
     """Raise a ValueError where a rotor would drag more across its axis than along it."""
     most, least = np.broadcast_arrays(mu_max, mu_min)

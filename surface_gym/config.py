@@ -100,11 +100,6 @@ PRESETS = {preset.name: preset for preset in _EACH}
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
-RENAMED = {
-    "plant": "line",
-    "condition": "preset",
-    "places": "max_parcels",
-}  # old names of arguments
 
 
 @dataclass(frozen=True, init=False)
@@ -145,9 +140,6 @@ class EnvConfig:
     def __init__(
         self, task: str | Task = "sort", *, preset: str | Preset | None = None, **arguments: Any
     ) -> None:
-        for name in arguments:
-            if name in RENAMED:
-                raise TypeError(f"argument {name!r} is now {RENAMED[name]!r}")
         own = {
             each.name: arguments.pop(each.name, each.default)
             for each in fields(self)
@@ -214,7 +206,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _check_places(self) -> None:
-        """Raise a ValueError where the zone or a stuck module is not on the surface."""
+        """Raise a ValueError where the zone, a stuck module or a start is not on the surface."""
         line = self.chosen_line
         if self.zone is not None:
             if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
@@ -231,7 +223,12 @@ class EnvConfig:
                     f"stuck must lie in {line.rows} rows and {line.columns} columns, "
                     f"got {(row, column)}"
                 )
-        self.randomisation.check_room(line.width)
+        lateral, most_lateral = self.randomisation.lateral, 0.25 * line.width
+        if lateral > most_lateral:
+            raise ValueError(
+                f"lateral must be at most a quarter of the surface's width, {most_lateral:g} m, "
+                f"got {lateral!r}"
+            )
         if self.zone is not None and self.task.leaves_zone:
             self._check_way_out(self.zone[1])
 

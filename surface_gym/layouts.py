@@ -93,21 +93,20 @@ def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
     """Return Figure 6b and 6c: axes at `angle` [rad], its sign alternating from row to row."""
-    angle = checks.number("angle", angle)
-    checks.integer("task_columns", task_columns, least=1)
-    checks.one_of("size", size, ("S", "B"))
-    rows = [[angle if row % 2 else -angle] * task_columns for row in range(LINE_ROWS[size])]
-    return line(rows, size, columns, tilt)
+    return line(_alternating(size, angle, task_columns), size, columns, tilt)
 
 
 def stopping(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
     """Return Section 5.3's slowing layout with one more column, at 0 deg."""
-    slow = slowing(size, angle, task_columns, columns, tilt)
-    lead_in, rows = LEAD_IN[size], LINE_ROWS[size]
-    checks.integer("columns", columns, least=lead_in + task_columns + 1)
-    first = (ROWS - rows) // 2
-    task = slow.axis[first : first + rows, lead_in : lead_in + task_columns + 1].copy()
-    task[:, -1] = 0.0
-    return line(task, size, columns, tilt)
+    rows = [[*row, 0.0] for row in _alternating(size, angle, task_columns)]
+    return line(rows, size, columns, tilt)
+
+
+def _alternating(size: str, angle: float, task_columns: int) -> list[list[float]]:
+    """Return axes [rad] of columns, their sign alternating from row to row."""
+    angle = checks.number("angle", angle)
+    checks.integer("task_columns", task_columns, least=1)
+    checks.one_of("size", size, ("S", "B"))
+    return [[angle if row % 2 else -angle] * task_columns for row in range(LINE_ROWS[size])]

@@ -62,9 +62,7 @@ class Randomisation:
     # [-] centre of mass, x and y uniform within this share of half the base's extent; drawn again
     # where that is not over the base
     com_offset: float = 0.0
-    stiffness: float = (
-        0.0  # [-] log-normal spread of each element's, by which it bears more or less
-    )
+    stiffness: float = 0.0  # [-] log-normal spread of each element's: it bears more or less
     # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again
     # where the centre of mass would not be over the surface
     lateral: float = 0.0
@@ -91,14 +89,6 @@ class Randomisation:
     def largest(self, base: Base) -> Base:
         """Return the base at the largest size that may be drawn."""
         return base.scaled(1.0 + self.size)
-
-    def check_room(self, width: float) -> None:
-        """Raise a ValueError where parcels would often start beside a surface of a width [m]."""
-        if self.lateral > 0.25 * width:
-            raise ValueError(
-                f"lateral must be at most a quarter of the surface's width, {0.25 * width:g} m, "
-                f"got {self.lateral!r}"
-            )
 
     def least(self, base: Base) -> Base:
         """Return the base at the least size that may be drawn."""

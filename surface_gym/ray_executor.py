@@ -8,7 +8,6 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,27 +21,16 @@ AHEAD = 2  # jobs submitted at a time for each processor of the cluster
 POLICY_FILES = (".pt", ".yaml")
 
 
-@dataclass(frozen=True)
-class Build:
-    """The package that a node has."""
-
-    version: str
-    code: str  # digest of the sources
-    policies: str  # digest of the shipped policies
-
-    def __str__(self) -> str:
-        return f"version {self.version} (code {self.code}, policies {self.policies})"
-
-
 @lru_cache(maxsize=1)
-def own_build() -> Build:
-    """Return the build of this process."""
+def own_build() -> str:
+    """Return version and digests of the package that this process has."""
     from surface_gym import __version__
 
-    return Build(__version__, _digest((".py", ".yml", ".json")), _digest(POLICY_FILES))
+    code, policies = _digest((".py", ".yml", ".json")), _digest(POLICY_FILES)
+    return f"version {__version__} (code {code}, policies {policies})"
 
 
-def check_build(wanted: Build) -> None:
+def check_build(wanted: str) -> None:
     """Refuse work from a process of another build."""
     if own_build() != wanted:
         raise parallel.WorkFailed(
@@ -150,7 +138,7 @@ class _Mailbox:
         return letters
 
 
-def _work(build: Build, packed: bytes, attempt: str, mailbox: Any) -> tuple[bool, parallel.Message]:
+def _work(build: str, packed: bytes, attempt: str, mailbox: Any) -> tuple[bool, parallel.Message]:
     """Do a job on a node; return whether it reported, which has arrived, and its last message."""
     import ray
 

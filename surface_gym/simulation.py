@@ -73,10 +73,7 @@ def simulate(
     start = start_state(
         parcel, checks.pose("pose", pose, (3,)), checks.velocity("velocity", velocity, (3,))
     )
-    duration = checks.positive("duration", duration, *checks.DURATION)
-    dt = checks.positive("dt", dt, *checks.STEP)
-    if duration / dt > MAX_STEPS:
-        raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
+    time, dt = _checked_times(duration, dt)
     checks.one_of("method", method, METHODS)
     checks.one_of("normal_forces", normal_forces, NORMAL_FORCES)
     if method == "explicit" and surface.tilt < 0.0:
@@ -97,7 +94,6 @@ def simulate(
             f"got {tuple(np.asarray(velocity).tolist())}"
         )
 
-    time = sample_times(duration, dt)
     states = np.zeros((len(time), ph.STATE_SIZE))
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
@@ -127,11 +123,18 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
         )
 
 
-def sample_times(duration: float, dt: float) -> NDArray[np.float64]:
-    """Return the ends of the steps; a last step shorter than 1e-6 dt is left out."""
+def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], float]:
+    """Return the ends of the steps, and their length [s], or raise an error.
+
+    A last step shorter than 1e-6 dt is left out.
+    """
+    duration = checks.positive("duration", duration, *checks.DURATION)
+    dt = checks.positive("dt", dt, *checks.STEP)
+    if duration / dt > MAX_STEPS:
+        raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
     whole = math.floor(duration / dt + 1e-6)
     time: Array = dt * np.arange(whole + 1, dtype=np.float64)
-    return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time
+    return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time, dt
 
 
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
@@ -159,25 +162,20 @@ def _run(
     time: Array, dt: float, method: str, normal_forces: str,
 ) -> None:  # fmt: skip
     """Fill states and reports, up to a report that ends the run."""
-    whole = len(time) if time[-1] == dt * (len(time) - 1) else len(time) - 1
-    if normal_forces == "dual":
-        run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
-        steps = 0
-        for first in range(0, whole - 1, PIECE):
-            piece = slice(first, min(first + PIECE + 1, whole))
-            done = int(run(grid, body, states[piece], reports[piece], scratch, dt))
-            steps += done
-            if done < piece.stop - first - 1:
-                break
-        if steps == whole - 1 and whole < len(time):
-            run(grid, body, states[steps:], reports[steps:], scratch, time[-1] - time[-2])
-        return
-    for k in range(1, len(time)):
-        states[k] = states[k - 1]
-        step = dt if k < whole else time[-1] - time[-2]
-        reports[k] = _reference_step(grid, body, states[k], scratch, step, method, normal_forces)
-        if reports[k] >= stepping.OFF_SURFACE:
-            return
+    run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
+    piece = PIECE if normal_forces == "dual" else 1
+    for first, last, step in _stretches(time, dt):
+        for k in range(first, last + 1, piece):
+            rows = slice(k - 1, min(k + piece, last + 1))
+            if normal_forces == "dual":
+                run(grid, body, states[rows], reports[rows], scratch, step)
+            else:
+                states[k] = states[k - 1]
+                reports[k] = _reference_step(
+                    grid, body, states[k], scratch, step, method, normal_forces
+                )
+            if (reports[rows] >= stepping.OFF_SURFACE).any():
+                return
 
 
 def _reference_step(
@@ -267,16 +265,12 @@ def simulate_together(
     np.float64(0.25)
     """
     world = _make_world(surface, parcels, poses, velocities)
-    duration = checks.positive("duration", duration, *checks.DURATION)
-    dt = checks.positive("dt", dt, *checks.STEP)
-    if duration / dt > MAX_STEPS:
-        raise ValueError(f"dt must be at least duration / {MAX_STEPS:_}, got {dt!r}")
+    time, dt = _checked_times(duration, dt)
     touching = ContactMaterial(
         checks.within("restitution", restitution, 0.0, 1.0),
         checks.not_negative("side_friction", side_friction, checks.FRICTION),
     )
     _check_starts(surface, parcels, poses, world)
-    time = sample_times(duration, dt)
     records = _run_together(surface.grid, world, touching, time, dt)
     trajectories = tuple(
         _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])

@@ -90,6 +90,7 @@ class Surface(Elements):
     stiffness: Array | None = None
 
     def __post_init__(self) -> None:
+        set_field = object.__setattr__
         axis = checks.array("axis", self.axis, (None, None))
         checks.limited("axis", axis, checks.TURNED)
         if axis.size == 0:
@@ -99,11 +100,8 @@ class Surface(Elements):
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         if self.stiffness is not None:
             stiffness = checks.array("stiffness", self.stiffness, axis.shape)
-            if stiffness.min() <= 0.0:
-                raise ValueError(f"stiffness must be greater than 0, got {stiffness.min()} in it")
             _check_stiffness(stiffness)
-            object.__setattr__(self, "stiffness", stiffness)
-        set_field = object.__setattr__
+            set_field(self, "stiffness", stiffness)
         set_field(self, "axis", axis)
         set_field(self, "rotor", rotor)
         set_field(self, "pitch", checks.pitch("pitch", self.pitch))
@@ -165,8 +163,8 @@ class Surface(Elements):
 def _check_stiffness(stiffness: Array) -> None:
     """Raise a ValueError for elements softer, stiffer or more unequal than any are."""
     least, most = float(stiffness.min()), float(stiffness.max())
-    checks.within("stiffness", least, *checks.STIFFNESS)
-    checks.within("stiffness", most, *checks.STIFFNESS)
+    for value in (least, most):
+        checks.positive("stiffness", value, *checks.STIFFNESS)
     if most / least > checks.STIFFNESS_RATIO:
         raise ValueError(
             f"stiffness must differ by a factor of at most {checks.STIFFNESS_RATIO:g}, "

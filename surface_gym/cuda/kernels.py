@@ -131,15 +131,10 @@ def _stream() -> Any:
     return cuda.external_stream(stream) if stream else 0
 
 
-def device_function(function: Any) -> Any:
-    """Compile a function that kernels call."""
-    return cuda.jit(device=True)(function)
-
-
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
     """Return the translator for scratch with room for so many contacts; tasks share it."""
-    return Translator(scratch_layout(capacity), device_function)
+    return Translator(scratch_layout(capacity), cuda.jit(device=True))
 
 
 def step_kernel(config: EnvConfig) -> Any:

@@ -61,7 +61,7 @@ class Prefetch:
         self._numbers = np.zeros((num_envs, STARTS_AHEAD, task.draws))
         self._prepared = np.zeros(num_envs, dtype=np.int64)  # starts of each environment so far
         self._pool = ThreadPoolExecutor(1, "starts")
-        self._pending: Future[PreparedStarts] | None = None
+        self._pending: Future[PreparedStarts | None] | None = None
         self._checked: DelayedCopy | None = None  # starts taken, as of the last check
         self._steps = 0
         path = PATH_POINTS if task.has_path else 0
@@ -113,7 +113,7 @@ class Prefetch:
     def close(self) -> None:
         self._pool.shutdown()
 
-    def _prepare(self, wanted: Integers) -> PreparedStarts:
+    def _prepare(self, wanted: Integers) -> PreparedStarts | None:
         """Draw starts until every environment has had as many as wanted (num_envs,)."""
         env_indices, slots, numbers = [], [], []
         while (short := np.nonzero(self._prepared < wanted)[0]).size:
@@ -124,8 +124,7 @@ class Prefetch:
             slots.append(slot)
             numbers.append(drawn)
         if not env_indices:
-            none, empty = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
-            return PreparedStarts(none, none, StartRows(none, empty, empty, empty), empty)
+            return None
         rows, path = self._make_rows(np.concatenate(numbers), ())
         return PreparedStarts(np.concatenate(env_indices), np.concatenate(slots), rows, path)
 
@@ -134,9 +133,9 @@ class Prefetch:
             self._send(self._pending.result())
             self._pending = None
 
-    def _send(self, prepared: PreparedStarts) -> None:
-        """Write starts into the rings."""
-        if len(prepared.env_indices) == 0:
+    def _send(self, prepared: PreparedStarts | None) -> None:
+        """Write starts into the rings, if there are any."""
+        if prepared is None:
             return
         device = self.starts_taken.device
         env_indices, slots = send(prepared.env_indices, device), send(prepared.slots, device)

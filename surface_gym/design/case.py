@@ -479,8 +479,14 @@ class Draws:
     def __len__(self) -> int:
         return len(self.parcels)
 
-    def runs(self, speed: float, tilt: float, columns: int, layout: int = 0) -> Runs:
-        """Build one run for each draw, over a layout; `columns` -1: the zone has no end."""
+    def runs(
+        self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
+        friction: ArrayLike = 1.0,
+    ) -> Runs:  # fmt: skip
+        """Build one run for each draw, over a layout; `columns` -1: the zone has no end.
+
+        Of speeds and tilts (points, 1), and factors of friction (points, 1, 3): for each in turn.
+        """
         every = np.arange(len(self))
         return running.make_runs(
             speed=np.maximum(0.0, speed + self.speed),
@@ -488,7 +494,7 @@ class Draws:
             layout=layout,
             stiffness=every if self.stiffness is not None else 0,
             parcel=every if len(set(self.parcels)) > 1 else 0,
-            friction=self.friction,
+            friction=np.reshape(np.multiply(friction, self.friction), (-1, 3)),
             lateral=self.lateral,
             heading=self.heading,
             columns=columns,

@@ -4,11 +4,11 @@ import math
 import sys
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tyro
@@ -37,13 +37,7 @@ MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 Unknown = design.Unknown
 
-# Flags that a purpose takes besides --side.
-PURPOSE_FLAGS = {
-    "sort": (),
-    "slow": ("ratio", "tolerance"),
-    "stop": ("place", "tolerance"),
-    "turn": ("angle_deg", "tolerance"),
-}
+PURPOSES: tuple[Any, ...] = (design.Sort, design.Slow, design.Stop, design.Turn)
 
 
 @dataclass(frozen=True)
@@ -128,10 +122,12 @@ class Question:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
     """Folder for the tables and the figure."""
 
+    file: ClassVar[str | None] = None
+
     @property
     def checkpoint(self) -> Path | None:
         """File that keeps the state, to be resumed; None: the answer takes seconds."""
-        return None
+        return None if self.file is None else self.out / self.file
 
     @abstractmethod
     def answer(self, on_progress: runs.OnProgress) -> Answer:
@@ -203,20 +199,19 @@ class Question:
             for name in ("ratio", "place", "angle_deg", "tolerance")
             if getattr(self, name) is not None
         }
+        kind = next(kind for kind in PURPOSES if kind.name == self.purpose)
+        own = {each.name for each in fields(kind)}
         for name in given:
-            if name not in PURPOSE_FLAGS[self.purpose]:
+            if name.removesuffix("_deg") not in own:
                 raise ValueError(f"{name} must not be given to {self.purpose}")
+        if self.purpose == "stop" and set(given) == {"tolerance"}:
+            raise ValueError("tolerance must be given with --place only, to stop")
         if self.purpose == "sort":
-            return design.Sort(-1 if self.side == "right" else 1)
-        if self.purpose == "slow":
-            return design.Slow(**given)
-        if self.purpose == "stop":
-            if set(given) == {"tolerance"}:
-                raise ValueError("tolerance must be given with --place only, to stop")
-            return design.Stop(**given)
-        return design.Turn(
-            **{name.removesuffix("_deg"): math.radians(value) for name, value in given.items()}
-        )
+            given["side"] = -1 if self.side == "right" else 1
+        if self.purpose == "turn":
+            given = {name.removesuffix("_deg"): math.radians(x) for name, x in given.items()}
+        found: design.Purpose = kind(**given)
+        return found
 
     def _pitch(self) -> float | tuple[float, float]:
         parts = _numbers("pitch", self.pitch.split("x"))
@@ -295,21 +290,17 @@ class AskMap(Question):
     resume: bool = False
     """Resume an interrupted map from its map.npz in --out."""
 
+    file = "map.npz"
+
     def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         checks.integer("cells", self.cells, least=1)
         ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
-        if not self.resume:
-            self.checkpoint.unlink(missing_ok=True)
         return design.success_map(
             case, self.columns, np.linspace(*ends, self.cells).tolist(),
             np.linspace(*self.sizes, self.cells).tolist(), self.rows, self.shared_by,
             self.checkpoint, on_progress,
         )  # fmt: skip
-
-    @property
-    def checkpoint(self) -> Path:
-        return self.out / "map.npz"
 
 
 @dataclass(frozen=True)
@@ -337,6 +328,8 @@ class AskLayout(Question):
     resume: bool = False
     """Resume an interrupted search from its layout.npz in --out."""
 
+    file = "layout.npz"
+
     def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
         least, most = self.speeds
@@ -344,18 +337,12 @@ class AskLayout(Question):
         if not least <= most:
             raise ValueError(f"speeds must be the least and the most, got {self.speeds!r}")
         speeds = least + step * np.arange(math.floor((most - least) / step + 1e-6) + 1)
-        if not self.resume:
-            self.checkpoint.unlink(missing_ok=True)
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
             self.rows, None if self.any_angle else lines.ORIENTATIONS,
             search.Effort(members=self.members, epochs=self.epochs), self.shared_by,
             self.checkpoint, on_progress,
         )  # fmt: skip
-
-    @property
-    def checkpoint(self) -> Path:
-        return self.out / "layout.npz"
 
 
 @dataclass(frozen=True)
@@ -410,6 +397,8 @@ def ask(question: Question) -> None:
     """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
     question.case()  # errors come before the folder is made
     question.out.mkdir(parents=True, exist_ok=True)
+    if question.checkpoint is not None and not getattr(question, "resume", False):
+        question.checkpoint.unlink(missing_ok=True)
     started = perf_counter()
     answer = _find_answer(question)
     took = perf_counter() - started
@@ -439,11 +428,9 @@ def _find_answer(question: Question) -> Answer:
         *bars, console=console, transient=True, disable=not console.is_terminal
     ) as progress:
         bar = progress.add_task("", total=None)
-
-        def on_progress(done: int, total: int) -> None:
-            progress.update(bar, completed=done, total=total)
-
-        return question.answer(on_progress)
+        return question.answer(
+            lambda done, total: progress.update(bar, completed=done, total=total)
+        )
 
 
 def _screen_table(table: Table) -> ScreenTable:

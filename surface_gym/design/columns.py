@@ -8,7 +8,7 @@ import numpy as np
 
 from surface_gym import checks, parallel
 from surface_gym.design import report
-from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Draws, Purpose, is_reliable
+from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Purpose, is_reliable
 from surface_gym.design.runs import DesignLine, OnProgress, make_runs
 from surface_gym.physics.types import Array, Integers
 
@@ -138,10 +138,8 @@ def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
         lost = tuple(Worst(group, None, 0.0) for group in case.unknown.groups)
         return Columns(line.rows, None, "-", None, math.nan, 0.0, lost)
     first = int(done.argmax())
-    worst = []
-    for group in case.unknown.groups:
-        drawn = case.draw(line, case.unknown.only(group))
-        worst.append(_worst_leaving(case, line, axes, used, first, group, drawn, workers))
+    groups = case.unknown.groups
+    worst = [_worst_leaving(case, line, axes, used, first, group, workers) for group in groups]
     return Columns(
         rows=line.rows, columns=int(used[first]), layout=layouts[first].name,
         fewest=int(used[first]), measure=float(case.purpose.measure(ends)[first]),
@@ -151,9 +149,10 @@ def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
-    drawn: Draws, workers: parallel.Workers,
+    workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
     """Find the first layout, from the nominal one on, that serves all but `WORST` of the draws."""
+    drawn = case.draw(line, case.unknown.only(group))
 
     def share(which: int) -> float:
         runs = drawn.runs(case.speed, case.tilt, int(used[which]), which)

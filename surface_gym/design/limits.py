@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from surface_gym import checks, parallel
 from surface_gym.design import report, runs
 from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
-from surface_gym.design.sweep import Arrangement, SweepPoints, arrange, repeat_case, success_shares
+from surface_gym.design.sweep import Arrangement, arrange, success_shares
 from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
@@ -303,10 +303,10 @@ def friction_range(
         question = f"How far may {name} be off for it to"
         quantity = Quantity(f"friction_{name}", f"factor on {name}", "-", 1.0, question)
 
-        def at(values: Array) -> SweepPoints:
-            points = repeat_case(case, len(values))
-            points.friction[:, place] = values
-            return points
+        def at(values: Array) -> runs.Runs:
+            friction = np.ones((len(values), 3))
+            friction[:, place] = values
+            return runs.make_runs(np.full(len(values), case.speed), case.tilt, friction=friction)
 
         def half(done: int, total: int) -> None:
             on_progress(place * total + done, 2 * total)
@@ -341,16 +341,16 @@ def _sweep(
         apart = np.abs(multiples - own) > 0.01 * step
         grids.append(np.unique(np.append(multiples[apart].round(9), own)))
 
-    def at(values: Array) -> SweepPoints:
-        swept: dict[str, Array] = {quantity.name: values}
-        return replace(repeat_case(case, len(values)), **swept)
+    def at(values: Array) -> runs.Runs:
+        swept: dict[str, Any] = {"speed": case.speed, "tilt": case.tilt, quantity.name: values}
+        return runs.make_runs(**swept)
 
     return _limits(arrangement, quantity, own, grids, case.unknown, at, workers, on_progress)
 
 
 def _limits(
     arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
-    at: Callable[[Array], SweepPoints], workers: parallel.Workers, on_progress: runs.OnProgress,
+    at: Callable[[Array], runs.Runs], workers: parallel.Workers, on_progress: runs.OnProgress,
 ) -> Limits:  # fmt: skip
     """Find the span of each group, on the first grid with nothing unknown, else on the second."""
     groups = {

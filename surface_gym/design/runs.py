@@ -200,12 +200,6 @@ def make_runs(
     )  # fmt: skip
 
 
-def join_runs(runs: Sequence[Runs]) -> Runs:
-    """Concatenate runs."""
-    names = Runs.__dataclass_fields__
-    return Runs(**{name: np.concatenate([getattr(part, name) for part in runs]) for name in names})
-
-
 @dataclass(frozen=True, eq=False)
 class Ends:
     """Results of runs, a row each."""

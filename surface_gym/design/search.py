@@ -103,10 +103,8 @@ class Effort:
     rounds: int = 3  # over all columns, of the descent; fewer if one changes nothing
 
     def __post_init__(self) -> None:
-        checks.integer("members", self.members, least=5)
-        checks.integer("generations", self.generations, least=1)
-        checks.integer("epochs", self.epochs, least=0)
-        checks.integer("rounds", self.rounds, least=0)
+        for name, least in (("members", 5), ("generations", 1), ("epochs", 0), ("rounds", 0)):
+            checks.integer(name, getattr(self, name), least)
 
 
 @dataclass(frozen=True, eq=False)

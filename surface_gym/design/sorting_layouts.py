@@ -5,7 +5,7 @@
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -109,44 +109,41 @@ def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLay
         part.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
-@dataclass(frozen=True)
-class SearchOptions:
+def main(
+    file: Path = Path(__file__).parent / FILE,
+    offers: tuple[str, ...] = tuple(OFFERS),
+    checkpoints: Path = Path("runs/design/ship"),
+    workers: int = parallel.usable_cores(),
+    cluster: str | None = None,
+) -> None:
     """Search the fixed layouts that sort the study's boxes best, and write them to a file.
 
     Takes about six minutes on two cores. An interrupted search is resumed from its checkpoints.
+
+    Args:
+        file: to write; else the one that ships.
+        offers: orientations to choose from, "four", "eight" or "any".
+        checkpoints: folder of the searches' states.
+        workers: threads that share the runs; the result does not depend on their number.
+        cluster: address of a Ray cluster that shares the runs instead, "auto" for this machine's.
     """
-
-    file: Path = Path(__file__).parent / FILE
-    """File to write; else the one that ships."""
-    offers: tuple[str, ...] = tuple(OFFERS)
-    """Orientations to choose from: four, eight or any."""
-    checkpoints: Path = Path("runs/design/ship")
-    """Folder of the searches' states."""
-    workers: int = field(default_factory=parallel.usable_cores)
-    """Threads that share the runs; the result does not depend on their number."""
-    cluster: str | None = None
-    """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
-
-
-def main() -> None:
-    """Search the layouts with a progress bar, and write them."""
-    import tyro
     from rich.console import Console
     from rich.progress import Progress
 
-    options = tyro.cli(SearchOptions, prog="python -m surface_gym.design.sorting_layouts")
     with Progress(console=Console(stderr=True), transient=True) as progress:
         bar = progress.add_task("searching", total=None)
         found = find_sorting_layouts(
-            options.offers,
-            workers=parallel.choose_workers(options.cluster, options.workers),
-            checkpoints=options.checkpoints,
+            offers,
+            workers=parallel.choose_workers(cluster, workers),
+            checkpoints=checkpoints,
             on_progress=lambda done, total: progress.update(bar, completed=done, total=total),
         )
-    write_sorting_layouts(options.file, found)
+    write_sorting_layouts(file, found)
     for (size, offer), layout in found.items():
         print(f"{size}-box, {offer}: sorts from {layout.best.least_speed:g} m/s on")
 
 
 if __name__ == "__main__":
-    main()
+    import tyro
+
+    tyro.cli(main, prog="python -m surface_gym.design.sorting_layouts")

@@ -49,27 +49,6 @@ class Arrangement:
         return self.case.run(self.line, axes, runs, drawn, workers, on_progress)
 
 
-@dataclass(frozen=True, eq=False)
-class SweepPoints:
-    """Points of a sweep, a row each."""
-
-    speed: Array  # (points,) [m/s]
-    tilt: Array  # (points,) [rad]
-    friction: Array  # (points, 3) [-] factors of mu_max, mu_min and mu_support
-
-    def __len__(self) -> int:
-        return len(self.speed)
-
-
-def repeat_case(case: cases.Case, count: int = 1) -> SweepPoints:
-    """Return the case itself as so many points."""
-    return SweepPoints(
-        speed=np.full(count, case.speed),
-        tilt=np.full(count, case.tilt),
-        friction=np.ones((count, 3)),
-    )
-
-
 def arrange(
     case: cases.Case,
     columns: int | None = None,
@@ -92,7 +71,7 @@ def arrange(
     ]
     if len(tried) == 1:
         return tried[0]
-    point = repeat_case(case)
+    point = running.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> tuple[float, ...]:
         """Return the success with nothing unknown, and the share of the draws that succeed."""
@@ -107,16 +86,18 @@ def arrange(
 def success_shares(
     arrangement: Arrangement,
     drawn: cases.Draws,
-    points: SweepPoints,
+    points: running.Runs,
     workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Array:
-    """Return the share (points,) of the draws that succeed, with the same draws at every point."""
-    each_point = []
-    for k in range(len(points)):
-        runs = drawn.runs(float(points.speed[k]), float(points.tilt[k]), arrangement.passed)
-        each_point.append(replace(runs, friction=runs.friction * points.friction[k]))
-    runs = running.join_runs(each_point)
+    """Return the share (points,) of the draws that succeed, with the same draws at every point.
+
+    Of the points, speed, tilt and friction count.
+    """
+    speed, tilt, factors = (
+        values[:, np.newaxis] for values in (points.speed, points.tilt, points.friction)
+    )
+    runs = drawn.runs(speed, tilt, arrangement.passed, friction=factors)
     ends = arrangement.run(drawn, runs, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
     return done.reshape(len(points), len(drawn)).mean(axis=1)
@@ -446,7 +427,7 @@ def success_map(
     drawn = [case.draw(whole, unknown) for unknown in (groups[0], groups[-1])]
     counts = [len(over) * len(each) for each in drawn]
     progress = running.split_progress(on_progress, counts * len(factors))
-    points = replace(repeat_case(case, len(over)), speed=over)
+    points = running.make_runs(over, case.tilt)
     for row, size in enumerate(factors.tolist()):
         if not np.isnan(found[0, row, 0]):
             continue

@@ -11,7 +11,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import layouts, simulation
 from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipping_share
@@ -133,45 +132,36 @@ class SelfStop:
     study: float | None  # [deg] as Section 6.2 says; None: it does not speak of this layout
 
 
-def uniform_field(tilt: float) -> Surface:
-    """Build axes at +45 deg on a wide field tilted by `tilt` [rad]."""
-    return _field(np.full((ELEMENTS, ELEMENTS), 0.25 * math.pi), tilt)
-
-
-def alternate_field(tilt: float) -> Surface:
-    """Build axes at +45 and -45 deg in alternate rows of a wide field, tilted by `tilt` [rad]."""
-    rows = np.where(np.arange(ELEMENTS) % 2, 0.25 * math.pi, -0.25 * math.pi)
-    return _field(np.tile(rows[:, np.newaxis], ELEMENTS), tilt)
-
-
-def _field(axis: NDArray[np.float64], tilt: float) -> Surface:
+def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
+    """Build a field tilted by `tilt` [rad], its rows in turn at 45 deg times these signs."""
+    axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
 
 def study_standstill(track: Track) -> tuple[SelfStop, ...]:
     """Measure both fields by both methods."""
-    surface = uniform_field(0.0)
+    surface = wide_field((1,), 0.0)
     printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
     rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))
     both = math.degrees(math.atan(math.sqrt(0.5) * (surface.mu_max + surface.mu_min)))
     fields = (
-        ("+45° everywhere", uniform_field, rolling, printed),
-        ("±45° in alternate rows", alternate_field, both, None),
+        ("+45° everywhere", (1,), rolling, printed),
+        ("±45° in alternate rows", (-1, 1), both, None),
     )
     return tuple(
-        SelfStop(name, integration, steepest_stop(field, integration), expected, study)
-        for (name, field, expected, study), integration in track(
+        SelfStop(name, integration, steepest_stop(signs, integration), expected, study)
+        for (name, signs, expected, study), integration in track(
             tuple(product(fields, METHODS)), "Self-stopping"
         )
     )
 
 
-def steepest_stop(field: Callable[[float], Surface], integration: Integration) -> float:
-    """Find by bisection the tilt [deg] at which a pushed box just stops by itself."""
+def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
+    """Find by bisection the tilt [deg] of a field at which a pushed box just stops by itself."""
     low, high = 0.0, STEEPEST
     while high - low > RESOLUTION:
         middle = 0.5 * (low + high)
-        if _stops(field(math.radians(middle)), integration):
+        if _stops(wide_field(signs, math.radians(middle)), integration):
             low = middle
         else:
             high = middle

@@ -244,7 +244,7 @@ def build_stopping(targets: Targets, track: claims.Track) -> Table:
     """Compare the speed left behind Table 4's layout and one more column with the paper's 0."""
     cells = []
     for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
-        surface = runs.stopping_surface(size, layout)
+        surface = runs.slowing_surface(size, layout, stops=True)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
         cells.append(_cell(speed, size, 0.0, exits, 3))
     return Table(

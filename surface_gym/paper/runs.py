@@ -332,16 +332,14 @@ def slowest_sorted(size: str, integration: Integration) -> Found:
 # Sections 5.2 and 5.3: slowing and stopping
 
 
-def slowing_surface(size: str, layout: SlowingLayout) -> Surface:
-    """Build the layout with as many columns at 90 deg behind the slowing area as before it."""
-    columns = layout.columns + 2 * layouts.LEAD_IN[size]
-    return layouts.slowing(size, math.radians(layout.angle), layout.columns, columns=columns)
+def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
+    """Build the layout with as many columns at 90 deg behind the slowing area as before it.
 
-
-def stopping_surface(size: str, layout: SlowingLayout) -> Surface:
-    """Build the same with one more column, at 0 deg, at the end of the slowing area."""
-    columns = layout.columns + 1 + 2 * layouts.LEAD_IN[size]
-    return layouts.stopping(size, math.radians(layout.angle), layout.columns, columns=columns)
+    One that stops has one more column, at 0 deg, at the end of that area.
+    """
+    build = layouts.stopping if stops else layouts.slowing
+    columns = layout.columns + stops + 2 * layouts.LEAD_IN[size]
+    return build(size, math.radians(layout.angle), layout.columns, columns=columns)
 
 
 class Exit(NamedTuple):
@@ -352,7 +350,7 @@ class Exit(NamedTuple):
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
-    """Send a box over the task's columns of a `slowing_surface` or `stopping_surface`."""
+    """Send a box over the task's columns of a `slowing_surface`."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

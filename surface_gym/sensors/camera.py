@@ -8,7 +8,7 @@ from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics
-from surface_gym.state import NOISE_ROWS, EnvState
+from surface_gym.state import EnvState
 
 FRAMES = 16  # that can be under way at a time
 MOST_LATE = 8  # frames, however the periods are rounded
@@ -60,32 +60,16 @@ class Camera(kalman.Observer):
     turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
+    rate = ("frame_rate", "frame")
     sensor_size = kalman.LAST + FRAMES * FRAME_SIZE
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.positive("frame_rate", self.frame_rate, *checks.FRAME_RATE)
-        for name in ("acceleration_density", "turn_density"):
-            checks.positive(name, getattr(self, name), *checks.DENSITY)
         checks.not_negative("position_noise", self.position_noise, checks.POSITION_ERROR)
         checks.not_negative("angle_noise", self.angle_noise, checks.ANGLE_ERROR)
-        checks.not_negative("friction_error", self.friction_error, checks.FRICTION_ERROR)
-        checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
-        if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
-            raise ValueError(f"drop must be less than 1, got {self.drop!r}")
         if self.latency is not None:
             checks.within("latency", self.latency, 0.0, MOST_LATE / self.frame_rate)
-        if not isinstance(self.entry, Entry):
-            raise ValueError(f"entry must be an Entry, got {self.entry!r}")
-
-    def frame_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from frame to frame."""
-        steps = round(1.0 / (self.frame_rate * dt))
-        if steps == 0:
-            raise ValueError(
-                f"frame_rate must be at most one frame a physics step, {1.0 / dt:g} Hz, "
-                f"got {self.frame_rate!r}"
-            )
-        return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
         """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
@@ -95,16 +79,6 @@ class Camera(kalman.Observer):
             every, lag, self.position_noise, self.angle_noise, self.drop, self.acceleration_density,
             self.turn_density, self.friction_error, *self.entry.params,
         )  # fmt: skip
-
-    def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a frame."""
-        frames = math.ceil(steps / self.frame_steps(dt))
-        if frames > NOISE_ROWS:
-            raise ValueError(
-                f"frame_rate must be at most {NOISE_ROWS} frames a control period, "
-                f"got {self.frame_rate!r} Hz in {steps * dt:g} s"
-            )
-        return frames
 
     @staticmethod
     @kernel_function

@@ -10,7 +10,9 @@ contacts: friction grows with the factor, and a load that lies elsewhere leans o
 
 import math
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
+from surface_gym import checks
 from surface_gym.lines import BaseLine
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded
@@ -18,8 +20,8 @@ from surface_gym.physics.friction import friction_gradient
 from surface_gym.physics.jit import inlined, kernel_function
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Body, Grid, Scratch
-from surface_gym.sensors.base import LEARNED, Physics, Sensor, enter
-from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, EnvState
+from surface_gym.sensors.base import LEARNED, Entry, Physics, Sensor, enter
+from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, NOISE_ROWS, EnvState
 
 SIZE = 6  # of pose and velocity
 COVARIANCE = ph.STATE_SIZE  # first column; row by row
@@ -32,6 +34,7 @@ LAST = DECAY + 9
 DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(4)
 
 FRICTION_ERROR_TIME = 0.04  # [s] for which friction errs alike, a control period
+FRICTIONS = ("mu_max", "mu_min", "mu_support")  # that an observer may assume; None: the line's own
 STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
 
 
@@ -40,11 +43,49 @@ class Observer(Sensor):
     """A sensor that estimates pose and velocity by prediction and correction."""
 
     watches = True
+    rate: ClassVar[tuple[str, str]]  # the field that holds it [Hz], and what comes at that rate
+
+    def __post_init__(self) -> None:
+        sensor: Any = self  # with fields that each observer has, defaults of its own
+        for name in ("acceleration_density", "turn_density"):
+            checks.positive(name, getattr(self, name), *checks.DENSITY)
+        checks.not_negative("friction_error", sensor.friction_error, checks.FRICTION_ERROR)
+        for name in FRICTIONS:
+            if getattr(self, name) is not None:
+                checks.not_negative(name, getattr(self, name), checks.FRICTION)
+        if None not in (sensor.mu_max, sensor.mu_min):
+            checks.rolling(sensor.mu_max, sensor.mu_min)
+        if checks.within("drop", sensor.drop, 0.0, 1.0) == 1.0:
+            raise ValueError(f"drop must be less than 1, got {sensor.drop!r}")
+        if not isinstance(sensor.entry, Entry):
+            raise ValueError(f"entry must be an Entry, got {sensor.entry!r}")
+
+    def frame_steps(self, dt: float) -> int:
+        """Return the physics steps of `dt` [s] from one frame or sample to the next."""
+        name, each = self.rate
+        steps = round(1.0 / (getattr(self, name) * dt))
+        if steps == 0:
+            raise ValueError(
+                f"{name} must be at most one {each} a physics step, {1.0 / dt:g} Hz, "
+                f"got {getattr(self, name)!r}"
+            )
+        return steps
+
+    def draws(self, dt: float, steps: int) -> int:
+        """Return one row of noise a frame or sample."""
+        name, each = self.rate
+        count = math.ceil(steps / self.frame_steps(dt))
+        if count > NOISE_ROWS:
+            raise ValueError(
+                f"{name} must be at most {NOISE_ROWS} {each}s a control period, "
+                f"got {getattr(self, name)!r} Hz in {steps * dt:g} s"
+            )
+        return count
 
     def friction(self, line: BaseLine) -> Array:
         """Return the line's friction where a coefficient is None, else the same everywhere."""
         assumed = line.friction.copy()
-        for k, name in enumerate(("mu_max", "mu_min", "mu_support")):
+        for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
                 assumed[:, :, k] = getattr(self, name)
         return assumed

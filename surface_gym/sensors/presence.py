@@ -9,8 +9,8 @@ from surface_gym.physics.types import GYRATION, OMEGA, RADIUS, THETA, VX, VY, Ar
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import Entry, Physics
 from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Observer
-from surface_gym.sensors.switches import agree, is_any_pressed, take_contradictions, take_switches
-from surface_gym.state import GRAVITY_ALONG, NOISE_ROWS, EnvState
+from surface_gym.sensors.switches import agree, mean_of_pressed, take_contradictions, take_switches
+from surface_gym.state import GRAVITY_ALONG, EnvState
 
 SURE = 3.0  # standard deviations of an entry that count
 # [-] of the energy that a load over the centroid has at most: over one off centre the centroid is
@@ -116,46 +116,20 @@ class Presence(Observer):
     tolerance: float = 0.001  # [m] of where a sensor switches
     entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
 
+    rate = ("sample_rate", "sample")
     sensor_size = ENERGY + 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         checks.positive("sample_rate", self.sample_rate, *checks.FRAME_RATE)
         checks.positive("tolerance", self.tolerance, *checks.TOLERANCE)
-        for name in ("acceleration_density", "turn_density"):
-            checks.positive(name, getattr(self, name), *checks.DENSITY)
-        checks.not_negative("friction_error", self.friction_error, checks.FRICTION_ERROR)
-        checks.assumed_friction(self.mu_max, self.mu_min, self.mu_support)
-        if checks.within("drop", self.drop, 0.0, 1.0) == 1.0:
-            raise ValueError(f"drop must be less than 1, got {self.drop!r}")
-        if not isinstance(self.entry, Entry):
-            raise ValueError(f"entry must be an Entry, got {self.entry!r}")
-
-    def sample_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from sample to sample."""
-        steps = round(1.0 / (self.sample_rate * dt))
-        if steps == 0:
-            raise ValueError(
-                f"sample_rate must be at most one sample a physics step, {1.0 / dt:g} Hz, "
-                f"got {self.sample_rate!r}"
-            )
-        return steps
 
     def numbers(self, dt: float) -> tuple[float, ...]:
         """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (
-            self.sample_steps(dt), self.drop, self.tolerance, self.acceleration_density,
+            self.frame_steps(dt), self.drop, self.tolerance, self.acceleration_density,
             self.turn_density, self.friction_error, *self.entry.params,
         )  # fmt: skip
-
-    def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a sample."""
-        samples = math.ceil(steps / self.sample_steps(dt))
-        if samples > NOISE_ROWS:
-            raise ValueError(
-                f"sample_rate must be at most {NOISE_ROWS} samples a control period, "
-                f"got {self.sample_rate!r} Hz in {steps * dt:g} s"
-            )
-        return samples
 
     @staticmethod
     @kernel_function
@@ -181,7 +155,7 @@ class Presence(Observer):
         tolerance = numbers[TOLERANCE]
         take_switches(state, state.sensor_state[SAMPLED : SAMPLED + 3], interval, tolerance)
         # Where no switch is pressed it is not known where the parcel has left the rotors to.
-        if is_any_pressed(state) and take_contradictions(state, tolerance) > 0.0:
+        if mean_of_pressed(state)[0] > 0 and take_contradictions(state, tolerance) > 0.0:
             agree(state, tolerance)
         keep_possible(state, state.sensor_state[ENERGY])
         _keep_sample(state, state.steps)

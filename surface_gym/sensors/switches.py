@@ -298,20 +298,6 @@ def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
     return pressed, x * per_module, y * per_module
 
 
-@kernel_function
-def is_any_pressed(state: EnvState) -> bool:
-    """Return whether any switch is pressed."""
-    truth = state.truth
-    cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
-    first_row, last_row = rows_of_both(state, truth[1], truth[1])
-    for row in range(first_row, last_row + 1):
-        first, last = covered_columns(state, row, truth[0], truth[1], cosine, sine)
-        for column in range(first, last + 1):
-            if state.rotor[row, column]:
-                return True
-    return False
-
-
 MOVES = 60  # of an estimate, a module each, before it is started over
 # [-] square of the length, over the base's radius, by which a turn counts as a displacement: the
 # longer, the rather a pose is shifted than turned. Headings err less than positions do.

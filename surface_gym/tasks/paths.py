@@ -123,27 +123,6 @@ class Spline(_Through):
         return CubicSpline(along, across, bc_type="natural")(x)
 
 
-@dataclass(frozen=True)
-class Laid:
-    """A path laid onto a line: moved with it, and cut where it ends."""
-
-    path: Path
-    ahead: float  # [m] moved in x
-    aside: float  # [m] moved in y
-    last: float  # [m] x beyond which there is none
-
-    @property
-    def start(self) -> float:
-        return self.path.start + self.ahead
-
-    @property
-    def end(self) -> float:
-        return min(self.path.end + self.ahead, self.last)
-
-    def y(self, x: Numbers) -> Numbers:
-        return self.path.y(x - self.ahead) + self.aside
-
-
 def _random_sine(numbers: Numbers) -> Sine:
     side = 1.0 if numbers[0] < 0.5 else -1.0
     return Sine(side * (0.1 + 0.1 * numbers[1]), 1.8 + 1.4 * numbers[2])
@@ -211,8 +190,3 @@ def path_option(value: Any) -> Path:
     except ValueError as error:
         names = ", ".join(kind.__name__ for kind in _CLASSES)
         raise ValueError(f"path must be a {names} or points (n, 2): {error}") from None
-
-
-def sample(path: Path, points: int) -> Numbers:
-    """Return y [m] (points,) of the path, evenly spaced in x from its start to its end."""
-    return path.y(np.linspace(path.start, path.end, points))

@@ -179,10 +179,8 @@ asked one |
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
         tilt = draw.within("tilt", between(*self.tilts, slant), 0.0, HIGHEST_TILT)
         parcel = draw.parcel(self.parcels, size)
-        paths = self._paths(draw, which)
-        first = np.array([path.start for path in paths])
-        step = np.array([path.end - path.start for path in paths]) / (PATH_POINTS - 1)
-        y = np.array([shapes.sample(path, PATH_POINTS) for path in paths])
+        x, y = self._paths(draw, which)
+        first, step = x[:, 0], (x[:, -1] - x[:, 0]) / (PATH_POINTS - 1)
         _check_paths(first, step, y, draw.line)
         slope = (y[:, 1] - y[:, 0]) / step
         vx = speed / np.sqrt(1.0 + slope * slope)
@@ -190,18 +188,21 @@ asked one |
         pose = (first - x0, y[:, 0] - y0, 0.0)
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
-    def _paths(self, draw: Draw, which: Numbers) -> list[shapes.Path]:
-        """Return each start's path: an option, or one drawn and laid onto the line."""
-        first, last, _, _ = draw.line.extent
-        aside = draw.line.line_y - LINE_Y
+    def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
+        """Return x and y [m] (starts, PATH_POINTS) of each start's path: an option, or one drawn,
+        laid onto the line and cut where that ends.
+        """
         given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
-        drawn = enumerate(zip(kinds, draw.numbers[4:].T, strict=True))
-        return [
-            given.get(k)
-            or shapes.Laid(shapes.random_path(kind, numbers), first, aside, last - shapes.START)
-            for k, (kind, numbers) in drawn
-        ]
+        begin, last, _, _ = draw.line.extent
+        laid = begin, draw.line.line_y - LINE_Y, last - shapes.START
+        points = []
+        for k, (kind, numbers) in enumerate(zip(kinds, draw.numbers[4:].T, strict=True)):
+            path = given.get(k) or shapes.random_path(kind, numbers)
+            ahead, aside, end = (0.0, 0.0, path.end) if k in given else laid
+            x = np.linspace(path.start + ahead, min(path.end + ahead, end), PATH_POINTS)
+            points.append((x, path.y(x - ahead) + aside))
+        return np.array([x for x, _ in points]), np.array([y for _, y in points])
 
     def decode(self, seen: Observed) -> "PathObservation":
         pitch = seen.pitch
@@ -431,12 +432,11 @@ class PathObservation:
 
         The grid is the path's first x and its step in x [m], the path its y (PATH_POINTS,) [m].
         """
-        vx, vy = self.velocity
-        return Start(
-            nearest_parcel(parcels, float(self.half_length[0])), (*place, float(self.theta[0])),
-            (float(vx[0]), float(vy[0]), float(self.omega[0])), (float(self.asked_speed[0]), *grid),
-            float(self.tilt[0]), path,
-        )  # fmt: skip
+        vx, vy = (float(each[0]) for each in self.velocity)
+        parcel = nearest_parcel(parcels, float(self.half_length[0]))
+        pose, velocity = (*place, float(self.theta[0])), (vx, vy, float(self.omega[0]))
+        goal = (float(self.asked_speed[0]), *grid)
+        return Start(parcel, pose, velocity, goal, float(self.tilt[0]), path)
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:

@@ -138,38 +138,6 @@ def compute_errors(runs: Sequence[Run], model: Model) -> Errors:
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
 
 
-@dataclass(frozen=True)
-class Target:
-    """A bound that was asked for, and the value it holds for."""
-
-    what: str
-    bound: float
-    measured: float
-    unit: str
-
-    @property
-    def is_reached(self) -> bool:
-        return self.measured <= self.bound
-
-
-def check_targets(sweep: Errors, pushed: Errors) -> tuple[Target, ...]:
-    """Check bounds on MuJoCo against the implicit method at 1 ms."""
-    absolute = np.abs(np.vstack([sweep.absolute, pushed.absolute])).max(axis=0)
-    percent = np.abs(np.vstack([sweep.percent, pushed.percent])).max(axis=0)
-    mean = np.abs(sweep.percent.mean(axis=0))
-    return tuple(
-        Target(f"{what} in {axis}", bound, float(measured), unit)
-        for what, bounds, values, units in (
-            ("worst run", (5.0, 4.0, 2.5), absolute, ("mm", "mm", "deg")),
-            ("worst run", (1.0, 2.5, 6.0), percent, ("%", "%", "%")),
-            ("mean over the tilts", (0.75, 1.5, 2.0), mean, ("%", "%", "%")),
-        )
-        for axis, bound, measured, unit in zip(
-            ("x", "y", "theta"), bounds, values, units, strict=True
-        )
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
     """Errors of Adams against MATLAB that Section 6.2 prints."""

@@ -45,7 +45,6 @@ def _parts(study: Study) -> Iterator[RenderableType]:
     yield _table7((paper.table7, *study.summaries), len(study.sweep))
     yield _single_runs(study)
     yield _beside_adams(study)
-    yield _targets(study)
     found = ", ".join(f"{name} {_degrees(tilt)}" for name, tilt in study.sorts_from.items())
     yield (
         f"No rotor is left under the base after 1 s, so that the sort is complete, from: "
@@ -62,18 +61,6 @@ def _parts(study: Study) -> Iterator[RenderableType]:
 
 def _degrees(tilt: float | None) -> str:
     return "no tilt" if tilt is None else f"{tilt:g} deg"
-
-
-def _targets(study: Study) -> Table:
-    table = make_table("MuJoCo against implicit at 1 ms: bounds", "", "at most", "measured", "")
-    for target in study.targets:
-        table.add_row(
-            target.what,
-            f"{target.bound:g} {target.unit}",
-            f"{target.measured:.2f} {target.unit}",
-            "reached" if target.is_reached else "missed",
-        )
-    return table
 
 
 def _convergence(study: Study) -> Table:
@@ -253,17 +240,11 @@ def as_data(study: Study) -> dict[str, Any]:
             }
             for run in (*study.sweep, study.pushed, study.long)
         ],
-        "targets": [{**asdict(target), "reached": target.is_reached} for target in study.targets],
         "sorts_from_deg": {"Adams, as printed": paper.sorts_from, **study.sorts_from},
         "adams_displacements": {
-            run: dict(
-                zip(
-                    ("low", "high"),
-                    (bound.tolist() for bound in comparison.adams_displacement(run)),
-                    strict=True,
-                )
-            )
+            run: {"low": low.tolist(), "high": high.tolist()}
             for run in ("gamma10", "v09")
+            for low, high in [comparison.adams_displacement(run)]
         },
         "convergence": [
             {
@@ -337,7 +318,7 @@ def draw_all(study: Study, folder: Path) -> list[Path]:
 
 def trajectories(study: Study) -> Figure:
     """Draw Figure 12: plan views of MuJoCo's runs at 10 deg, pushed, and at 5 deg for 1.8 s."""
-    runs = [*_at_ten_degrees(study), study.pushed, study.long]
+    runs = [*_printed_runs(study), study.long]
     figure = Figure(figsize=(4.6 * len(runs), 4.0), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
         _draw_surface(axes, run.case.surface)
@@ -368,7 +349,7 @@ def final_positions(study: Study) -> Figure:
 
 def compared_trajectories(study: Study) -> Figure:
     """Draw Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
-    runs = [*_at_ten_degrees(study), study.pushed]
+    runs = _printed_runs(study)
     figure = Figure(figsize=(5.5 * len(runs), 4.6), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
         _draw_surface(axes, run.case.surface)
@@ -432,11 +413,6 @@ def end_places(spreads: Sequence[Spread]) -> Figure:
         axes.grid(alpha=0.3)
     grid.flat[0].legend(fontsize="small")
     return figure
-
-
-def _at_ten_degrees(study: Study) -> list[comparison.Run]:
-    """Find the run of Figure 12a, if the sweep holds it."""
-    return [run for run in study.sweep if run.case.tilt == 10.0]
 
 
 def _row(figure: Figure, panels: int) -> Sequence[Any]:

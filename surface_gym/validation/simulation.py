@@ -386,13 +386,7 @@ def simulate_together(
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
-    """Find the elements under a base, (rows, columns): Section 3.2's F_lambda <= 0.
-
-    Args:
-        surface: the surface.
-        parcel: the parcel.
-        pose: (x, y, theta) [m, m, rad] of the base's frame.
-    """
+    """Find the elements (rows, columns) under a base at a pose: Section 3.2's F_lambda <= 0."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
     dx, dy = np.meshgrid(surface.x - x, surface.y - y)
     cosine, sine = math.cos(theta), math.sin(theta)

@@ -104,7 +104,7 @@ def test_a_rolling_box_is_slowed_as_the_balance_says(degrees):
     """Half of gravity lies across the axes, against it the rolling friction alone."""
     tilt, side = math.radians(degrees), 0.2 * math.sqrt(0.5)
     start, velocity = (2.0, 6.0, 0.0), (side, -side, 0.0)
-    run = sg.simulate(claims.uniform_field(tilt), BOX, start, velocity, 1.0, dt=1e-3)
+    run = sg.simulate(claims.wide_field((1,), tilt), BOX, start, velocity, 1.0, dt=1e-3)
     gained = math.hypot(*run.velocity[-1, :2]) - 0.2
     balance = 9.81 * (math.sqrt(0.5) * math.sin(tilt) - 0.01 * math.cos(tilt))
     assert gained == pytest.approx(balance, rel=1e-3)

@@ -29,7 +29,6 @@ from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, Sort, success_map
 from surface_gym.parallel import Cluster, WorkFailed, choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
-from surface_gym.ray_executor import Build
 from tests.agents.tuning.cheap import searched
 from tests.agents.tuning.test_study import SWEEP
 from tests.parallel import jobs
@@ -143,7 +142,8 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_p
 
 
 def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch):
-    monkeypatch.setattr(ray_executor, "own_build", lambda: Build("0.0.1", "c0de", "9a9e"))
+    other = "version 0.0.1 (code c0de, policies 9a9e)"
+    monkeypatch.setattr(ray_executor, "own_build", lambda: other)
     named = r"has surface_gym version .* \(code .*version 0\.0\.1 \(code c0de, policies 9a9e\)"
     with pytest.raises(WorkFailed, match=named):
         dict(map_jobs([partial(jobs.draws, 0)], cluster))

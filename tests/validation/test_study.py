@@ -33,14 +33,14 @@ def test_errors_are_those_of_eq_5_and_a_summary_is_mean_and_sample_deviation():
     np.testing.assert_allclose(summary.absolute, 10.0 * summary.percent)
 
 
-def test_the_papers_numbers_are_read_and_targets_take_the_worst_run_and_the_mean():
-    absolute = np.array([[1.0, -2.0, 0.5], [-3.0, 1.0, 0.5]])
-    sweep = Errors(absolute, np.array([[0.5] * 3, [-0.7] * 3]))
-    pushed = Errors(np.array([[0.0, 6.0, 0.0]]), np.zeros((1, 3)))
-    found = comparison.check_targets(sweep, pushed)
-    measured = [target.measured for target in found]
-    np.testing.assert_allclose(measured, [3.0, 6.0, 0.5, 0.7, 0.7, 0.7, 0.1, 0.1, 0.1])
-    assert [target.what for target in found if not target.is_reached] == ["worst run in y"]
+def test_mujoco_and_the_implicit_method_agree_on_both_runs(tilted, pushed):
+    error = comparison.compute_errors([tilted, pushed], lambda run: run.implicit)
+    assert (np.abs(error.absolute) <= (5.0, 4.0, 2.5)).all()
+    assert (np.abs(error.percent) <= (1.0, 2.5, 6.0)).all()
+    assert (np.abs(error.percent[0]) <= (0.75, 1.5, 2.0)).all()
+
+
+def test_the_papers_numbers_are_read():
     paper = comparison.load_paper_errors()
     np.testing.assert_array_equal(paper.table7.percent, [[0.02, 1.41, -4.47], [0.44, 3.48, 4.36]])
     np.testing.assert_array_equal(paper.table7.absolute, [[0.12, 0.25, 0.96], [1.5, 5.2, 1.02]])
@@ -124,14 +124,12 @@ def test_the_report_holds_every_part(found, tmp_path):
         "1 of them tip in MuJoCo", "What this cannot show: the base is flat",
     ):  # fmt: skip
         assert part in text
-    assert text.count("reached") == 9
     assert "…" not in text  # nothing is cut off at 80 columns
 
 
 def test_the_data_is_json_and_every_figure_is_drawn(found, tmp_path):
     data = json.loads(json.dumps(as_data(found)))
     assert data["runs"][0]["mujoco"] == pytest.approx([0.451, -0.214, -26.4], rel=0.01)
-    assert [target["reached"] for target in data["targets"]] == [True] * 9
     assert len(data["uneven_supports"]) == len(drawn.CASES) * len(drawn.UNEVEN)
     assert [each["tips_in_mujoco"] for each in data["meetings"]] == [False, True, False]
     np.testing.assert_allclose(data["meetings"][2]["error_mm_mm_deg"], found.meetings[2].analytic)
