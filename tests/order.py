@@ -3,10 +3,12 @@
 # By the beginning of their names: those that compile most, then those that take longest. Whoever
 # comes later finds the code compiled, and short tests at the end leave no processor waiting.
 FIRST = (
+    # Each of these three compiles what others need, which wait for it if they begin beside it.
+    "tests/flow/test_env.py::TestEpisodes",
     "tests/test_vector_env.py::TestBesideSingles",
+    "tests/test_axes.py",
     "tests/flow/test_env.py",
     "tests/test_env.py",
-    "tests/test_axes.py",
     "tests/agents/rules/",
     "tests/test_own.py",
     "tests/agents/test_programs.py",

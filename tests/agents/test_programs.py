@@ -1,7 +1,6 @@
 """train.py and evaluate.py, from the command line to the folders they leave; users' tasks too."""
 
 import io
-import os
 import re
 import runpy
 import subprocess
@@ -23,20 +22,10 @@ from surface_gym.tasks import TASKS
 ROOT = Path(__file__).parents[2]
 
 
-def run_program(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a program in a process of its own."""
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def run_in_process(program: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a program in this process, which has its imports, with one processor.
+def run_in_process(
+    program: str, *arguments: str, folder: Path, cores: int = 1
+) -> subprocess.CompletedProcess[str]:
+    """Run a program in this process, which has its imports, with some of the processors.
 
     An error that is raised instead of reported is raised here too.
     """
@@ -45,7 +34,7 @@ def run_in_process(program: str, *arguments: str, folder: Path) -> subprocess.Co
         patch.chdir(folder)
         patch.setenv("COLUMNS", "100")
         patch.setattr(sys, "argv", [program, *arguments])
-        patch.setattr("surface_gym.agents.train_cli.usable_cores", lambda: 1)
+        patch.setattr("surface_gym.agents.train_cli.usable_cores", lambda: cores)
         try:
             runpy.run_path(str(ROOT / program), run_name="__main__")
         except SystemExit as end:
@@ -53,6 +42,14 @@ def run_in_process(program: str, *arguments: str, folder: Path) -> subprocess.Co
             if isinstance(end.code, str):
                 print(end.code, file=sys.stderr)
     return subprocess.CompletedProcess([program], code, shown.getvalue(), errors.getvalue())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _two_presets() -> Iterator[None]:
+    """Runs are compared in two presets of three."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "COMPARED", ("exact", "lab"))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +60,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--seeds 2 --name a --steps 512 --num-envs 8 --n-steps 16 "
         "--batch-size 64 --n-epochs 1 --hidden 8 --camera-share 0"
     )
-    done = run_program(str(ROOT / "train.py"), *flags.split(), folder=folder)
+    done = run_in_process("train.py", *flags.split(), folder=folder, cores=2)
     assert done.returncode == 0, done.stderr
     assert "sorting by entry speed" in done.stdout.lower()
     return folder / "runs" / "a"
@@ -173,7 +170,6 @@ def own_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A run of a user's own task, too short to learn anything, and compared in two presets."""
     folder, chosen = tmp_path_factory.mktemp("own"), cli.chosen_methods
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "COMPARED", ("exact", "lab"))
         patch.setattr(
             cli, "chosen_methods", lambda given: [each.under("exact") for each in chosen(given)]
         )
