@@ -125,7 +125,8 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
             f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
         )
         return
-    from .evaluation.report import evaluate_run
+    with console.status("loading what compares"):
+        from .evaluation.report import evaluate_run
 
     write_card(config, trained, evaluate_run(folder, config.task, workers, console), folder)
 

@@ -1,14 +1,17 @@
-"""Confidence intervals of success rates and of means."""
+"""The results of methods on the starts of a task, in each preset, and intervals of their means."""
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from rich import progress as bars
+from rich.console import Console
 from scipy import stats
 
 import surface_gym as sg
@@ -261,6 +264,23 @@ def compute_results(
     return sorted(
         found.values(), key=lambda row: (order[row.key[:2]], presets.index(row.preset), row.seed)
     )
+
+
+@contextmanager
+def show_progress(console: Console, title: str) -> Iterator[Advance]:
+    """Show a bar for work under way; what it yields moves the bar, and names the latest part."""
+    columns = (
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=console) as shown:
+        bar = shown.add_task(title, total=None)
+        yield lambda done, total, latest: shown.update(
+            bar, completed=done, total=total, description=latest
+        )
 
 
 def compute_kept(

@@ -1,8 +1,7 @@
 """The command behind `python evaluate.py`: compare every controller and agent on every task."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,11 +17,11 @@ from surface_gym.tasks import TASKS
 from ..library import find_task, task_files
 
 if TYPE_CHECKING:
-    from .benchmark import Advance
     from .methods import Method
     from .report import Section
 
 TASK_NAMES = (FLOW_TASK, *TASKS)
+LOADING = "loading what compares"
 STARTS = 240  # of the sweep, at each level
 
 
@@ -74,7 +73,8 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
     """Compare, and leave a folder with tables, plots, videos and a page."""
     workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
-        from .report import evaluate_run
+        with console.status(LOADING):
+            from .report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return
@@ -86,11 +86,12 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
 
 
 def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
-    from . import benchmark, report, streams
+    with console.status(LOADING):
+        from . import benchmark, report, streams
 
     _forget(config, benchmark.FILE, streams.FILE)
     methods = chosen_methods(config)
-    with _progress(console, "comparing") as advance:
+    with benchmark.show_progress(console, "comparing") as advance:
         sections: list[Section] = []
         if config.task is None and FLOW_TASK in config.tasks:
             several = streams.stream_methods()
@@ -109,11 +110,12 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
 
 
 def _sweep(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
-    from . import robustness, robustness_report
+    with console.status(LOADING):
+        from . import benchmark, robustness, robustness_report
 
     _forget(config, robustness.FILE)
     methods = robustness.can_sweep(chosen_methods(config))
-    with _progress(console, "sweeping") as advance:
+    with benchmark.show_progress(console, "sweeping") as advance:
         rows = robustness.compute_sweep(methods, config.starts, workers, config.out, advance)
         robustness_report.write_sweep(rows, config.out, console)
     picture = config.out / robustness_report.PICTURE
@@ -137,22 +139,6 @@ def _forget(config: EvaluateConfig, *files: str) -> None:
     if not config.resume:
         for file in files:
             (config.out / file).unlink(missing_ok=True)
-
-
-@contextmanager
-def _progress(console: Console, title: str) -> "Iterator[Advance]":
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task(title, total=None)
-
-        def advance(done: int, total: int, latest: str) -> None:
-            progress.update(bar, completed=done, total=total, description=latest)
-
-        yield advance
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

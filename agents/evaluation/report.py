@@ -27,7 +27,15 @@ from surface_gym.tasks.benchmark import Column
 from .. import library
 from ..base import Controller
 from . import benchmark, plots, streams, tables as texts
-from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
+from .benchmark import (
+    SEED,
+    Result,
+    Summaries,
+    compute_results,
+    find_benchmark,
+    show_progress,
+    summarise,
+)
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
 from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults
@@ -315,13 +323,16 @@ def _parcel_run(
     agent: Method, folder: Path, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
     both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
-    summaries = summarise(compute_results(both, workers))
+    with show_progress(console, "comparing with the fixed layout") as advance:
+        results = compute_results(both, workers, advance=advance)
+        advance(len(results), len(results), "drawing and filming")
+        write_trajectories(both, folder / "trajectories.png")
+        file, caption = write_example(both, folder)
+    summaries = summarise(results)
     tables = [texts.task_table(agent.task, summaries), *speed_tables(agent.task, summaries)]
-    write_trajectories(both, folder / "trajectories.png")
     for table in tables:
         table.show(console)
     texts.write_markdown(tables, folder / TABLE)
-    file, caption = write_example(both, folder)
     console.print(f"{file.name}: {caption}")
     return {preset: _card_results(summaries, agent, preset) for preset in COMPARED}
 

@@ -328,11 +328,15 @@ def train_seeds(
         TimeRemainingColumn(),
     )
     with Bars(*columns, console=console) as bars:
-        rows = [bars.add_task(f"seed {run.seed}", total=run.steps, success="-") for run, _ in runs]
+        rows = [
+            bars.add_task(f"seed {run.seed} loads and compiles", total=run.steps, success="-")
+            for run, _ in runs
+        ]
 
         def on_report(index: int, progress: Progress) -> None:
             put_files(progress.files, runs[index][1])
-            bars.update(rows[index], completed=progress.steps)
+            named = f"seed {runs[index][0].seed}"
+            bars.update(rows[index], description=named, completed=progress.steps)
             if progress.success is not None:
                 bars.update(rows[index], success=f"{progress.success:.3f}")
 

@@ -1,4 +1,5 @@
-"""rl-baselines3-zoo's PPO on the native vector env of Sort, by agents/hyperparams/ppo.yml.
+"""rl-baselines3-zoo's PPO on the native vector env of Sort, by agents/hyperparams/ppo.yml,
+but with the 64 environments that the other learners have.
 
 pip install -r examples/learners/zoo.txt -e ".[agents]"
 python examples/learners/zoo.py
@@ -43,6 +44,7 @@ def learn(steps: int) -> Act:
     with TemporaryDirectory() as folder:
         sys.argv = ["train", "--algo", "ppo", "--env", "SmartSurface/Sort-v0"]
         sys.argv += ["--conf-file", str(YAML), "--n-timesteps", str(steps), "--eval-freq", "-1"]
+        sys.argv += ["--hyperparams", "n_envs:64", "n_steps:64", "batch_size:1024"]
         sys.argv += ["--seed", "0", "--num-threads", "1", "--log-folder", folder]
         train()
         model = PPO.load(next(Path(folder).rglob("SmartSurface-Sort-v0.zip")), device="cpu")
