@@ -190,6 +190,11 @@ asked one |
         pose = (first - x0, y[:, 0] - y0, 0.0)
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
+    def check_goal(self, goal: Numbers) -> None:
+        checks.not_negative("goal[0]", goal[SPEED], checks.SPEED)
+        checks.coordinate("goal[1]", goal[FIRST_X])
+        checks.positive("goal[2]", goal[STEP_X], *checks.LENGTH)
+
     def _paths(self, draw: Draw, which: Numbers) -> list[shapes.Path]:
         """Return each start's path: an option, or one drawn and laid onto the line."""
         first, last, _, _ = draw.line.extent

@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.runtime import cli, controller, protocol, simulator
+from surface_gym.agents.runtime import cli, controller, protocol, report, simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
@@ -191,12 +191,12 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     counts.parcels.update(["success", "success", "missed"])
     latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
     whole = cli.make_report(RUN, counts, latencies)
-    report = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
-    assert report["counts"]["missed"] == 10
-    assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
-    assert report["success"] == pytest.approx(2.0 / 3.0)
-    assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
-    assert report["budget"]["sensor"] is None
+    read = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
+    assert read["counts"]["missed"] == 10
+    assert read["counts"]["parcels"] == {"success": 2, "missed": 1}
+    assert read["success"] == pytest.approx(2.0 / 3.0)
+    assert read["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
+    assert read["budget"]["sensor"] is None
     cli.show_report(whole, Console(width=200))
     printed = capsys.readouterr().out
     for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
@@ -204,7 +204,7 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     nothing = cli.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
     cli.show_report(nothing, Console(width=200))
     assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
-    assert cli.percentiles([]) is None
+    assert report.percentiles([]) is None
 
 
 @pytest.mark.parametrize(
@@ -298,7 +298,7 @@ def first_frame(device: SocketDevice) -> Frame:
 def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path) -> None:
     arguments = ["--task", "stop", "--preset", "camera"]
     with SimulatorProcess(arguments, tmp_path / "log") as process:
-        device = SocketDevice(process.address, "stop", (4, 16))
+        device = SocketDevice(process.address, "stop", (4, 16), process.token)
         first = first_frame(device)
         assert first.taken_at <= time.monotonic()
         process._process.kill()
@@ -306,7 +306,7 @@ def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path
         with pytest.raises(DeviceLost):
             until(lambda: device.read() and None)
         arguments += ["--port", str(process.address[1])]
-        with SimulatorProcess(arguments, tmp_path / "log") as again:
+        with SimulatorProcess(arguments, tmp_path / "log", process.token) as again:
             assert again.address == process.address
             assert first_frame(device).taken_at > first.taken_at
         device.close()
