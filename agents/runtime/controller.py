@@ -69,15 +69,19 @@ class FixedLayouts:
         self._features = len(own.features)
         self.kind = self._decider.kind
 
-    def arrange(self, observation: Observation) -> Command:
+    def arrange(self, observation: Observation) -> Command | None:
         """Return the command for a parcel that has just entered, by the policy's observation.
 
-        Only the task's own features count, which come first in every observation.
+        Only the task's own features count, which come first in every observation. None: the rule
+        finds that no parcel enters like that.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
         self._decider.reset()
-        return self._decider.decide(shown)
+        try:
+            return self._decider.decide(shown)
+        except ValueError:
+            return None
 
 
 def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
@@ -155,11 +159,7 @@ def _arrange(config: EnvConfig, connection: Connection) -> None:
     try:
         while True:
             asked, observation = connection.recv()
-            try:
-                layout = layouts.arrange(observation)
-            except (ValueError, ArithmeticError):  # nothing that a rule can decide on
-                layout = None
-            connection.send((asked, layout))
+            connection.send((asked, layouts.arrange(observation)))
     except (EOFError, OSError):
         connection.close()
 

@@ -348,7 +348,7 @@ class Connection:
 
     def lines(self) -> list[bytes]:
         """Return at most MAX_LINES lines since the last call, of MAX_READ bytes; others wait."""
-        gone, left = False, 0 if self._lines else MAX_READ
+        gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
         while left > 0 and not gone:
             try:
                 chunk = self._socket.recv(left)
