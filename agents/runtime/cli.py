@@ -81,6 +81,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     env_config = make_env_config(policy, config.preset)
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
+        token: str | None
         if config.address is None:
             console.print("starting the simulator")
             arguments = simulator_arguments(config, env_config)
@@ -89,6 +90,8 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             address, token = simulator.address, simulator.token
         else:
             address, token = parse_address(config.address), find_token(config.token_file)
+            if token is None:
+                console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
         estimator = StateEstimator(env_config)
         arranger = stack.enter_context(controller.ProcessArranger(estimator.config))

@@ -161,8 +161,6 @@ LOST: dict[str, tuple[Says, str]] = {
     "number huge": (lambda now: frame(now, number=2**60), "number must"),
     "5000 digits": (lambda now: frame(now).replace(b"1.0", b"1" * 5000), "Exceeds the limit"),
     "text of 100 kB": (lambda _: left(outcome="x" * 100_000), "outcome must be text of at most"),
-    "codes of the terminal": (lambda _: left(outcome="\x1b[2J"), "printable"),
-    "half a surrogate": (lambda _: left(outcome="\ud800"), "printable"),
     "figures are text": (lambda _: left(figures={"error": "1"}), "error must be a finite number"),
     "nested 900 deep": (wrong(goal=json.loads("[" * 900 + "]" * 900)), "goal must"),
     "nested 100 000 deep": (lambda _: b"[" * 100_000 + b"\n", "line must"),
@@ -210,10 +208,15 @@ CONTROLLED: dict[str, Says] = {
 }
 
 
-def next_parcel(now: float) -> bytes:
-    """Another parcel, which enters before the first has left."""
-    return entered(now, 1) + left(0, "[/x]") + frame(now, number=1)
-
+# A parcel that enters, and the name of the fault for which it is left alone.
+UNFIT: dict[str, tuple[dict[str, Any], str]] = {
+    "no goal": ({"goal": []}, "goal must"),
+    "two goals": ({"goal": [1.0, 1.0]}, "goal must"),
+    "a goal beyond physics": ({"goal": [1e300]}, "goal must be between"),
+    "too long": ({"base": {"length": 1.9, "width": 0.3}}, "long"),
+    "an hour ago": ({"at": -3600.0}, "at must be within"),
+    "in an hour": ({"at": 3600.0}, "at must be within"),
+}
 
 # What it sends in place of a greeting, and the name of the fault for which it is given up.
 GREETINGS: dict[str, tuple[bytes, str]] = {
@@ -280,9 +283,24 @@ def test_what_is_of_no_use_does_not_end_control(tmp_path, worst) -> None:
     assert counts["decisions"] >= PERIODS - 3
 
 
-def test_a_parcel_leaves_for_itself_alone(tmp_path) -> None:
-    counts = run(Machine(SharedClock(), next_parcel), tmp_path)
-    assert counts["parcels"] == {"[/x]": 1}
+@pytest.mark.parametrize(("fields", "fault"), UNFIT.values(), ids=UNFIT)
+def test_a_parcel_that_is_not_of_the_task_is_left_alone_by_name(tmp_path, fields, fault) -> None:
+    counts = run(Machine(SharedClock(), lambda now: entered(now, **fields)), tmp_path)
+    assert all(fault in name for name in counts["faults"])
+    assert counts["unfit"] > PERIODS
+    assert counts["lost"] == 0
+    assert counts["sent"] <= CALM
+
+
+@pytest.mark.parametrize("outcome", ["[/x]", "\x1b[2J", "\ud800\n", "x" * 1000])
+def test_a_parcel_leaves_for_itself_alone_however_it_is_called(tmp_path, outcome) -> None:
+    def worst(now: float) -> bytes:  # another enters before it has left
+        return entered(now, 1) + left(0, outcome) + frame(now, number=1)
+
+    counts = run(Machine(SharedClock(), worst), tmp_path)
+    (name,) = counts["parcels"]
+    assert name in ("[/x]", "?[2J", "??", "x" * 200)
+    assert counts["parcels"][name] == 1
     assert counts["unused"] >= PERIODS
     assert counts["decisions"] >= PERIODS - 3
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -246,6 +247,18 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     cli.show_report(nothing, Console(width=200))
     assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
     assert report.percentiles([]) is None
+
+
+def test_a_report_is_written_whatever_ends_the_run(tmp_path, monkeypatch) -> None:
+    device = made.ScriptedDevice(made.ManualClock(), [(0.0, entered())])
+    loop = made.loop_of(device, made.Always(BRAKE, device.clock))
+    monkeypatch.setattr(cli, "show_report", None)
+    for error in (RuntimeError, KeyboardInterrupt):
+        monkeypatch.setattr(device, "set_axes", Mock(side_effect=error))
+        with pytest.raises((RuntimeError, TypeError)):  # of the device, or of what prints
+            cli.run_and_report(loop, RuntimeConfig("stop-ppo", out=tmp_path), CONFIG, Console())
+        assert json.loads((tmp_path / "report.json").read_text())["counts"]["periods"] >= 1
+        (tmp_path / "report.json").unlink()
 
 
 @pytest.mark.parametrize(
