@@ -472,7 +472,7 @@ class SocketDevice:
         if self._token is None:
             if "nonce" in fields:
                 raise ValueError(
-                    "token must be given, by which the device knows the loop, got none"
+                    "token must be given, by --token-file or SURFACE_GYM_TOKEN, got none"
                 )
             self._greeted = True
             return
