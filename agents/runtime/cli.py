@@ -3,22 +3,19 @@ the run: counts and latencies, as JSON and on screen.
 """
 
 import gc
-import json
 import os
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import tyro
 
-from surface_gym.files import replacing
-
 from ..learning.config import current_option
-from .config import RuntimeConfig, parse_address
+from .config import RuntimeConfig, find_token, parse_address
+from .report import Run, make_report, show_report, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,113 +24,11 @@ if TYPE_CHECKING:
 
     from ..module_policy import ModulePolicy
     from ..policy import Policy
-    from .controller import ControlLoop, Counts, Latencies
+    from .controller import ControlLoop
 
 READY_TIMEOUT = 300.0  # [s] that fixed layouts may take to be ready, compiling included
 SHOW_EVERY = 1.0  # [s] between updates of the progress
 COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
-FILE = "report.json"
-PERCENTILES = (50.0, 90.0, 99.0, 100.0)
-NAMES = ("50 %", "90 %", "99 %", "max")
-STAGES = {
-    "sensor": "from the latest frame to the estimate",
-    "filter": "reading, estimating, observing",
-    "policy": "deciding",
-    "send": "until the axes began to turn",
-    "turn": "until the last axis has turned, as computed",
-    "whole": "from the latest frame until then",
-    "late": "from when a period is due to its beginning",
-    "work": "of a period, from its beginning to its end",
-}
-
-
-@dataclass(frozen=True)
-class Run:
-    """The circumstances of a run."""
-
-    agent: str
-    seed: int  # of the policy
-    task: str
-    preset: str  # of the machine
-    device: str  # the simulator, or an address
-    period: float  # [s]
-    watchdog: float  # [s]
-    seconds: float  # [s] that it ran
-    load: tuple[float, float, float]  # of the machine at the end, over 1, 5 and 15 minutes
-    cores: int  # of the machine
-
-
-def percentiles(seconds: Sequence[float]) -> list[float] | None:
-    """Compute `PERCENTILES` [s] of some times; None: there are none."""
-    if not seconds:
-        return None
-    return np.percentile(np.array(seconds), PERCENTILES).tolist()
-
-
-def make_report(run: Run, counts: "Counts", latencies: "Latencies") -> dict[str, Any]:
-    """Return the report as it is written."""
-    parcels = sum(counts.parcels.values())
-    return {
-        "run": asdict(run),
-        "counts": {**asdict(counts), "parcels": dict(counts.parcels.most_common())},
-        "success": counts.parcels["success"] / parcels if parcels else None,
-        "percentiles": list(NAMES),
-        "budget": {name: percentiles(getattr(latencies, name)) for name in STAGES},
-    }
-
-
-def write_report(report: dict[str, Any], folder: Path) -> Path:
-    """Write a report into a folder, and return the file."""
-    file = folder / FILE
-    with replacing(file) as part:
-        part.write_text(json.dumps(report, indent=2) + "\n")
-    return file
-
-
-def show_report(report: dict[str, Any], console: "Console") -> None:
-    """Print a report."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    run, counts = report["run"], report["counts"]
-    budget = Table(
-        title=f"Latency in ms, beside a period of {1e3 * run['period']:g} ms",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    budget.add_column("stage")
-    for name in NAMES:
-        budget.add_column(name, justify="right")
-    budget.add_column("")
-    for name, times in report["budget"].items():
-        row = ["-"] * len(NAMES) if times is None else [f"{1e3 * each:.2f}" for each in times]
-        budget.add_row(name, *row, STAGES[name])
-    console.print(budget)
-    for line in _sentences(run, counts, report["success"]):
-        console.print(line, highlight=False, soft_wrap=True)
-
-
-def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
-    parcels = ", ".join(f"{count} {outcome}" for outcome, count in counts["parcels"].items())
-    load = ", ".join(f"{each:.2f}" for each in run["load"])
-    return [
-        f"{run['agent']} for {run['seconds']:.0f} s: {counts['periods']} periods, "
-        f"{counts['kept']} deadlines kept, {counts['missed']} missed, {counts['skipped']} periods "
-        f"skipped; load {load} on {run['cores']} cores",
-        f"{counts['decisions']} decisions by the policy; fixed layout in "
-        f"{counts['by_fixed_layout']} periods, frames stopped for more than "
-        f"{1e3 * run['watchdog']:g} ms {counts['watchdog']} times; axes held in {counts['held']}",
-        f"{counts['sent']} axis commands sent, {counts['out_of_range']} out of range and not sent, "
-        f"{counts['refused']} refused by the device; {counts['strayed']} observations out of "
-        "bounds",
-        f"{counts['frames']} frames, {counts['frames_unused']} of no use; device lost "
-        f"{counts['lost']} times, found {counts['connected']} times in {counts['attempts']} "
-        f"attempts, away in {counts['unconnected']} periods",
-        f"{sum(counts['parcels'].values())} parcels"
-        + ("" if success is None else f", success {success:.3f}: {parcels}")
-        + (f"; {counts['unfit']} that do not fit" if counts["unfit"] else ""),
-    ]
 
 
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
@@ -176,9 +71,7 @@ def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[
 
 
 def run_agent(config: RuntimeConfig, console: "Console") -> None:
-    """Run an agent and report on it; Ctrl-C ends the run early."""
-    from surface_gym.parallel import usable_cores
-
+    """Run an agent and report on it."""
     from . import controller
     from .estimator import StateEstimator
     from .protocol import SocketDevice
@@ -187,15 +80,18 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     policy = load_policy(config)
     env_config = make_env_config(policy, config.preset)
     config.out.mkdir(parents=True, exist_ok=True)
-    clock = controller.WallClock()
     with ExitStack() as stack:
+        token: str | None
         if config.address is None:
             console.print("starting the simulator")
             arguments = simulator_arguments(config, env_config)
             log = config.out / "simulator.log"
-            address = stack.enter_context(SimulatorProcess(arguments, log)).address
+            simulator = stack.enter_context(SimulatorProcess(arguments, log))
+            address, token = simulator.address, simulator.token
         else:
-            address = parse_address(config.address)
+            address, token = parse_address(config.address), find_token(config.token_file)
+            if token is None:
+                console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
         estimator = StateEstimator(env_config)
         arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
@@ -203,40 +99,53 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         decider = controller.Decider(policy, env_config)
         bounds = env_config.observation_space()
         loop = controller.ControlLoop(
-            SocketDevice(address, env_config.task.name, estimator.shape),
+            SocketDevice(address, env_config.task.name, estimator.shape, token),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
             controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
             bounds,
-            clock,
+            controller.WallClock(),
             controller.LoopConfig(env_config.control_period, config.watchdog),
         )
         decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
-        begun = clock.now()
-        try:
-            console.print(f"ready, for {config.minutes:g} minutes; Ctrl-C ends it")
-            _run(loop, 60.0 * config.minutes, console)
-        except KeyboardInterrupt:
-            console.print("stopped")
-        seconds = clock.now() - begun
-    run = Run(
-        agent=config.name,
-        seed=config.seed or 0,
-        task=env_config.task.name,
-        preset=config.preset,
-        device=config.address or "simulator",
-        period=env_config.control_period,
-        watchdog=config.watchdog,
-        seconds=seconds,
-        load=os.getloadavg(),
-        cores=usable_cores(),
-    )
-    made = make_report(run, loop.counts, loop.latencies)
+        run_and_report(loop, config, env_config, console)
+
+
+def run_and_report(
+    loop: "ControlLoop", config: RuntimeConfig, env_config: "EnvConfig", console: "Console"
+) -> None:
+    """Run a loop, and report on it whatever ends it; Ctrl-C ends it early."""
+    from surface_gym.parallel import usable_cores
+
+    begun = time.monotonic()
+    stopped = False
+    try:
+        console.print(f"ready, for {config.minutes:g} minutes; Ctrl-C ends it")
+        _run(loop, 60.0 * config.minutes, console)
+    except KeyboardInterrupt:
+        stopped = True
+    finally:  # it is written before anything is printed, which may fail
+        run = Run(
+            agent=config.name,
+            seed=config.seed or 0,
+            task=env_config.task.name,
+            preset=config.preset,
+            device=config.address or "simulator",
+            period=env_config.control_period,
+            watchdog=config.watchdog,
+            seconds=time.monotonic() - begun,
+            load=os.getloadavg(),
+            cores=usable_cores(),
+        )
+        made = make_report(run, loop.counts, loop.latencies)
+        file = write_report(made, config.out)
+    if stopped:
+        console.print("stopped")
     show_report(made, console)
-    console.print(f"written: {write_report(made, config.out)}", soft_wrap=True)
+    console.print(f"written: {file}", markup=False, soft_wrap=True)
 
 
 def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:

@@ -1,11 +1,17 @@
 """The options of the commands: of the control loop, and of the simulator."""
 
+import os
+import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
 
 from surface_gym import checks
+
+TOKEN = "SURFACE_GYM_TOKEN"  # the environment's variable
+TOKEN_FILE = Path("runs/runtime/token")
+SHORTEST_TOKEN = 16  # characters
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,8 @@ class RuntimeConfig:
     """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
     address: str | None = None
     """Address of a running device, host:port; by default a simulator is started."""
+    token_file: Path | None = None
+    """File with the token of a running device; by default SURFACE_GYM_TOKEN has it, or none is."""
     watchdog: float = 0.2
     """Seconds without a frame after which the fixed layout replaces the policy."""
     start: int = 0
@@ -65,6 +73,9 @@ class SimulatorConfig:
     """Port on this machine; 0: any that is free, which is printed."""
     seed: int = 0
     """Seed of all random numbers."""
+    token_file: Path | None = None
+    """File with the token that a loop must have, made if it is missing; by default
+    SURFACE_GYM_TOKEN has it, or runs/runtime/token."""
     parent: int | None = None
     """Process with which the simulator ends."""
     world: WorldOptions = field(default_factory=WorldOptions)
@@ -76,3 +87,29 @@ def parse_address(text: str) -> tuple[str, int]:
     if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError(f"address must be host:port, got {text!r}")
     return host, int(port)
+
+
+def find_token(file: Path | None, make: bool = False) -> str | None:
+    """Return the token of a file that only its owner may read, or else of the environment.
+
+    Args:
+        file: None: `TOKEN` of the environment has it; if that is empty, too, there is none.
+        make: a file that is missing is made, with a random token: without a file, `TOKEN_FILE`.
+    """
+    token = os.environ.get(TOKEN, "") if file is None else ""
+    if not token:
+        if file is None and not make:
+            return None
+        file = file or TOKEN_FILE
+        if make and not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with open(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as made:
+                made.write(secrets.token_hex() + "\n")
+        if file.stat().st_mode & 0o077:
+            raise ValueError(f"token_file must have the mode 600, got {file.stat().st_mode:o}")
+        token = file.read_text().strip()
+    if len(token) < SHORTEST_TOKEN:
+        raise ValueError(
+            f"token must have at least {SHORTEST_TOKEN} characters, got {len(token)} of them"
+        )
+    return token

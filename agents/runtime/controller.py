@@ -5,9 +5,9 @@ Fixed layouts are arranged in a process of their own: some take tenths of a seco
 
 import signal
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -23,11 +23,16 @@ from surface_gym.layouts import ROLLING
 from ..base import Controller
 from ..rules import find_rules
 from . import protocol
-from .estimator import Resolver, StateEstimator, within_right_angles
+from .estimator import MAX_AHEAD, MAX_COMMANDS, Resolver, StateEstimator, within_right_angles
+from .report import Counts, Latencies, count_name
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
 Observation = NDArray[np.float32]  # (features,)
 STOP_TIMEOUT = 5.0  # [s] that the process is given to end
+MAX_MESSAGES = 1000  # that a device may give at a time
+READING = 0.5  # [-] share of a period after which messages wait for the next
+MAX_EARLY = 0.05  # [s] that a message's time may be ahead of the loop's
+MAX_OPEN = 16  # parcels that have entered and not left
 
 
 class Decider:
@@ -64,15 +69,19 @@ class FixedLayouts:
         self._features = len(own.features)
         self.kind = self._decider.kind
 
-    def arrange(self, observation: Observation) -> Command:
+    def arrange(self, observation: Observation) -> Command | None:
         """Return the command for a parcel that has just entered, by the policy's observation.
 
-        Only the task's own features count, which come first in every observation.
+        Only the task's own features count, which come first in every observation. None: the rule
+        finds that no parcel enters like that.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
         self._decider.reset()
-        return self._decider.decide(shown)
+        try:
+            return self._decider.decide(shown)
+        except ValueError:
+            return None
 
 
 def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
@@ -103,6 +112,8 @@ class ProcessArranger:
         self._process.start()
         there.close()
         self._asked = 0
+        self._is_busy = False  # it is never sent two at a time, so that sending never waits
+        self._next: Observation | None = None
         self._layout: Command | None = None
 
     def __enter__(self) -> "ProcessArranger":
@@ -122,15 +133,22 @@ class ProcessArranger:
 
     def ask(self, observation: Observation) -> None:
         self._asked += 1
-        self._layout = None
-        self._here.send((self._asked, observation))
+        self._layout, self._next = None, observation
+        self.layout()
 
     def layout(self) -> Command | None:
-        """Return the command; None: it is not ready yet."""
-        while self._here.poll():
-            asked, layout = self._here.recv()
-            if asked == self._asked:
-                self._layout = layout
+        """Return the command; None: it is not ready yet, or there is none for such a parcel."""
+        try:
+            while self._here.poll():
+                asked, layout = self._here.recv()
+                self._is_busy = False
+                if asked == self._asked:
+                    self._layout = layout
+            if self._next is not None and not self._is_busy:
+                self._here.send((self._asked, self._next))
+                self._next, self._is_busy = None, True
+        except (EOFError, OSError):  # the process is gone: the axes are held
+            self._next = None
         return self._layout
 
 
@@ -141,8 +159,6 @@ def _arrange(config: EnvConfig, connection: Connection) -> None:
     try:
         while True:
             asked, observation = connection.recv()
-            while connection.poll():  # the latest is the one that counts
-                asked, observation = connection.recv()
             connection.send((asked, layouts.arrange(observation)))
     except (EOFError, OSError):
         connection.close()
@@ -172,46 +188,6 @@ class WallClock:
         left = moment - time.monotonic()
         if left > 0.0:
             time.sleep(left)
-
-
-@dataclass
-class Counts:
-    """Numbers of events."""
-
-    periods: int = 0  # control periods that were begun
-    kept: int = 0  # of them done before the next was due
-    missed: int = 0  # of them done later
-    skipped: int = 0  # that were not begun, since one before them took so long
-    decisions: int = 0  # by the policy
-    by_fixed_layout: int = 0  # periods in which the fixed layout replaced the policy
-    held: int = 0  # periods with a parcel in which the axes were left as they were
-    unconnected: int = 0  # periods without a device
-    sent: int = 0  # axis commands
-    out_of_range: int = 0  # axis commands that were refused here, and not sent
-    refused: int = 0  # axis commands that the device refused
-    strayed: int = 0  # observations beyond their bounds
-    frames: int = 0  # that arrived
-    frames_unused: int = 0  # of them of another parcel, or out of order
-    watchdog: int = 0  # times that frames stopped for too long
-    connected: int = 0  # times that the device was found
-    lost: int = 0  # times that it was lost
-    attempts: int = 0  # to find it
-    unfit: int = 0  # parcels that do not fit the surface or the task
-    parcels: Counter[str] = field(default_factory=Counter)  # by outcome
-
-
-@dataclass
-class Latencies:
-    """[s] of every decision that was sent."""
-
-    late: list[float] = field(default_factory=list)  # from when a period is due to its beginning
-    sensor: list[float] = field(default_factory=list)  # from the latest frame to the estimate
-    filter: list[float] = field(default_factory=list)  # reading, estimating, observing
-    policy: list[float] = field(default_factory=list)  # deciding
-    send: list[float] = field(default_factory=list)  # from there until the axes began to turn
-    turn: list[float] = field(default_factory=list)  # until the last axis has turned, as computed
-    whole: list[float] = field(default_factory=list)  # from the latest frame until there
-    work: list[float] = field(default_factory=list)  # of a period, from its beginning to its end
 
 
 class AxisLimits:
@@ -291,7 +267,9 @@ class ControlLoop:
         self._latest_arrival = 0.0  # [s] of a frame
         self._latest_frame = 0.0  # [s] when it was taken
         self._stopped = False  # frames have, for too long
-        self._sent: list[_Sent] = []
+        self._sent: deque[_Sent] = deque(maxlen=MAX_COMMANDS)
+        self._inbox: deque[protocol.Message] = deque()  # read, and not yet handled
+        self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels that have entered and not left
 
     def run(self, seconds: float, between: Between) -> None:
         """Run for some time [s], or until a KeyboardInterrupt; `between` is called each period."""
@@ -320,14 +298,13 @@ class ControlLoop:
         counts.periods += 1
         try:
             if self._connect(woke):
-                for message in self._device.read():
-                    self._handle(message)
+                self._read(woke + READING * self._config.period)
                 if self._estimator.entered is not None:
                     self._control(woke, due)
             else:
                 counts.unconnected += 1
-        except protocol.DeviceLost:
-            self._lose()
+        except protocol.DeviceLost as error:
+            self._lose(str(error))
         done = self._clock.now()
         self.latencies.work.append(done - woke)
         if done <= due + self._config.period:
@@ -356,9 +333,10 @@ class ControlLoop:
         self.counts.connected += 1
         return True
 
-    def _lose(self) -> None:
+    def _lose(self, fault: str) -> None:
         """Give up the connection, and with it the parcel."""
         self._device.close()
+        count_name(self.counts.faults, fault)
         if self._connected:
             self.counts.lost += 1
         self._connected = False
@@ -366,6 +344,19 @@ class ControlLoop:
         self._wait = min(2.0 * self._wait, self._config.longest_wait)
         self._estimator.clear()
         self._sent.clear()
+        self._inbox.clear()
+
+    def _read(self, until: float) -> None:
+        """Handle the device's messages until a time [s]; what is left is for the next period."""
+        if not self._inbox:
+            self._inbox.extend(self._device.read())
+            if len(self._inbox) > MAX_MESSAGES:
+                raise protocol.DeviceLost(
+                    f"device must give at most {MAX_MESSAGES} messages a period, "
+                    f"got {len(self._inbox)}"
+                )
+        while self._inbox and self._clock.now() <= until:
+            self._handle(self._inbox.popleft())
 
     def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
@@ -376,29 +367,40 @@ class ControlLoop:
         elif isinstance(message, protocol.AxesAcknowledged):
             self._acknowledge(message)
         elif isinstance(message, protocol.Departed):
-            self.counts.parcels[message.outcome] += 1
-            self._estimator.clear()
-            self._sent.clear()
+            self._depart(message)
+
+    def _is_timely(self, moment: float) -> bool:
+        """Tell whether a message's time [s] is one that the estimate can be moved on from."""
+        return -MAX_EARLY <= self._clock.now() - moment <= MAX_AHEAD
 
     def _correct(self, frame: protocol.Frame) -> None:
         self.counts.frames += 1
-        self._latest_arrival = self._clock.now()
         if frame.number is None:
             return
         try:
-            used = self._estimator.correct(frame)
+            used = self._is_timely(frame.taken_at) and self._estimator.correct(frame)
         except ValueError as error:  # a driver that sends such a pose cannot be trusted
             raise protocol.DeviceLost(str(error)) from None
         if used:
+            self._latest_arrival = self._clock.now()
             self._latest_frame = frame.taken_at
         else:
             self.counts.frames_unused += 1
 
     def _enter(self, entered: protocol.Entered) -> None:
+        before = self._estimator.entered
+        if before is not None and entered.number == before.number:
+            self.counts.unused += 1
+            count_name(self.counts.faults, "number must be a new one of each parcel, got it twice")
+            return
+        self._open.append(entered.number)
         try:
+            if not self._is_timely(entered.at):
+                raise ValueError(f"at must be within {MAX_AHEAD:g} s of now, got another time")
             self._estimator.reset(entered)
-        except ValueError:
+        except ValueError as error:
             self.counts.unfit += 1
+            count_name(self.counts.faults, str(error))
             self._estimator.clear()
             return
         self._sent.clear()
@@ -408,10 +410,24 @@ class ControlLoop:
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
+    def _depart(self, departed: protocol.Departed) -> None:
+        if departed.number not in self._open:
+            self.counts.unused += 1
+            return
+        self._open.remove(departed.number)
+        count_name(self.counts.parcels, departed.outcome)
+        entered = self._estimator.entered
+        if entered is not None and entered.number == departed.number:
+            self._estimator.clear()
+            self._sent.clear()
+
     def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
         if answer.refused:
             self.counts.refused += 1
             self._estimator.drop_command(answer.command)
+        elif not self._is_timely(answer.at):
+            self.counts.unused += 1
+            return
         else:
             self._estimator.acknowledge(answer.command, answer.at)
         for sent in self._sent:
@@ -419,7 +435,8 @@ class ControlLoop:
                 send = max(0.0, answer.at - sent.decided)
                 self.latencies.send.append(send)
                 self.latencies.whole.append(sent.before + send + sent.turn)
-        self._sent = [sent for sent in self._sent if sent.command > answer.command]
+        while self._sent and self._sent[0].command <= answer.command:
+            self._sent.popleft()
 
     def _control(self, woke: float, due: float) -> None:
         """Estimate, decide and send for the parcel on the surface."""
@@ -431,7 +448,9 @@ class ControlLoop:
         self._stopped = stopped
         within = self._bounds.contains(observation)
         counts.strayed += not within
-        command, resolver = self._command(observation, within and not stopped)
+        command, resolver = self._arranger.layout(), self._by_fixed
+        if within and not stopped:
+            command, resolver = self._decide(observation), self._by_policy
         if command is None:
             counts.held += 1
             return
@@ -457,12 +476,10 @@ class ControlLoop:
         latencies.turn.append(turn)
         self._sent.append(_Sent(number, decided, decided - self._latest_frame, turn))
 
-    def _command(self, observation: Observation, trusted: bool) -> tuple[Command | None, Resolver]:
-        """Return the command and its resolver; None: leave the axes as they are."""
-        if not trusted:
-            return self._arranger.layout(), self._by_fixed
+    def _decide(self, observation: Observation) -> Command | None:
+        """Return the policy's command; None: leave the axes as they are."""
         try:
-            return self._policy.decide(observation), self._by_policy
-        except ValueError:  # the policy returned no action
+            return self._policy.decide(observation)
+        except ValueError:  # it returned no action
             self.counts.out_of_range += 1
-            return None, self._by_policy
+            return None

@@ -42,6 +42,7 @@ from .protocol import Angles, Entered, Frame
 SEEN, NOW = 0, 1  # the environments
 BOTH = np.array([SEEN, NOW])
 MAX_AHEAD = 1.0  # [s] from a frame that the estimate is moved on; it stands still thereafter
+MAX_COMMANDS = 256  # sent since the latest frame that are remembered: 10 s at 25 Hz
 MIN_APART = 1e-6  # [s] between frames that differ
 NOT_LOST = 1.0  # [-] a uniform number with which no frame is dropped
 NEVER = 2.0**40  # physics steps from frame to frame: none is taken
@@ -116,7 +117,7 @@ class StateEstimator:
         line, kind = self.config.chosen_line, self.config.action_kind
         self._plan = BodyPlan((), self._placement, len(BOTH), (line.rows, line.columns))
         self._scratch = make_scratch()
-        self._commands: deque[_Command] = deque()
+        self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
         self._at = 0.0  # [s] of the environment SEEN
         self.shape = (kind.rows, kind.columns)  # of the widest zone
         self.entered: Entered | None = None
@@ -149,7 +150,11 @@ class StateEstimator:
     def reset(self, entered: Entered) -> None:
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
-        path = checks.array("path", entered.path, (st.PATH_POINTS,)) if task.has_path else None
+        task.check_goal(goal)
+        path = None
+        if task.has_path:
+            path = checks.array("path", entered.path, (st.PATH_POINTS,))
+            checks.limited("path", path, checks.FARTHEST)
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
         # Its load may lie anywhere: it is taken as evenly spread.
@@ -247,7 +252,8 @@ class StateEstimator:
             earliest = command.at = max(earliest, command.at)
 
     def drop_command(self, number: int) -> None:
-        self._commands = deque(each for each in self._commands if each.number != number)
+        kept = [each for each in self._commands if each.number != number]
+        self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move an environment on, with the commands in between."""

@@ -5,12 +5,17 @@ A driver of a machine is a `Device`: four calls, none of which waits. All times 
 own converts. All poses are those of the centroid of a parcel's base.
 
 On a socket each message is a line of JSON with a `kind`: "hello", "entered", "frame", "taken" or
-"left" from the device, and "axes" to it. Lines are checked in full; reading runs no code.
+"left" from the device, and "axes" to it. Lines are checked in full; reading runs no code. Where
+there is a token, each side proves by "proof" that it has it, before anything else counts.
 """
 
+import hmac
 import json
 import math
+import secrets
 import socket
+import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,7 +28,15 @@ from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 VERSION = 1  # of the protocol, which both sides must have
-MAX_LINE = 1_000_000  # [bytes]
+MAX_LINE = 1 << 18  # [bytes]
+MAX_READ = 1 << 15  # [bytes] in a period: at 25 Hz, 0.8 MB/s
+MAX_LINES = 64  # in a period: at 25 Hz, 1600 a second
+MAX_TIME = 0.01  # [s] in a period, to read them
+MAX_FULL = 25  # periods in a row in which as much came
+MAX_TEXT = 1000  # characters of a text
+MAX_NUMBER = 2**53  # of a parcel or a command
+MAX_VERTICES = 256  # of a parcel's base
+GREETING_TIMEOUT = 2.0  # [s] from the connection until the other side has proved who it is
 
 Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
 Triple = tuple[float, float, float]
@@ -112,7 +125,7 @@ def to_line(fields: dict[str, Any]) -> bytes:
 def from_line(line: bytes) -> dict[str, Any]:
     """Return the fields of a line."""
     try:
-        fields = json.loads(line, parse_constant=_refuse_constant)
+        fields = json.loads(line.decode(), parse_constant=_refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"line must be JSON, got {line[:80]!r}: {error}") from None
     if not isinstance(fields, dict) or not isinstance(fields.get("kind"), str):
@@ -124,9 +137,31 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"numbers must be finite, got {name}")
 
 
-def hello(task: str, shape: tuple[int, int]) -> dict[str, Any]:
-    """Return a device's first message: its version, its task and its widest zone."""
-    return {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
+def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
+    """Return a device's first message: its version, its task and its widest zone.
+
+    A nonce asks the other side to prove that it has the token.
+    """
+    fields = {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
+    return {**fields, "nonce": nonce} if nonce else fields
+
+
+def make_nonce() -> str:
+    """Return a text that was never used before, for the other side's proof."""
+    return secrets.token_hex(16)
+
+
+def prove(token: str, side: str, nonce: str) -> str:
+    """Return the proof that a side, "loop" or "device", has a token: by the other side's nonce."""
+    return hmac.digest(token.encode(), f"{side} {nonce}".encode(), "sha256").hex()
+
+
+def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> None:
+    """Raise a ValueError unless the fields are a side's proof that it has a token."""
+    checks.one_of("kind", fields["kind"], ("proof",))
+    proof = text("proof", fields.get("proof"))
+    if not hmac.compare_digest(proof.encode(), prove(token, side, nonce).encode()):
+        raise ValueError("proof must be by the token of this side, got another")
 
 
 def to_fields(message: Message) -> dict[str, Any]:
@@ -181,31 +216,31 @@ def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
     number, axes = fields["number"], fields["axes"]
     return Frame(
         taken_at=checks.number("taken", fields["taken"]),
-        number=None if number is None else checks.integer("number", number, least=0),
-        pose=_triple("pose", fields["pose"]),
-        axes=None if axes is None else np.array(checks.array("axes", axes, shape)),
+        number=None if number is None else _count("number", number),
+        pose=_triple("pose", fields["pose"], checks.pose),
+        axes=None if axes is None else _numbers("axes", axes, shape),
     )
 
 
 def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> Entered:
     path = fields["path"]
     return Entered(
-        number=checks.integer("number", fields["number"], least=0),
+        number=_count("number", fields["number"]),
         at=checks.number("at", fields["at"]),
         parcel=Parcel(_base(fields["base"]), mass=fields["mass"], com_height=fields["com_height"]),
-        pose=_triple("pose", fields["pose"]),
-        velocity=_triple("velocity", fields["velocity"]),
-        goal=tuple(checks.array("goal", np.array(fields["goal"], float), (None,)).tolist()),
+        pose=_triple("pose", fields["pose"], checks.pose),
+        velocity=_triple("velocity", fields["velocity"], checks.velocity),
+        goal=tuple(_numbers("goal", fields["goal"], (None,)).tolist()),
         tilt=checks.within("tilt", fields["tilt"], -0.5 * math.pi, 0.5 * math.pi),
-        path=None if path is None else checks.array("path", path, (None,)),
+        path=None if path is None else _numbers("path", path, (None,)),
     )
 
 
 def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledged:
     return AxesAcknowledged(
-        command=checks.integer("command", fields["command"], least=0),
+        command=_count("command", fields["command"]),
         at=checks.number("at", fields["at"]),
-        refused=_text("refused", fields["refused"]),
+        refused=text("refused", fields["refused"]),
     )
 
 
@@ -214,8 +249,8 @@ def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> Departed:
     if not isinstance(metrics, dict):
         raise ValueError(f"figures must be an object, got {metrics!r}")
     return Departed(
-        number=checks.integer("number", fields["number"], least=0),
-        outcome=_text("outcome", fields["outcome"]),
+        number=_count("number", fields["number"]),
+        outcome=text("outcome", fields["outcome"]),
         metrics={name: checks.number(name, value) for name, value in metrics.items()},
     )
 
@@ -236,18 +271,31 @@ def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
     """Return the number of a command and its angles (rows, columns) [rad], unchecked."""
     checks.one_of("kind", fields["kind"], ("axes",))
-    number = checks.integer("command", fields.get("command"), least=0)
-    return number, np.array(checks.array("angles", fields.get("angles"), shape))
+    number = _count("command", fields.get("command"))
+    return number, _numbers("angles", fields.get("angles"), shape)
 
 
-def _text(name: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{name} must be text, got {value!r}")
+def text(name: str, value: Any) -> str:
+    """Return a text that is not too long, or raise an error."""
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        raise ValueError(f"{name} must be text of at most {MAX_TEXT} characters, got {value!r}")
     return value
 
 
-def _triple(name: str, value: Any) -> tuple[float, float, float]:
-    first, second, third = checks.array(name, value, (3,)).tolist()
+def _count(name: str, value: Any) -> int:
+    return checks.integer(name, value, least=0, most=MAX_NUMBER)
+
+
+def _numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Return finite numbers as an array of a shape; true and false among them are refused."""
+    result = np.array(checks.array(name, value, shape))
+    if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
+        raise ValueError(f"{name} must be an array of numbers, got {value!r}")
+    return result
+
+
+def _triple(name: str, value: Any, check: Callable[..., NDArray[np.float64]]) -> Triple:
+    first, second, third = check(name, _numbers(name, value, (3,)), (3,)).tolist()
     return (first, second, third)
 
 
@@ -266,20 +314,22 @@ def _base(fields: Any) -> Base:
         if set(fields) == {"length", "width"}:
             return Rectangle(fields["length"], fields["width"])
         if set(fields) == {"corners"}:
-            return Polygon(fields["corners"])
+            corners = _numbers("corners", fields["corners"], (None, 2))
+            if len(corners) > MAX_VERTICES:
+                raise ValueError(f"corners must be at most {MAX_VERTICES}, got {len(corners)}")
+            return Polygon(corners)
     raise ValueError(f"base must have a radius, a length and a width, or corners, got {fields!r}")
 
 
-CHUNK = 1 << 16  # [bytes] read at a time
-TIMEOUT = 0.05  # [s] to connect
+TIMEOUT = 0.02  # [s] to connect
 
 
 class ConnectionLost(ConnectionError):
-    """The other side is gone, does not read, or sends no lines."""
+    """The other side is gone, does not read, sends no lines, or too much."""
 
 
 class Connection:
-    """One side of a connection; its calls return at once."""
+    """One side of a connection; its calls return at once, and take in a bounded amount."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -287,31 +337,44 @@ class Connection:
         with suppress(OSError):  # a pair of sockets has no such option
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._partial = b""
+        self._lines: deque[bytes] = deque()  # that are whole
         self._waiting = b""
+        self._full = 0  # calls in a row that took in as much as one may
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Return the lines since the last call."""
-        gone = False
-        while True:
+        """Return at most MAX_LINES lines since the last call, of MAX_READ bytes; others wait."""
+        gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
+        while left > 0 and not gone:
             try:
-                chunk = self._socket.recv(CHUNK)
+                chunk = self._socket.recv(left)
             except BlockingIOError:
                 break
             except OSError:
                 chunk = b""
-            if not chunk:
-                gone = True
-                break
+            gone = not chunk
+            left -= len(chunk)
             self._partial += chunk
-            if len(self._partial) > MAX_LINE and b"\n" not in self._partial:
-                raise ConnectionLost(f"line must have at most {MAX_LINE} bytes")
         *whole, self._partial = self._partial.split(b"\n")
-        if gone and not whole:
+        self._lines.extend(whole)
+        taken = [self._lines.popleft() for _ in range(min(MAX_LINES, len(self._lines)))]
+        self._full = self._full + 1 if self._lines or left == 0 else 0
+        if self._full > MAX_FULL:
+            raise ConnectionLost(
+                f"the other side must send at most {MAX_LINES} lines and {MAX_READ} bytes a "
+                f"period, got more in {self._full} in a row"
+            )
+        if len(self._partial) > MAX_LINE:
+            raise ConnectionLost(f"line must have at most {MAX_LINE} bytes, got more")
+        if gone and not taken:
             raise ConnectionLost("the other side is gone")
-        return whole
+        return taken
+
+    def put_back(self, lines: list[bytes]) -> None:
+        """Keep lines for the next call."""
+        self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
         """Send a line; the part that cannot be sent now is sent before the next."""
@@ -330,14 +393,33 @@ class Connection:
 
 
 class SocketDevice:
-    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol."""
+    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol.
 
-    def __init__(self, address: tuple[str, int], task: str, shape: tuple[int, int]) -> None:
+    Args:
+        address: host and port where it listens.
+        task: that it must have.
+        shape: (rows, columns) of the widest zone that it must have.
+        token: that both sides prove to have; None: it must ask for none.
+        now: the clock [s] of the greeting's timeout.
+    """
+
+    def __init__(
+        self,
+        address: tuple[str, int],
+        task: str,
+        shape: tuple[int, int],
+        token: str | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._address = address
         self._task = task
         self._shape = shape
+        self._token = token
+        self._now = now
         self._connection: Connection | None = None
-        self._greeted = False
+        self._greeted = False  # it has said who it is, and proved it
+        self._nonce = ""  # for its proof, which is awaited
+        self._until = 0.0  # [s] that it has for it
         self._command = 0
 
     def connect(self) -> None:
@@ -347,7 +429,8 @@ class SocketDevice:
         except OSError as error:
             raise DeviceLost(f"{self._address} is not there: {error}") from None
         self._connection = Connection(connected)
-        self._greeted = False
+        self._greeted, self._nonce = False, ""
+        self._until = self._now() + GREETING_TIMEOUT
 
     def close(self) -> None:
         if self._connection is not None:
@@ -357,23 +440,47 @@ class SocketDevice:
     def read(self) -> list[Message]:
         if self._connection is None:
             raise DeviceLost("not connected")
-        messages = []
+        messages, until = [], self._now() + MAX_TIME
         try:
-            for line in self._connection.lines():
+            lines = self._connection.lines()
+            for k, line in enumerate(lines):
+                if self._now() > until:
+                    self._connection.put_back(lines[k:])
+                    break
                 fields = from_line(line)
                 if self._greeted:
                     messages.append(from_fields(fields, self._shape))
-                else:
-                    checks.one_of("kind", fields["kind"], ("hello",))
-                    checks.one_of("protocol", fields.get("protocol"), (VERSION,))
-                    checks.one_of("task", fields.get("task"), (self._task,))
-                    checks.array("zone", fields.get("zone"), (2,))
-                    if tuple(fields["zone"]) != self._shape:
-                        raise ValueError(f"zone must be {self._shape}, got {fields['zone']}")
+                elif self._token is not None and self._nonce:
+                    check_proof(fields, self._token, "device", self._nonce)
                     self._greeted = True
-        except (ConnectionLost, ValueError) as error:
+                else:
+                    self._answer(self._connection, fields)
+        except (ConnectionLost, ValueError, RecursionError) as error:
             raise DeviceLost(str(error)) from None
+        if not self._greeted and self._now() > self._until:
+            raise DeviceLost(f"device must greet within {GREETING_TIMEOUT:g} s, got no greeting")
         return messages
+
+    def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
+        """Check a greeting, and prove to have the token if there is one."""
+        checks.one_of("kind", fields["kind"], ("hello",))
+        checks.one_of("protocol", fields.get("protocol"), (VERSION,))
+        checks.one_of("task", fields.get("task"), (self._task,))
+        zone = _numbers("zone", fields.get("zone"), (2,))
+        if tuple(zone) != self._shape:
+            raise ValueError(f"zone must be {self._shape}, got {fields['zone']}")
+        if self._token is None:
+            if "nonce" in fields:
+                raise ValueError(
+                    "token must be given, by --token-file or SURFACE_GYM_TOKEN, got none"
+                )
+            self._greeted = True
+            return
+        if "nonce" not in fields:
+            raise ValueError("device must ask for the token, got a greeting without a nonce")
+        proof = prove(self._token, "loop", text("nonce", fields["nonce"]))
+        self._nonce = make_nonce()
+        connection.send(to_line({"kind": "proof", "proof": proof, "nonce": self._nonce}))
 
     def set_axes(self, angles: Angles) -> int:
         if self._connection is None:

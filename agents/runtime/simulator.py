@@ -6,12 +6,14 @@
 import heapq
 import math
 import os
+import secrets
 import select
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +28,13 @@ from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
 
 from ..library import find_task
 from . import controller, estimator, protocol as wire
-from .config import SimulatorConfig, WorldOptions, parse_address
+from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
 
 HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
 LISTENING = "listening on "
 ONLY = np.zeros(1, dtype=np.int64)  # the environment
 MAX_BEHIND = 0.25  # [s] that the physics makes up for; beyond, the world stands still
+MAX_NEWCOMERS = 8  # connections that have yet to prove who they are
 STOP_TIMEOUT = 5.0  # [s] that the process is given to end
 
 
@@ -177,15 +180,29 @@ def _triple(values: NDArray[np.float64]) -> wire.Triple:
     return (first, second, third)
 
 
+@dataclass(frozen=True, eq=False)
+class _Newcomer:
+    """A connection that has yet to prove that it has the token."""
+
+    connection: wire.Connection
+    nonce: str
+    until: float  # [s] that it has for it
+
+
 class Server:
     """Sends a world's messages over a socket, and passes axis commands on to it.
 
-    One loop may be connected at a time; a later one takes its place.
+    One loop may be connected at a time; a later one takes its place, once it has proved that it has
+    the token. Where there is none, anyone may.
     """
 
-    def __init__(self, world: World, task: str, listener: socket.socket) -> None:
+    def __init__(
+        self, world: World, task: str, listener: socket.socket, token: str | None = None
+    ) -> None:
         self._world = world
         self._task = task
+        self._token = token
+        self._newcomers: list[_Newcomer] = []
         self._listener = listener
         self._listener.setblocking(False)
         self._connection: wire.Connection | None = None
@@ -199,7 +216,8 @@ class Server:
             self._world.stand_still(behind)
         for due, message in self._world.advance(now):
             self._post(due, message)
-        self._accept()
+        self._accept(now)
+        self._admit(now)
         self._set_axes()
         while self._outbox and self._outbox[0][0] <= now:
             self._send_message(heapq.heappop(self._outbox)[2])
@@ -208,22 +226,54 @@ class Server:
         """Wait until there is something to do, from a time [s] on."""
         due = self._outbox[0][0] if self._outbox else self._world.now
         ready: list[socket.socket | wire.Connection] = [self._listener]
+        ready += [each.connection for each in self._newcomers]
         if self._connection is not None:
             ready.append(self._connection)
         select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
 
     def close(self) -> None:
         self._drop()
+        for each in self._newcomers:
+            each.connection.close()
         self._listener.close()
 
-    def _accept(self) -> None:
+    def _accept(self, now: float) -> None:
         try:
             connected, _ = self._listener.accept()
-        except BlockingIOError:
+        except OSError:  # there is none, or it is gone
             return
-        self._drop()
-        self._connection = wire.Connection(connected)
-        self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
+        connection = wire.Connection(connected)
+        if self._token is None:
+            self._drop()
+            self._connection = connection
+            self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
+            return
+        nonce = wire.make_nonce()
+        self._newcomers.append(_Newcomer(connection, nonce, now + wire.GREETING_TIMEOUT))
+        with suppress(wire.ConnectionLost):
+            connection.send(wire.to_line(wire.hello(self._task, self._world.shape, nonce)))
+        if len(self._newcomers) > MAX_NEWCOMERS:
+            self._newcomers.pop(0).connection.close()
+
+    def _admit(self, now: float) -> None:
+        """Let a newcomer that proves to have the token take the place; close one that does not."""
+        waiting, self._newcomers = self._newcomers, []
+        for each in waiting:
+            try:
+                lines = each.connection.lines()
+                if not lines and now <= each.until:
+                    self._newcomers.append(each)
+                    continue
+                fields = wire.from_line(b"".join(lines[:1]))
+                assert self._token is not None
+                wire.check_proof(fields, self._token, "loop", each.nonce)
+                proof = wire.prove(self._token, "device", wire.text("nonce", fields.get("nonce")))
+                each.connection.send(wire.to_line({"kind": "proof", "proof": proof}))
+            except (wire.ConnectionLost, ValueError, RecursionError):
+                each.connection.close()
+            else:
+                self._drop()
+                self._connection = each.connection
 
     def _set_axes(self) -> None:
         if self._connection is None:
@@ -234,7 +284,7 @@ class Server:
                 answer = self._world.set_axes(command, angles)
                 self.refused += bool(answer.refused)
                 self._send_message(answer)
-        except (wire.ConnectionLost, ValueError):
+        except (wire.ConnectionLost, ValueError, RecursionError):
             self._drop()
 
     def _post(self, due: float, message: wire.Message) -> None:
@@ -277,8 +327,9 @@ def run_simulator(config: SimulatorConfig) -> None:
     clock = controller.WallClock()
     world = World(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
+    token = find_token(config.token_file, make=True)
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, env_config.task.name, listener)
+    server = Server(world, env_config.task.name, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))
@@ -287,9 +338,13 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a process of its own, which ends with this context."""
+    """A simulator in a process of its own, which ends with this context.
 
-    def __init__(self, arguments: list[str], log: Path) -> None:
+    Its token is random if none is given; the environment passes it on, which no other user reads.
+    """
+
+    def __init__(self, arguments: list[str], log: Path, token: str | None = None) -> None:
+        self.token = token or secrets.token_hex()
         module = f"{__name__.rpartition('.')[0]}.simulator"
         with log.open("ab") as errors:
             self._process = subprocess.Popen(
@@ -297,6 +352,7 @@ class SimulatorProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=errors,
+                env={**os.environ, TOKEN: self.token},
                 start_new_session=True,  # Ctrl-C is for the loop, which ends it
             )
         assert self._process.stdout is not None

@@ -114,6 +114,10 @@ class Task:
         y, theta = np.add(y, self.entry_offset * side), np.add(theta, self.entry_turn * side)
         return start._replace(pose=(x, y, theta))
 
+    def check_goal(self, goal: Numbers) -> None:
+        """Raise a ValueError for a goal (goals,) from a machine that no start of the task has."""
+        checks.limited("goal", goal, checks.FARTHEST)
+
     def benchmark(self) -> Benchmark:
         """Describe the starts that methods are compared on, and the columns of the task's table."""
         return default_benchmark(self)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
@@ -126,6 +127,9 @@ class Orient(base.Task):
         parcel = draw.parcel(self.parcels, size)
         angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
+
+    def check_goal(self, goal: planning.Numbers) -> None:
+        checks.within("goal", goal[ANGLE], -math.pi, math.pi)
 
     def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, the asked angle its goal."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
@@ -135,6 +136,10 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         highest = np.maximum(low, np.minimum(high, 0.98 * rolling))
         ratio = draw.within("ratio", between(low, highest, share), 0.0, 1.0)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (ratio, speed))
+
+    def check_goal(self, goal: planning.Numbers) -> None:
+        checks.within("goal[0]", goal[RATIO], 0.0, 1.0)
+        checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
     def decode_start(self, seen: planning.Observed) -> Start:
         """Decode the first observation into the start that it shows, ratio and speed its goal."""

@@ -152,6 +152,9 @@ distance from the line's middle takes its place |
         side = draw.one_of("side", np.where(way < 0.5, 1.0, -1.0), (1, -1, 0))
         return Start(parcel, entry(draw, parcel), (speed, 0.0, 0.0), (side,))
 
+    def check_goal(self, goal: planning.Numbers) -> None:
+        checks.one_of("goal", float(goal[SIDE]), (1.0, -1.0, 0.0))
+
     def benchmark(self) -> Benchmark:
         """Every entry speed, both sides and both boxes; times beside the fixed layout's."""
         grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)

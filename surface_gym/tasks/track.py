@@ -188,6 +188,11 @@ asked one |
         pose = (first - x0, y[:, 0] - y0, 0.0)
         return Start(parcel, pose, (vx, slope * vx, 0.0), (speed, first, step), tilt, y)
 
+    def check_goal(self, goal: Numbers) -> None:
+        checks.not_negative("goal[0]", goal[SPEED], checks.SPEED)
+        checks.coordinate("goal[1]", goal[FIRST_X])
+        checks.positive("goal[2]", goal[STEP_X], *checks.LENGTH)
+
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
         """Return x and y [m] (starts, PATH_POINTS) of each start's path: an option, or one drawn,
         laid onto the line and cut where that ends.

@@ -127,16 +127,19 @@ def loop_of(
 
 
 class LocalArranger:
-    """Arranges layouts at once, in this process."""
+    """Arranges the latest layout when it is needed, in this process."""
 
     def __init__(self, layouts: runtime.FixedLayouts) -> None:
         self._layouts = layouts
+        self._observation: Any = None
         self._layout: Any = None
 
     def ask(self, observation: Any) -> None:
-        self._layout = self._layouts.arrange(observation)
+        self._observation = observation
 
     def layout(self) -> Any:
+        if self._observation is not None:
+            self._layout, self._observation = self._layouts.arrange(self._observation), None
         return self._layout
 
 

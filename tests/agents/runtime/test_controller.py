@@ -68,6 +68,28 @@ def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> No
     assert layouts[0] == layouts[-1]
 
 
+class SlowClock(made.ManualClock):
+    """Each look at it takes 1 ms."""
+
+    def now(self) -> float:
+        self.time += 0.001
+        return self.time
+
+
+def test_messages_take_a_share_of_a_period_and_the_rest_waits() -> None:
+    device = made.ScriptedDevice(SlowClock())
+    device.script = [(0.0, entered()), *((0.1, made.frame(0.02 + 1e-4 * k)) for k in range(40))]
+    loop = run(device, 0.4)
+    assert loop.counts.kept == loop.counts.periods == 10
+    assert loop.counts.frames == 40
+    assert max(loop.latencies.work) < 0.04
+    device.script = [(0.0, AxesAcknowledged(1, 0.0))] * (runtime.MAX_MESSAGES + 1)
+    faults = run(device, 0.1).counts.faults
+    assert [name.split(" a period")[0] for name in faults] == [
+        f"device must give at most {runtime.MAX_MESSAGES} messages"
+    ]
+
+
 def test_no_parcel_no_commands(device) -> None:
     device.script = [(taken, made.frame(taken, number=None)) for taken in np.arange(0.0, 0.4, 0.02)]
     loop = run(device, 0.4)

@@ -9,6 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.runtime import estimator as estimators
 from surface_gym.agents.runtime.protocol import Entered, Frame
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from tests.agents.runtime import made
 
@@ -160,6 +161,25 @@ def test_without_frames_the_estimate_stands_still_in_the_end(held) -> None:
 def test_a_parcel_that_is_not_of_the_task_is_refused(held, changed, message) -> None:
     with pytest.raises(ValueError, match=message):
         held.reset(replace(made.entered(), **changed))
+
+
+@pytest.mark.parametrize(
+    ("task", "goal"),
+    [
+        ("sort", (0.5,)), ("sort", (2.0,)), ("stop", (1e5,)), ("orient", (4.0,)),
+        ("slow", (1.5, 1.0)), ("slow", (0.5, 0.0)), ("track", (1.0, 0.0, 0.0)),
+        ("track", (-1.0, 0.0, 0.1)),
+    ],
+)  # fmt: skip
+def test_a_goal_that_no_start_has_is_refused(task, goal) -> None:
+    batch = Batch(EnvConfig(task=task), 4)
+    for i in range(4):
+        batch.seed(i, np.random.default_rng(i))
+    batch.reset(np.arange(4))
+    for each in batch.parcels.goal:
+        batch.task.check_goal(each)
+    with pytest.raises(ValueError, match="goal"):
+        batch.task.check_goal(np.array(goal))
 
 
 def test_a_frame_with_numbers_that_are_not_allowed_is_refused(held) -> None:

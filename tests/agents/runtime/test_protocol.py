@@ -15,6 +15,7 @@ from surface_gym.agents.runtime.config import parse_address
 from surface_gym.agents.runtime.protocol import to_line
 
 SHAPE = (2, 3)
+TOKEN = "0123456789abcdef"
 TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
 
 
@@ -150,6 +151,24 @@ def test_lines_arrive_whole_and_an_end_is_noticed_once_all_is_read(ends) -> None
         again_and_again(lambda: there.send(b"hello\n"))
 
 
+def test_what_is_taken_in_at_a_time_is_bounded(ends) -> None:
+    here, there = ends
+    here.send(b"a\n" * 3 * protocol.MAX_LINES)
+    assert [len(there.lines()) for _ in range(4)] == [protocol.MAX_LINES] * 3 + [0]
+    there.put_back([b"b", b"c"])
+    assert there.lines() == [b"b", b"c"]
+    sizes = []
+
+    def flood() -> None:
+        here.send((b"x" * 999 + b"\n") * 40)
+        sizes.append(sum(map(len, there.lines())))
+
+    with pytest.raises(protocol.ConnectionLost, match="must send at most"):
+        again_and_again(flood)
+    assert len(sizes) == protocol.MAX_FULL
+    assert max(sizes) <= protocol.MAX_READ + 999
+
+
 def test_a_side_that_does_not_read_or_end_its_line_is_given_up(ends) -> None:
     here, there = ends
 
@@ -212,6 +231,24 @@ class TestDevice:
     def test_another_device_is_refused(self, listener, device, line) -> None:
         with pytest.raises(protocol.DeviceLost, match="must"):
             self.receive(listener, device, line)
+
+    def test_one_that_has_the_token_proves_it(self, listener, device) -> None:
+        device._token, nonce = TOKEN, "1"
+        for proof in (protocol.prove(TOKEN, "loop", nonce), "", None):  # a stranger's
+            device.connect()
+            connected, _ = listener.accept()
+            with connected:
+                connected.sendall(to_line(protocol.hello("stop", SHAPE, nonce)))
+                assert device.read() == []
+                answer = protocol.from_line(connected.recv(4096))
+                protocol.check_proof(answer, TOKEN, "loop", nonce)
+                with pytest.raises(ValueError, match="proof must be by the token"):
+                    protocol.check_proof(answer, TOKEN, "loop", "2")
+                connected.sendall(to_line({"kind": "proof", "proof": proof}))
+            with pytest.raises(protocol.DeviceLost, match="proof must"):
+                device.read()
+        with pytest.raises(protocol.DeviceLost, match="device must ask for the token"):
+            self.receive(listener, device, to_line(protocol.hello("stop", SHAPE)))
 
     def test_one_that_is_not_there(self) -> None:
         with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -9,9 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ import tyro
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.runtime import cli, controller, protocol, simulator
+from surface_gym.agents.runtime import cli, config, controller, protocol, report, simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
@@ -31,6 +32,7 @@ from tests.agents.runtime.made import CONFIG, entered, estimator
 from tests.agents.runtime.test_protocol import again_and_again
 
 PAUSE = 0.1
+TOKEN = "0123456789abcdef"
 BRAKE = 0
 
 
@@ -169,6 +171,46 @@ class TestOverASocket:
         first.close()
         second.close()
 
+    def test_only_who_proves_to_have_the_token_takes_the_place(self) -> None:
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = Server(world(), "stop", listener, TOKEN)
+        devices = [
+            SocketDevice(listener.getsockname(), "stop", (4, 16), token)
+            for token in (TOKEN, TOKEN.upper(), None)
+        ]
+        owner, *strangers = devices
+        strangers.append(SocketDevice(listener.getsockname(), "stop", (4, 16)))
+        clock = made.ManualClock()
+
+        def serve_and_read(device: SocketDevice) -> None:
+            for _ in range(20):
+                clock.time += 0.005
+                server.step(clock.time)
+                device.read()
+
+        owner.connect()
+        serve_and_read(owner)
+        assert owner._greeted
+        for stranger in strangers:
+            stranger.connect()
+            if stranger is strangers[-1]:  # one that does not even listen
+                stranger.set_axes(np.zeros((4, 16)))
+            with pytest.raises(DeviceLost, match=r"token must be given|gone"):
+                serve_and_read(stranger)
+        with ExitStack() as stack:
+            for _ in range(2 * simulator.MAX_NEWCOMERS):  # and many that say nothing
+                stack.enter_context(socket.create_connection(listener.getsockname()))
+                serve_and_read(owner)
+            assert len(server._newcomers) == simulator.MAX_NEWCOMERS
+            server.step(clock.time + protocol.GREETING_TIMEOUT + 0.1)
+            assert server._newcomers == []
+        owner.set_axes(np.zeros((4, 16)))
+        serve_and_read(owner)
+        assert (server._world._command == 0.0).all()
+        for device in (*devices, *strangers):
+            device.close()
+        server.close()
+
     @pytest.mark.parametrize("line", [b"stop!\n", protocol.to_line({"kind": "axes", "command": 1})])
     def test_a_loop_that_sends_another_line_is_cut_off(self, server, line) -> None:
         with socket.create_connection(self.address(server)) as connected:
@@ -191,12 +233,12 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     counts.parcels.update(["success", "success", "missed"])
     latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
     whole = cli.make_report(RUN, counts, latencies)
-    report = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
-    assert report["counts"]["missed"] == 10
-    assert report["counts"]["parcels"] == {"success": 2, "missed": 1}
-    assert report["success"] == pytest.approx(2.0 / 3.0)
-    assert report["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
-    assert report["budget"]["sensor"] is None
+    read = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
+    assert read["counts"]["missed"] == 10
+    assert read["counts"]["parcels"] == {"success": 2, "missed": 1}
+    assert read["success"] == pytest.approx(2.0 / 3.0)
+    assert read["budget"]["policy"] == pytest.approx([0.05, 0.09, 0.099, 0.1])
+    assert read["budget"]["sensor"] is None
     cli.show_report(whole, Console(width=200))
     printed = capsys.readouterr().out
     for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
@@ -204,7 +246,19 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     nothing = cli.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
     cli.show_report(nothing, Console(width=200))
     assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
-    assert cli.percentiles([]) is None
+    assert report.percentiles([]) is None
+
+
+def test_a_report_is_written_whatever_ends_the_run(tmp_path, monkeypatch) -> None:
+    device = made.ScriptedDevice(made.ManualClock(), [(0.0, entered())])
+    loop = made.loop_of(device, made.Always(BRAKE, device.clock))
+    monkeypatch.setattr(cli, "show_report", None)
+    for error in (RuntimeError, KeyboardInterrupt):
+        monkeypatch.setattr(device, "set_axes", Mock(side_effect=error))
+        with pytest.raises((RuntimeError, TypeError)):  # of the device, or of what prints
+            cli.run_and_report(loop, RuntimeConfig("stop-ppo", out=tmp_path), CONFIG, Console())
+        assert json.loads((tmp_path / "report.json").read_text())["counts"]["periods"] >= 1
+        (tmp_path / "report.json").unlink()
 
 
 @pytest.mark.parametrize(
@@ -236,11 +290,35 @@ def test_the_environment_is_the_policys_and_the_simulators() -> None:
     policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
     lab = EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
     assert make_env_config(policy, "lab") == lab
-    config = RuntimeConfig("stop-ppo", preset="camera", start=3)
-    env_config = make_env_config(load_policy(config), config.preset)
-    given = tyro.cli(SimulatorConfig, args=simulator_arguments(config, env_config))
+    options = RuntimeConfig("stop-ppo", preset="camera", start=3)
+    env_config = make_env_config(load_policy(options), options.preset)
+    given = tyro.cli(SimulatorConfig, args=simulator_arguments(options, env_config))
     assert given == SimulatorConfig(task="stop", preset="camera", control_period=0.04, seed=3)
     assert simulator.make_env_config(given).actuators == env_config.actuators
+
+
+def test_a_token_is_of_a_file_that_nobody_else_reads_or_of_the_environment(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.delenv(config.TOKEN, raising=False)
+    monkeypatch.chdir(tmp_path)
+    assert config.find_token(None) is None
+    made_up = config.find_token(None, make=True)
+    assert made_up == config.find_token(config.TOKEN_FILE)
+    assert made_up is not None
+    assert len(made_up) == 64
+    assert config.TOKEN_FILE.stat().st_mode & 0o777 == 0o600
+    assert config.find_token(None, make=True) == made_up  # a simulator that is started again
+    config.TOKEN_FILE.chmod(0o640)
+    with pytest.raises(ValueError, match="mode 600"):
+        config.find_token(config.TOKEN_FILE)
+    with pytest.raises(FileNotFoundError):
+        config.find_token(Path("none"))
+    monkeypatch.setenv(config.TOKEN, TOKEN)
+    assert config.find_token(None) == config.find_token(None, make=True) == TOKEN
+    monkeypatch.setenv(config.TOKEN, "short")
+    with pytest.raises(ValueError, match="at least 16 characters"):
+        config.find_token(None)
 
 
 @pytest.mark.parametrize("task", ["sort", "track"])
@@ -259,11 +337,17 @@ def test_a_layout_of_another_process_is_the_same() -> None:
     observation = held.observe(0.0)
     with controller.ProcessArranger(held.config) as arranger:
         assert arranger.wait_until_ready(PATIENCE)
-        arranger.ask(np.zeros_like(observation))  # one that is asked for too late
+        for _ in range(3000):  # more than a pipe holds; the latest counts
+            arranger.ask(np.zeros_like(observation))
         arranger.ask(observation)
         layout = until(arranger.layout)
-    expected = controller.FixedLayouts(held.config).arrange(observation)
-    np.testing.assert_array_equal(layout, expected)
+        arranger._process.kill()
+        arranger._process.join()
+        arranger.ask(observation)
+        assert arranger.layout() is None
+    layouts = controller.FixedLayouts(held.config)
+    np.testing.assert_array_equal(layout, layouts.arrange(observation))
+    assert layouts.arrange(np.full_like(observation, np.nan)) is None
     # Axes on offer are the task's and the conveyors'.
     assert controller.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
     assert controller.allowed_angles(replace(CONFIG, orientations="any")) is None
@@ -298,7 +382,7 @@ def first_frame(device: SocketDevice) -> Frame:
 def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path) -> None:
     arguments = ["--task", "stop", "--preset", "camera"]
     with SimulatorProcess(arguments, tmp_path / "log") as process:
-        device = SocketDevice(process.address, "stop", (4, 16))
+        device = SocketDevice(process.address, "stop", (4, 16), process.token)
         first = first_frame(device)
         assert first.taken_at <= time.monotonic()
         process._process.kill()
@@ -306,7 +390,7 @@ def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path
         with pytest.raises(DeviceLost):
             until(lambda: device.read() and None)
         arguments += ["--port", str(process.address[1])]
-        with SimulatorProcess(arguments, tmp_path / "log") as again:
+        with SimulatorProcess(arguments, tmp_path / "log", process.token) as again:
             assert again.address == process.address
             assert first_frame(device).taken_at > first.taken_at
         device.close()

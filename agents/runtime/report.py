@@ -1,0 +1,173 @@
+"""The report of a run: what was counted, how long each stage took, as JSON and on screen."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surface_gym.files import replacing
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+MAX_NAMES = 50  # of outcomes, or of faults, that are counted apart
+MAX_NAME = 200  # characters of each
+FILE = "report.json"
+PERCENTILES = (50.0, 90.0, 99.0, 100.0)
+NAMES = ("50 %", "90 %", "99 %", "max")
+STAGES = {
+    "sensor": "from the latest frame to the estimate",
+    "filter": "reading, estimating, observing",
+    "policy": "deciding",
+    "send": "until the axes began to turn",
+    "turn": "until the last axis has turned, as computed",
+    "whole": "from the latest frame until then",
+    "late": "from when a period is due to its beginning",
+    "work": "of a period, from its beginning to its end",
+}
+
+
+@dataclass
+class Counts:
+    """Numbers of events."""
+
+    periods: int = 0  # control periods that were begun
+    kept: int = 0  # of them done before the next was due
+    missed: int = 0  # of them done later
+    skipped: int = 0  # that were not begun, since one before them took so long
+    decisions: int = 0  # by the policy
+    by_fixed_layout: int = 0  # periods in which the fixed layout replaced the policy
+    held: int = 0  # periods with a parcel in which the axes were left as they were
+    unconnected: int = 0  # periods without a device
+    sent: int = 0  # axis commands
+    out_of_range: int = 0  # axis commands that were refused here, and not sent
+    refused: int = 0  # axis commands that the device refused
+    strayed: int = 0  # observations beyond their bounds
+    frames: int = 0  # that arrived
+    frames_unused: int = 0  # of them of another parcel, out of order, too late or ahead of time
+    unused: int = 0  # other messages of unknown parcels, or of such times
+    watchdog: int = 0  # times that frames stopped for too long
+    connected: int = 0  # times that the device was found
+    lost: int = 0  # times that it was lost
+    attempts: int = 0  # to find it
+    unfit: int = 0  # parcels that do not fit the surface or the task
+    parcels: Counter[str] = field(default_factory=Counter)  # by outcome
+    faults: Counter[str] = field(default_factory=Counter)  # the device's, by name
+
+
+@dataclass
+class Latencies:
+    """[s] of every decision that was sent."""
+
+    late: list[float] = field(default_factory=list)  # from when a period is due to its beginning
+    sensor: list[float] = field(default_factory=list)  # from the latest frame to the estimate
+    filter: list[float] = field(default_factory=list)  # reading, estimating, observing
+    policy: list[float] = field(default_factory=list)  # deciding
+    send: list[float] = field(default_factory=list)  # from there until the axes began to turn
+    turn: list[float] = field(default_factory=list)  # until the last axis has turned, as computed
+    whole: list[float] = field(default_factory=list)  # from the latest frame until there
+    work: list[float] = field(default_factory=list)  # of a period, from its beginning to its end
+
+
+def count_name(counts: Counter[str], name: str) -> None:
+    """Count a name that a device gave: cut, without what is not printable, one of a few."""
+    plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
+    counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """The circumstances of a run."""
+
+    agent: str
+    seed: int  # of the policy
+    task: str
+    preset: str  # of the machine
+    device: str  # the simulator, or an address
+    period: float  # [s]
+    watchdog: float  # [s]
+    seconds: float  # [s] that it ran
+    load: tuple[float, float, float]  # of the machine at the end, over 1, 5 and 15 minutes
+    cores: int  # of the machine
+
+
+def percentiles(seconds: Sequence[float]) -> list[float] | None:
+    """Compute `PERCENTILES` [s] of some times; None: there are none."""
+    if not seconds:
+        return None
+    return np.percentile(np.array(seconds), PERCENTILES).tolist()
+
+
+def make_report(run: Run, counts: Counts, latencies: Latencies) -> dict[str, Any]:
+    """Return the report as it is written."""
+    parcels = sum(counts.parcels.values())
+    named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
+    return {
+        "run": asdict(run),
+        "counts": {**asdict(counts), **named},
+        "success": counts.parcels["success"] / parcels if parcels else None,
+        "percentiles": list(NAMES),
+        "budget": {name: percentiles(getattr(latencies, name)) for name in STAGES},
+    }
+
+
+def write_report(report: dict[str, Any], folder: Path) -> Path:
+    """Write a report into a folder, and return the file."""
+    file = folder / FILE
+    with replacing(file) as part:
+        part.write_text(json.dumps(report, indent=2) + "\n")
+    return file
+
+
+def show_report(report: dict[str, Any], console: "Console") -> None:
+    """Print a report."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    run, counts = report["run"], report["counts"]
+    budget = Table(
+        title=f"Latency in ms, beside a period of {1e3 * run['period']:g} ms",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    budget.add_column("stage")
+    for name in NAMES:
+        budget.add_column(name, justify="right")
+    budget.add_column("")
+    for name, times in report["budget"].items():
+        row = ["-"] * len(NAMES) if times is None else [f"{1e3 * each:.2f}" for each in times]
+        budget.add_row(name, *row, STAGES[name])
+    console.print(budget)
+    for line in _sentences(run, counts, report["success"]):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
+    parcels = ", ".join(f"{count} {outcome}" for outcome, count in counts["parcels"].items())
+    load = ", ".join(f"{each:.2f}" for each in run["load"])
+    return [
+        f"{run['agent']} for {run['seconds']:.0f} s: {counts['periods']} periods, "
+        f"{counts['kept']} deadlines kept, {counts['missed']} missed, {counts['skipped']} periods "
+        f"skipped; load {load} on {run['cores']} cores",
+        f"{counts['decisions']} decisions by the policy; fixed layout in "
+        f"{counts['by_fixed_layout']} periods, frames stopped for more than "
+        f"{1e3 * run['watchdog']:g} ms {counts['watchdog']} times; axes held in {counts['held']}",
+        f"{counts['sent']} axis commands sent, {counts['out_of_range']} out of range and not sent, "
+        f"{counts['refused']} refused by the device; {counts['strayed']} observations out of "
+        "bounds",
+        f"{counts['frames']} frames, {counts['frames_unused']} of no use, and {counts['unused']} "
+        f"other messages; device lost {counts['lost']} times, found {counts['connected']} times "
+        f"in {counts['attempts']} attempts, away in {counts['unconnected']} periods",
+        f"{sum(counts['parcels'].values())} parcels"
+        + ("" if success is None else f", success {success:.3f}: {parcels}")
+        + (f"; {counts['unfit']} that do not fit" if counts["unfit"] else ""),
+        *(
+            f"fault of the device, {count} times: {name}"
+            for name, count in counts["faults"].items()
+        ),
+    ]
