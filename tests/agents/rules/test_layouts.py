@@ -1,5 +1,6 @@
 """Rules of Sort, and the best layouts that could be arranged beforehand, searched for a start."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from surface_gym.agents.evaluation.benchmark import find_benchmark
 from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
 from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
-from surface_gym.agents.rules.sorting import BestSorting, GradedLayout
+from surface_gym.agents.rules.sorting import BestSorting, BoxLayouts, GradedLayout
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
 from surface_gym.layouts import LINE_Y, box
@@ -76,6 +77,8 @@ def test_the_best_fixed_layout_sorts_at_its_least_speed(box) -> None:
 
 @pytest.mark.parametrize("box", ["S", "B"])
 def test_with_more_orientations_it_sorts_slower_boxes(box) -> None:
+    every = np.sort(np.degrees(OFFERS["eight"]) % 180.0)
+    np.testing.assert_allclose(every, [0, 22.5, 45, 67.5, 90, 112.5, 135, 157.5], atol=1e-9)
     config = EnvConfig("sort", actions="modules", orientations=OFFERS["eight"])
     some = sides_of(box, *from_least_speed(shipped(box, "eight"), 20))
     assert run(BestSorting(config), config, some).success.all()
@@ -96,6 +99,9 @@ def test_on_a_zone_of_another_size_it_is_cut_or_goes_on() -> None:
     np.testing.assert_array_equal(longer[2:6, :16], whole)
     np.testing.assert_array_equal(longer[:, 16:], np.repeat(longer[:, 15:16], 4, axis=1))
     np.testing.assert_array_equal(longer[:2], np.repeat(longer[2:3], 2, axis=0))
+    own = BoxLayouts([replace(shipped("S", "four"), axis=np.array([[0.1, 0.2, 0.3]]))], (1, 5))
+    fitted = own.arrange(np.array([0.2]), np.array([-1.0]))
+    np.testing.assert_array_equal(fitted, [[0.1, 0.2, 0.3, 0.3, 0.3]])
     # In the middle of a wider zone lies the small box's.
     small = shipped("S", "four").axis
     np.testing.assert_allclose(np.sin(sorting_axes("S", -1)[1:3] - small), 0.0, atol=1e-12)
