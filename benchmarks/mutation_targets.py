@@ -100,7 +100,8 @@ TARGETS = (
         "tests/test_vector_env.py", "tests/test_own.py",
     ),
     _env("core/resets", ("core/test_batch",), *_ENVS),
-    _env("core/actions", ("core/test_batch",), "tests/test_actuators.py", "tests/test_axes.py"),
+    _env("core/actions", ("core/test_batch",), "tests/test_actuators.py", "tests/test_axes.py",
+         "tests/test_presets.py"),
     _env(
         "randomisation", ("test_actuators", "test_randomisation"),
         "tests/test_env_starts.py", "tests/test_config.py",
