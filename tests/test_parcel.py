@@ -286,8 +286,6 @@ class TestAssortment:
         assert np.abs(offsets.mean(axis=0)).max() < 4.0 * 0.015 / np.sqrt(len(MANY))
         for parcel in MANY:
             assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
-
-    def test_none_is_off_centre_where_no_load_is(self):
         assert {parcel.com_offset for parcel in assortment(8, 0, load=0.0)} == {(0.0, 0.0)}
 
     def test_polygons_are_convex_and_hold_their_centroid(self):

@@ -131,15 +131,11 @@ def test_it_observes_the_groups_of_its_card(observe) -> None:
 
 def test_the_value_of_an_observation_is_the_same_for_either_side() -> None:
     """Networks of layers that differ in size are built."""
-    network = module_policy.ValueNetwork((8, 4))
     seen = torch.rand((5, 15), generator=torch.Generator().manual_seed(7))
-    turned, moved = seen.clone(), seen.clone()
-    turned[:, SIDE] *= -1.0
-    moved[:, SIDE - 1] += 1.0
-    values = network(seen)
-    assert values.shape == (5,)
-    assert torch.equal(network(turned), values)
-    assert (network(moved) != values).all()
+    network, side = module_policy.ValueNetwork((8, 4)), torch.eye(15)[SIDE]
+    assert network(seen).shape == (5,)
+    assert torch.equal(network(seen - side), network(seen))
+    assert (network(seen + 1.0 - side) != network(seen)).all()
 
 
 def test_a_draw_is_shared_by_the_modules_of_an_environment() -> None:

@@ -38,8 +38,7 @@ FAST = [*sides_of("S", 1.5), *sides_of("B", 1.5), *sides_of("S", 1.5, sides=(0,)
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["fixed layout", "best fixed layout", "event rule", "threshold logic", "PID per module"],
+    "name", ["fixed layout", "best fixed layout", "event rule", "threshold logic", "PID per module"]
 )
 def test_they_sort_slow_parcels_as_fast_ones_and_leave_alone_what_goes_straight(name) -> None:
     runs = run_rule("sort", name, [*FAST, *SLOW])
@@ -115,19 +114,6 @@ def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box) -> None:
     assert shipped(box, "any").least_speed <= shipped(box, "four").least_speed / 1.8
 
 
-@pytest.mark.parametrize(
-    ("task", "actions", "orientations", "named"),
-    [
-        ("sort", "modules", None, "orientations must be one of 'any', got None"),
-        ("sort", "halves", "any", "actions must be one of 'modules', got 'halves'"),
-        ("slow", "modules", "any", "task must be one of 'sort', got 'slow'"),
-    ],
-)
-def test_a_layout_at_any_angle_is_for_axes_at_any_angle(task, actions, orientations, named) -> None:
-    with pytest.raises(ValueError, match=named):
-        GradedLayout(EnvConfig(task, actions=actions, orientations=orientations))
-
-
 def test_one_observation_gives_one_action() -> None:
     env, seen = begun("sort", [{}], actions="modules", orientations="any")
     one, state = GradedLayout(env.config).predict(seen[0])
@@ -157,6 +143,7 @@ FIGURES = {"slow": "ratio_error", "stop": "stop_error", "orient": "angle_error"}
 WAVE = Sine(0.12, 2.4)
 SINE: dict[str, Any] = {"path": WAVE, "speed": 0.8, "tilt": 0.22, "parcel": "S"}
 SHOWN = EnvConfig(task=ShownPath(), actions="modules")
+BY_HALVES = {"actions": "halves", "orientations": "any"}
 
 
 @pytest.mark.parametrize("task", STARTS)
@@ -220,16 +207,19 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "named"),
+    ("make", "given", "named"),
     [
-        ({"task": "stop"}, "task must be one of 'track'"),
-        ({"task": "track"}, "task must be a ShownPath"),
-        ({"actions": "window"}, "actions must be one of 'modules'"),
-        ({"zone": (3, 40)}, "zone must be None"),
-        ({"orientations": (0.0, 1.0)}, "orientations must hold"),
+        (BestTracking, {"task": "stop"}, "task must be one of 'track'"),
+        (BestTracking, {"task": "track"}, "task must be a ShownPath"),
+        (BestTracking, {"actions": "window"}, "actions must be one of 'modules'"),
+        (BestTracking, {"zone": (3, 40)}, "zone must be None"),
+        (BestTracking, {"orientations": (0.0, 1.0)}, "orientations must hold"),
+        (GradedLayout, {"task": "sort"}, "orientations must be one of 'any', got None"),
+        (GradedLayout, {"task": "sort", **BY_HALVES}, "actions must be one of 'modules', got 'ha"),
+        (GradedLayout, {"task": "slow"}, "task must be one of 'sort', got 'slow'"),
     ],
     ids=str,
 )
-def test_tracking_refuses_what_it_is_not_made_for(given, named) -> None:
+def test_they_refuse_what_they_are_not_made_for(make, given, named) -> None:
     with pytest.raises(ValueError, match=named):
-        BestTracking(EnvConfig(**{"task": ShownPath(), **given}))
+        make(EnvConfig(**{"task": ShownPath(), **given}))
