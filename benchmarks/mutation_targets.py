@@ -217,6 +217,20 @@ EQUIVALENTS = (
         "there are as many sums as names",
     ),
     Equivalent(
+        "surface_gym/randomisation.py",
+        "_draw_parcel",
+        "moved = offset + self.com_offset * half * rng.uniform(-1.0, 1.0, 2)",
+        "moved = offset - self.com_offset * half * rng.uniform(-1.0, 1.0, 2)",
+        "a load is as likely to lie to the other side",
+    ),
+    Equivalent(
+        "surface_gym/design/limits.py",
+        "curve_rows",
+        "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):",
+        "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=False):",
+        "there are as many shares as values",
+    ),
+    Equivalent(
         "agents/base.py",
         "mirrored_orientations",
         "if (apart[np.arange(len(angles)), nearest] > SAME).any():",

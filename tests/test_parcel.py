@@ -247,13 +247,11 @@ class TestParcels:
 
 
 class TestAssortment:
-    def test_the_same_seed_gives_the_same_parcels(self):
+    def test_the_same_seed_gives_the_same_parcels_whose_shapes_come_in_turn(self):
         for again, parcel in zip(assortment(12, seed=3), MANY[:12], strict=True):
             np.testing.assert_array_equal(again.base.outline, parcel.base.outline)
             assert again.com_offset == parcel.com_offset
         assert assortment(1, seed=4) != MANY[:1]
-
-    def test_shapes_come_in_turn(self):
         for place, parcel in enumerate(MANY):
             assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
         assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])

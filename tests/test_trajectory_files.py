@@ -83,17 +83,15 @@ class TestAllOfOne:
         assert back.surface.stiffness is None
         assert back.parcel.inertia is None
         assert (back.surface.pitch, back.surface.mu_max) == (0.1, 0.5)
+        run = replace(slide(), run=None)
+        back = saved(run, tmp_path / "run.npz")
+        assert_same(run, back, MOTION)
+        assert back.run is None
 
     @pytest.mark.parametrize("solver", ["osqp", "scipy"])
     def test_with_another_solver(self, solver, tmp_path):
         run = slide(normal_forces=solver, duration=0.02)
         assert_same(run.contacts, saved(run, tmp_path / "run.npz").contacts, CONTACTS)
-
-    def test_a_trajectory_without_a_run_has_none_afterwards(self, tmp_path):
-        run = replace(slide(), run=None)
-        back = saved(run, tmp_path / "run.npz")
-        assert_same(run, back, MOTION)
-        assert back.run is None
 
     def test_classes_of_ones_own_are_not_lost_silently(self, tmp_path):
         kinds = (sg.Rectangle, sg.Surface, sg.Parcel)

@@ -130,7 +130,6 @@ def test_it_observes_the_groups_of_its_card(observe) -> None:
 
 
 def test_the_value_of_an_observation_is_the_same_for_either_side() -> None:
-    """Networks of layers that differ in size are built."""
     seen = torch.rand((5, 15), generator=torch.Generator().manual_seed(7))
     network, side = module_policy.ValueNetwork((8, 4)), torch.eye(15)[SIDE]
     assert network(seen).shape == (5,)

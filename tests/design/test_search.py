@@ -30,8 +30,7 @@ def apart(wanted: np.ndarray):
 def test_it_finds_the_least_of_a_sum_over_modules_and_keeps_what_it_begins_with():
     found, _ = search(SPACE, apart(target()), ROLLING, SMALL, seed=0)
     np.testing.assert_array_equal(found, target())
-    known, effort = target()[np.newaxis], Effort(5, 1, 1, 0)
-    found, compared = search(SPACE, apart(target()), known, effort, seed=3)
+    found, compared = search(SPACE, apart(target()), target()[None], Effort(5, 1, 1, 0), seed=3)
     np.testing.assert_array_equal(found, target())
     assert compared == 5 + 5  # the population and one generation
 
