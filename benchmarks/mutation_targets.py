@@ -128,9 +128,13 @@ TARGETS = (
     ),
     _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),
     *(
-        _agent(f"evaluation/{name}", f"evaluation/test_{near}.py", wide=("evaluation",))
+        _agent(
+            f"evaluation/{name}", f"evaluation/test_{near}.py",
+            wide=("evaluation", "test_programs.py"),
+        )
         for name, near in (
-            ("benchmark", "benchmark"), ("capacity", "streams"), ("robustness", "robustness")
+            ("benchmark", "benchmark"), ("capacity", "streams"), ("robustness", "robustness"),
+            ("report", "report"),
         )
     ),
     _agent("tuning/study", "tuning/test_study.py", wide=("tuning",)),
@@ -229,6 +233,13 @@ EQUIVALENTS = (
         "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):",
         "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=False):",
         "there are as many shares as values",
+    ),
+    Equivalent(
+        "agents/rollout.py",
+        "run_sequentially",
+        "pose=stack_poses([run.pose[:, 0] for run in runs]),",
+        "pose=stack_poses([run.pose[:, -1] for run in runs]),",
+        "each run is of one environment, which is its first and its last",
     ),
     Equivalent(
         "agents/base.py",
