@@ -31,7 +31,7 @@ from rich.table import Table
 from benchmarks.mutation_targets import EQUIVALENTS, TARGETS, Target
 
 REPOSITORY = Path(__file__).parents[1]
-COPIED = ("surface_gym", "agents", "benchmarks", "docs/environments", "examples", "tests")
+COPIED = ("surface_gym", "agents", "benchmarks", "docs", "examples", "tests")
 MAX_SECONDS = 1800  # [s] of wall time for a run of tests, whatever else the machine does
 KILLED, SURVIVED, EQUIVALENT = "killed", "survived", "equivalent"
 
@@ -177,12 +177,13 @@ class Workspace:
         for name in COPIED:
             shutil.rmtree(self._copy / name, ignore_errors=True)
             ignore = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(REPOSITORY / name, self._copy / name, ignore=ignore)
+            shutil.copytree(REPOSITORY / name, self._copy / name, symlinks=True, ignore=ignore)
         for file in REPOSITORY.iterdir():
             if file.is_file():
                 shutil.copy2(file, self._copy)
-        if (self._copy / "agents").is_dir():  # an installation finds the repository's own
-            (self._copy / "surface_gym" / "agents").symlink_to(self._copy / "agents")
+        link = self._copy / "surface_gym" / "agents"
+        if (self._copy / "agents").is_dir() and not link.exists():
+            link.symlink_to(self._copy / "agents")  # an installation finds the repository's own
         self._tests = _digest(*sorted((self._copy / "tests").rglob("*.py")))
         if self._results.exists():
             for line in self._results.read_text().splitlines():

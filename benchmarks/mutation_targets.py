@@ -58,6 +58,18 @@ def _agent(module: str, *near: str, wide: tuple[str, ...] = ()) -> Target:
     return Target("agents", f"agents/{module}.py", tests, tuple(f"tests/agents/{w}" for w in wide))
 
 
+def _design(name: str) -> Target:
+    """Make the target of a module that designs a line."""
+    near = (f"tests/design/test_{name}.py",)
+    return Target("design", f"surface_gym/design/{name}.py", near, ("tests/design",))
+
+
+def _flow(name: str, near: str = "") -> Target:
+    """Make the target of a module of streams of parcels."""
+    tests = (f"tests/flow/test_{near or name}.py",)
+    return Target("flow", f"surface_gym/flow/{name}.py", tests, ("tests/flow",))
+
+
 TARGETS = (
     _physics("normal_forces"),
     _physics("friction"),
@@ -88,21 +100,19 @@ TARGETS = (
         "tests/test_vector_env.py", "tests/test_own.py",
     ),
     _env("core/resets", ("core/test_batch",), *_ENVS),
-    _env("core/actions", ("core/test_batch",), "tests/test_actuators.py", "tests/test_axes.py"),
+    _env("core/actions", ("core/test_batch",), "tests/test_actuators.py", "tests/test_axes.py",
+         "tests/test_presets.py"),
     _env(
         "randomisation", ("test_actuators", "test_randomisation"),
         "tests/test_env_starts.py", "tests/test_config.py",
     ),
     *(
-        _agent(f"rules/{name}", "rules/test_braking.py", wide=("rules/test_rules.py",))
-        for name in ("braking", "base")
-    ),
-    _agent(
-        "rules/steering",
-        "rules/test_steering.py::test_the_turning_rule_turns_to_any_angle",
-        "rules/test_steering.py::test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear"
-        "_the_other",
-        wide=("rules/test_rules.py",),
+        _agent(f"rules/{name}", f"rules/test_{near}.py", wide=("rules",))
+        for name, near in (
+            ("braking", "braking"), ("base", "braking"), ("steering", "steering"),
+            ("sorting", "layouts"), ("layouts", "layouts"), ("reservation", "reservation"),
+            ("zones", "streams"),
+        )
     ),
     _agent("planning/planner", "planning/test_planner.py"),
     _agent("planning/models", "planning/test_models.py", wide=("planning",)),
@@ -112,9 +122,26 @@ TARGETS = (
     _agent("rollout", "test_rollout.py", wide=("evaluation",)),
     _agent("module_policy", "test_module_view.py", wide=("test_module_policy.py",)),
     _agent("export/onnx", "export/test_export.py", wide=("export",)),
-    _agent("runtime/controller", "runtime/test_controller.py", wide=("runtime",)),
+    *(
+        _agent(f"runtime/{name}", f"runtime/test_{name}.py", wide=("runtime",))
+        for name in ("controller", "estimator", "protocol", "simulator")
+    ),
     _agent("learning/runs", "learning/test_runs.py", wide=("learning",)),
-    _agent("evaluation/benchmark", "evaluation/test_benchmark.py", wide=("evaluation",)),
+    *(
+        _agent(
+            f"evaluation/{name}", f"evaluation/test_{near}.py",
+            wide=("evaluation", "test_programs.py"),
+        )
+        for name, near in (
+            ("benchmark", "benchmark"), ("capacity", "streams"), ("robustness", "robustness"),
+            ("report", "report"),
+        )
+    ),
+    _agent("tuning/study", "tuning/test_study.py", wide=("tuning",)),
+    *(_design(name) for name in ("case", "limits", "search", "sweep", "control")),
+    *(_flow(name) for name in ("arrivals", "exits", "stream")),
+    _flow("batch", "env"),
+    _flow("task", "features"),
 )  # fmt: skip
 
 
@@ -192,6 +219,27 @@ EQUIVALENTS = (
         '"reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=True)),',
         '"reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=False)),',
         "there are as many sums as names",
+    ),
+    Equivalent(
+        "surface_gym/randomisation.py",
+        "_draw_parcel",
+        "moved = offset + self.com_offset * half * rng.uniform(-1.0, 1.0, 2)",
+        "moved = offset - self.com_offset * half * rng.uniform(-1.0, 1.0, 2)",
+        "a load is as likely to lie to the other side",
+    ),
+    Equivalent(
+        "surface_gym/design/limits.py",
+        "curve_rows",
+        "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):",
+        "for value, share in zip(span.values.tolist(), span.share.tolist(), strict=False):",
+        "there are as many shares as values",
+    ),
+    Equivalent(
+        "agents/rollout.py",
+        "run_sequentially",
+        "pose=stack_poses([run.pose[:, 0] for run in runs]),",
+        "pose=stack_poses([run.pose[:, -1] for run in runs]),",
+        "each run is of one environment, which is its first and its last",
     ),
     Equivalent(
         "agents/base.py",

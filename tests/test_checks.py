@@ -98,22 +98,18 @@ NO_ARRAYS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("value", NO_ARRAYS)
-def test_what_is_no_array_of_numbers_is_refused(value):
-    with pytest.raises(ValueError, match=r"^pose must be an array of numbers, got "):
-        checks.array("pose", value, (3,))
-
-
-@pytest.mark.parametrize("value", [1.0, (1.0, 2.0), np.zeros((3, 1)), np.zeros(0)])
-def test_arrays_of_another_shape_are_refused(value):
-    with pytest.raises(ValueError, match=r"^pose must have the shape \(3\), got \("):
-        checks.array("pose", value, (3,))
-
-
-@pytest.mark.parametrize("value", NOT_FINITE)
-def test_arrays_with_a_number_that_is_not_finite_are_refused(value):
-    with pytest.raises(ValueError, match=r"^pose must be finite, got -?(nan|inf) in it$"):
-        checks.array("pose", (0.0, value, 1.0), (3,))
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (NO_ARRAYS, "be an array of numbers, got "),
+        ([1.0, (1.0, 2.0), np.zeros((3, 1)), np.zeros(0)], r"have the shape \(3\), got \("),
+        ([(0.0, value, 1.0) for value in NOT_FINITE], "be finite, got -?(nan|inf) in it$"),
+    ],
+)
+def test_what_is_no_array_of_three_numbers_is_refused(values, message):
+    for value in values:
+        with pytest.raises(ValueError, match=f"^pose must {message}"):
+            checks.array("pose", value, (3,))
 
 
 def test_an_array_is_a_read_only_copy():

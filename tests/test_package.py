@@ -29,11 +29,7 @@ HELP = (
 
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
-    [
-        ("import surface_gym", 3, set()),
-        (SIMULATE, 65, set()),
-        (HELP, 20, {"tyro", "rich"}),
-    ],
+    [("import surface_gym", 3, set()), (SIMULATE, 65, set()), (HELP, 20, {"tyro", "rich"})],
     ids=["import", "simulate", "train --help"],
 )
 def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):

@@ -246,13 +246,11 @@ class TestParcels:
 
 
 class TestAssortment:
-    def test_the_same_seed_gives_the_same_parcels(self):
+    def test_the_same_seed_gives_the_same_parcels_whose_shapes_come_in_turn(self):
         for again, parcel in zip(assortment(12, seed=3), MANY[:12], strict=True):
             np.testing.assert_array_equal(again.base.outline, parcel.base.outline)
             assert again.com_offset == parcel.com_offset
         assert assortment(1, seed=4) != MANY[:1]
-
-    def test_shapes_come_in_turn(self):
         for place, parcel in enumerate(MANY):
             assert isinstance(parcel.base, (Rectangle, Rectangle, Disc, Polygon)[place % 4])
         assert all(parcel.base.length == parcel.base.width for parcel in MANY[::4])
@@ -285,8 +283,6 @@ class TestAssortment:
         assert np.abs(offsets.mean(axis=0)).max() < 4.0 * 0.015 / np.sqrt(len(MANY))
         for parcel in MANY:
             assert parcel.base.functions(*parcel.centre_of_mass).max() <= 0.0
-
-    def test_none_is_off_centre_where_no_load_is(self):
         assert {parcel.com_offset for parcel in assortment(8, 0, load=0.0)} == {(0.0, 0.0)}
 
     def test_polygons_are_convex_and_hold_their_centroid(self):

@@ -119,17 +119,14 @@ class TestStream:
         game.advance()
         np.testing.assert_allclose(game._renderer.scene().axis, game._scene().axis)  # they turned
 
-    def test_drawn_over_the_line_it_turns_all_on_its_way(self, game):
+    def test_drawn_over_the_line_it_turns_all_on_its_way_and_elsewhere_nothing(self, game):
+        for touched in ((2.0, 1.0, 3), (2.0, 1.5), (0.2,)):  # the last: the lead-in
+            self.touch(game, *touched)
+        assert len(self.turned(game)) == 0
         drag(game, self.pixel(2.0, 1.0), self.pixel(3.0, 1.0))
         assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
         move(game, self.pixel(4.0, 1.0), pressed=False)
         assert self.turned(game)[:, 0].max() == pytest.approx(3.15)
-
-    def test_other_buttons_and_places_off_the_line_do_nothing(self, game):
-        self.touch(game, 2.0, button=3)
-        self.touch(game, 2.0, 1.5)
-        self.touch(game, 0.2)  # the lead-in
-        assert len(self.turned(game)) == 0
 
     def test_shift_turns_all(self, game):
         press(game, pygame.K_1)

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from surface_gym.agents import module_policy
+from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import PolicyCard
 from surface_gym.core.actions import group_features
 from tests.agents.test_policy import policy_of
@@ -126,6 +127,14 @@ def test_it_observes_the_groups_of_its_card(observe) -> None:
     seen, _ = env.reset(seed=0)
     assert policy.predict(seen)[0] in env.action_space
     assert seen.shape[1] == 15 + len(group_features(observe))
+
+
+def test_the_value_of_an_observation_is_the_same_for_either_side() -> None:
+    seen = torch.rand((5, 15), generator=torch.Generator().manual_seed(7))
+    network, side = module_policy.ValueNetwork((8, 4)), torch.eye(15)[SIDE]
+    assert network(seen).shape == (5,)
+    assert torch.equal(network(seen - side), network(seen))
+    assert (network(seen + 1.0 - side) != network(seen)).all()
 
 
 def test_a_draw_is_shared_by_the_modules_of_an_environment() -> None:

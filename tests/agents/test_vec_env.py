@@ -178,3 +178,5 @@ def test_concatenated_environments_are_those_apart() -> None:
         assert [bool(info) for info in infos] == found[2].tolist()
     assert together.get_attr("num_envs", [0, NUM_ENVS]) == [NUM_ENVS] * 2
     assert together.env_is_wrapped(gym.Wrapper, [1]) == [False]
+    together.close()
+    assert together.get_attr("closed") == [True] * 2 * NUM_ENVS

@@ -30,8 +30,9 @@ def apart(wanted: np.ndarray):
 def test_it_finds_the_least_of_a_sum_over_modules_and_keeps_what_it_begins_with():
     found, _ = search(SPACE, apart(target()), ROLLING, SMALL, seed=0)
     np.testing.assert_array_equal(found, target())
-    found, _ = search(SPACE, apart(target()), target()[np.newaxis], Effort(5, 1, 1, 0), seed=3)
+    found, compared = search(SPACE, apart(target()), target()[None], Effort(5, 1, 1, 0), seed=3)
     np.testing.assert_array_equal(found, target())
+    assert compared == 5 + 5  # the population and one generation
 
 
 def test_it_finds_what_no_single_module_tells_by_all_of_a_column():

@@ -74,6 +74,7 @@ def test_a_stiffer_contact_bears_more(solver: str) -> None:
 
 
 TRIANGLE = PITCH * np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (1.0, 1.0)])
+BLUNT = PITCH * np.array([(0.0, 0.0), (1.0, 0.0), (-1.0, 1.0)])
 TILTED = (2 + 1.5 * GRID[:, 0] / PITCH) / 18
 # Each with a load [m] and the share of the weight that every contact bears.
 KNOWN = {
@@ -92,6 +93,7 @@ DEGENERATE = {
     "collinear, load beyond": (GRID[[0, 4, 8]], (-0.3, -0.4), (1, 0, 0)),
     "load beyond a side": (SQUARE, (0.0, 0.15), (0, 0, 0.5, 0.5)),
     "load beyond a corner": (SQUARE, (0.3, 0.25), (0, 0, 0, 1)),
+    "load beyond a blunt corner": (BLUNT, (-0.1, -0.01), (0.55, 0, 0.45)),
 }
 
 

@@ -191,6 +191,7 @@ def test_one_seed_has_wilsons_interval(successes, count) -> None:
     found = runs.interval(np.arange(count)[np.newaxis] < successes)
     # A sample's spread counts one start less.
     assert found == pytest.approx((known.low, known.high), abs=0.01)
+    assert runs.half_interval(np.arange(3.0)) == pytest.approx(4.302653 / 3**0.5)  # Student's t
     # Round-off takes it not beyond what a share can be.
     for size in range(1, 100):
         low, high = runs.wilson(successes / count, size)

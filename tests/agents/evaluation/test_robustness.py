@@ -109,6 +109,7 @@ def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -
 @pytest.mark.parametrize("factor", robustness.FACTORS.values(), ids=robustness.FACTORS)
 def test_each_level_makes_an_environment_and_the_trained_one_changes_nothing(factor) -> None:
     assert set(factor.shown) <= set(factor.swept)
+    assert list(factor.levels) == sorted(factor.levels) or isinstance(factor.levels[0], str)
     for task in TASKS:
         if factor.of_lines and task == "track":
             continue

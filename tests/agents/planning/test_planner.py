@@ -200,6 +200,8 @@ def test_what_was_planned_happens_and_is_followed_and_all_else_is_planned_anew()
         ((anew, given),) = planner.predict(observation, state, begins)[1]
         assert anew is not plan
         assert given == 1
+    with pytest.raises(ValueError, match="shorter"):  # a plan for one of two environments
+        planner.predict(seen[-2:], state)
 
 
 @pytest.mark.parametrize("budget", [0, -3, 2.5, True])

@@ -175,6 +175,17 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
     np.testing.assert_allclose(braking.contact_span(config, see).load, see.load_ahead)
+    # A box that rolled for 0.2 s is to brake harder, the less friction there is.
+    lab: dict[str, Any] = {"observe": ("parcel", "load"), "preset": "lab"}
+    env, seen = begun("stop", [{"parcel": "S", "speed": 1.6, "position": 1.5}] * 3, **lab)
+    roll = ColumnAxes(config)(np.full((3, COLUMNS), ROLL))
+    for _ in range(5):
+        seen, *_ = env.step(roll)
+    seen[:] = seen[0]
+    names = [feature.name for feature in config.features]
+    seen[:, names.index("friction learned")] = -2.0, 0.0, 2.0
+    actions, _ = rule("stop", "braking rule").make(env.config).predict(seen)
+    assert (np.diff((actions != roll).sum(axis=1)) < 0).all()
     # Where a load lies along the line is the same in Sort's mirror.
     turned = {"cosine of theta": [0.8, 0.8], "sine of theta": [0.6, 0.6]}
     learned = {"side": [1.0, -1.0], **turned, "load learned, y": [2.0, 2.0]}

@@ -1,5 +1,6 @@
 """Rules of Sort, and the best layouts that could be arranged beforehand, searched for a start."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from surface_gym.agents.evaluation.benchmark import find_benchmark
 from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
 from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
-from surface_gym.agents.rules.sorting import BestSorting, GradedLayout
+from surface_gym.agents.rules.sorting import BestSorting, BoxLayouts, GradedLayout
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
 from surface_gym.layouts import LINE_Y, box
@@ -37,8 +38,7 @@ FAST = [*sides_of("S", 1.5), *sides_of("B", 1.5), *sides_of("S", 1.5, sides=(0,)
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["fixed layout", "best fixed layout", "event rule", "threshold logic", "PID per module"],
+    "name", ["fixed layout", "best fixed layout", "event rule", "threshold logic", "PID per module"]
 )
 def test_they_sort_slow_parcels_as_fast_ones_and_leave_alone_what_goes_straight(name) -> None:
     runs = run_rule("sort", name, [*FAST, *SLOW])
@@ -76,6 +76,8 @@ def test_the_best_fixed_layout_sorts_at_its_least_speed(box) -> None:
 
 @pytest.mark.parametrize("box", ["S", "B"])
 def test_with_more_orientations_it_sorts_slower_boxes(box) -> None:
+    every = np.sort(np.degrees(OFFERS["eight"]) % 180.0)
+    np.testing.assert_allclose(every, [0, 22.5, 45, 67.5, 90, 112.5, 135, 157.5], atol=1e-9)
     config = EnvConfig("sort", actions="modules", orientations=OFFERS["eight"])
     some = sides_of(box, *from_least_speed(shipped(box, "eight"), 20))
     assert run(BestSorting(config), config, some).success.all()
@@ -96,6 +98,9 @@ def test_on_a_zone_of_another_size_it_is_cut_or_goes_on() -> None:
     np.testing.assert_array_equal(longer[2:6, :16], whole)
     np.testing.assert_array_equal(longer[:, 16:], np.repeat(longer[:, 15:16], 4, axis=1))
     np.testing.assert_array_equal(longer[:2], np.repeat(longer[2:3], 2, axis=0))
+    own = BoxLayouts([replace(shipped("S", "four"), axis=np.array([[0.1, 0.2, 0.3]]))], (1, 5))
+    fitted = own.arrange(np.array([0.2]), np.array([-1.0]))
+    np.testing.assert_array_equal(fitted, [[0.1, 0.2, 0.3, 0.3, 0.3]])
     # In the middle of a wider zone lies the small box's.
     small = shipped("S", "four").axis
     np.testing.assert_allclose(np.sin(sorting_axes("S", -1)[1:3] - small), 0.0, atol=1e-12)
@@ -109,26 +114,12 @@ def test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do(box) -> None:
     assert shipped(box, "any").least_speed <= shipped(box, "four").least_speed / 1.8
 
 
-@pytest.mark.parametrize(
-    ("task", "actions", "orientations", "named"),
-    [
-        ("sort", "modules", None, "orientations must be one of 'any', got None"),
-        ("sort", "halves", "any", "actions must be one of 'modules', got 'halves'"),
-        ("slow", "modules", "any", "task must be one of 'sort', got 'slow'"),
-    ],
-)
-def test_a_layout_at_any_angle_is_for_axes_at_any_angle(task, actions, orientations, named) -> None:
-    with pytest.raises(ValueError, match=named):
-        GradedLayout(EnvConfig(task, actions=actions, orientations=orientations))
-
-
 def test_one_observation_gives_one_action() -> None:
     env, seen = begun("sort", [{}], actions="modules", orientations="any")
     one, state = GradedLayout(env.config).predict(seen[0])
-    many, _ = GradedLayout(env.config).predict(seen)
     assert state is None
     assert env.single_action_space.contains(one.astype(np.float32))
-    np.testing.assert_array_equal(many, one[np.newaxis])
+    np.testing.assert_array_equal(GradedLayout(env.config).predict(seen)[0], one[np.newaxis])
 
 
 STARTS: dict[str, list[dict[str, Any]]] = {
@@ -151,6 +142,7 @@ FIGURES = {"slow": "ratio_error", "stop": "stop_error", "orient": "angle_error"}
 WAVE = Sine(0.12, 2.4)
 SINE: dict[str, Any] = {"path": WAVE, "speed": 0.8, "tilt": 0.22, "parcel": "S"}
 SHOWN = EnvConfig(task=ShownPath(), actions="modules")
+BY_HALVES = {"actions": "halves", "orientations": "any"}
 
 
 @pytest.mark.parametrize("task", STARTS)
@@ -214,16 +206,19 @@ def test_a_shown_path_is_the_path_and_the_rest_is_tracks() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "named"),
+    ("make", "given", "named"),
     [
-        ({"task": "stop"}, "task must be one of 'track'"),
-        ({"task": "track"}, "task must be a ShownPath"),
-        ({"actions": "window"}, "actions must be one of 'modules'"),
-        ({"zone": (3, 40)}, "zone must be None"),
-        ({"orientations": (0.0, 1.0)}, "orientations must hold"),
+        (BestTracking, {"task": "stop"}, "task must be one of 'track'"),
+        (BestTracking, {"task": "track"}, "task must be a ShownPath"),
+        (BestTracking, {"actions": "window"}, "actions must be one of 'modules'"),
+        (BestTracking, {"zone": (3, 40)}, "zone must be None"),
+        (BestTracking, {"orientations": (0.0, 1.0)}, "orientations must hold"),
+        (GradedLayout, {"task": "sort"}, "orientations must be one of 'any', got None"),
+        (GradedLayout, {"task": "sort", **BY_HALVES}, "actions must be one of 'modules', got 'ha"),
+        (GradedLayout, {"task": "slow"}, "task must be one of 'sort', got 'slow'"),
     ],
     ids=str,
 )
-def test_tracking_refuses_what_it_is_not_made_for(given, named) -> None:
+def test_they_refuse_what_they_are_not_made_for(make, given, named) -> None:
     with pytest.raises(ValueError, match=named):
-        BestTracking(EnvConfig(**{"task": ShownPath(), **given}))
+        make(EnvConfig(**{"task": ShownPath(), **given}))

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.rules import steering
+from surface_gym.agents.rules.layouts import FixedTurning
+from surface_gym.config import EnvConfig
 from surface_gym.tasks.paths import Sine
-from tests.agents.rules.runs import begun, mirrored_starts, rule, run_rule
+from tests.agents.rules.runs import Scripted, begun, mirrored_starts, rule, run, run_rule
 from tests.environments import ROLL
 
 WAVES = [
@@ -72,6 +75,15 @@ def test_the_turning_rule_turns_to_any_angle() -> None:
     small = [turn for turn in TURNS if turn["parcel"] == "S"]
     for name in ("threshold logic", "PID per module"):
         assert run_rule("orient", name, small).success.mean() >= 0.75
+
+
+def test_a_fixed_turn_is_the_best_of_its_kind() -> None:
+    """No other number of columns leaves nearer to the asked angle, in the environment itself."""
+    start, config = {"parcel": "S", "speed": 1.5, "angle": 0.3}, EnvConfig("orient")
+    layouts = FixedTurning(config)._layouts
+    others = run(Scripted(layouts[:, np.newaxis]), config, [start] * len(layouts))
+    errors = [each.metrics["angle_error"] for each in (others, run_rule("orient", FIXED, [start]))]
+    assert np.abs(errors[1]).item() == pytest.approx(np.abs(errors[0]).min(), abs=0.01)
 
 
 def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:

@@ -133,11 +133,12 @@ def test_a_device_that_is_lost_while_axes_are_sent(device) -> None:
 
 def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
     refused, taken = AxesAcknowledged(1, 0.05, "no"), AxesAcknowledged(2, 0.09)
-    device.script = [(0.0, entered()), (0.06, refused), (0.1, taken)]
+    early = AxesAcknowledged(3, 0.11)  # by a clock that is late: before it was sent
+    device.script = [(0.0, entered()), (0.06, refused), (0.1, taken), (0.14, early)]
     loop = run(device, 0.2)
-    assert (loop.counts.refused, loop.latencies.send) == (1, pytest.approx([0.01]))
+    assert (loop.counts.refused, loop.latencies.send) == (1, pytest.approx([0.01, 0.0]))
     # It has seen nothing since the entry: the whole way is that time and what the axes take.
-    assert loop.latencies.whole == pytest.approx([0.08 + 0.01 + 0.05])
+    assert loop.latencies.whole[0] == pytest.approx(0.08 + 0.01 + 0.05)
 
 
 @pytest.mark.parametrize("action", [16, -1, 0.5, None])

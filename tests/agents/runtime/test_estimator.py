@@ -134,11 +134,11 @@ def test_the_device_reports_when_axes_began_to_turn(held) -> None:
 
 def test_encoders_are_believed(held) -> None:
     held.reset(made.entered())
-    angles = np.full(held.shape, 0.3)
-    assert held.correct(Frame(0.02, 0, (made.POSE[0] + 0.02, 1.0, 0.0), angles))
+    assert held.correct(replace(made.frame(0.02), axes=np.full(held.shape, 0.3)))
     held.observe(0.02)
-    assert ((held.axes() == 0.3) | (held.axes() == math.pi / 2.0)).all()
-    assert (held.axes() == 0.3).sum() == 2 * 16
+    assert sorted(held.axes().ravel().tolist()) == [0.3] * 2 * 16 + [math.pi / 2.0] * 2 * 16
+    along = held._surfaces.direction[estimators.SEEN] - (math.cos(0.3), math.sin(0.3))
+    assert (np.abs(along).max(axis=-1) < 1e-12).sum() == 2 * 16
 
 
 def test_without_frames_the_estimate_stands_still_in_the_end(held) -> None:

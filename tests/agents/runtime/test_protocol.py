@@ -121,8 +121,7 @@ def test_a_field_that_is_missing_is_named_and_what_is_not_finite_is_not_sent() -
 
 
 @pytest.mark.parametrize(
-    "fields",
-    [{"kind": "axes"}, {"kind": "axes", "command": 0, "angles": [[1.0]]}, ACKNOWLEDGED],
+    "fields", [{"kind": "axes"}, {"kind": "axes", "command": 0, "angles": [[1.0]]}, ACKNOWLEDGED]
 )
 def test_other_messages_than_axis_commands_are_refused(fields) -> None:
     with pytest.raises(ValueError, match=r"must"):
