@@ -55,6 +55,18 @@ def test_each_file_that_is_named_exists(page):
         assert "NAME" in path or any(ROOT.glob(path)), path
 
 
+def test_the_authors_of_the_surface_are_credited_wherever_it_is_cited():
+    sources = ("README.md", "CITATION.cff", "docs/faq.md", "agents/rules/local.py")
+    for page in sources:
+        text = " ".join((ROOT / page).read_text().replace("\n> ", " ").split())
+        assert "Closed-Loop Control Strategies for a Modular Under-Actuated" in text, page
+        assert "7628" in text, page
+        if page != "agents/rules/local.py":
+            assert "novel underactuated smart surface" in text, page
+    for page in PAGES:
+        assert "vector_kwargs" not in (ROOT / page).read_text(), page
+
+
 def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictures, capsys):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
