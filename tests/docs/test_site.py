@@ -84,6 +84,7 @@ class TestNotebook:
 def site(tmp_path_factory):
     """The built site; the checkout is left as it is."""
     needed("zensical")
+    needed("latex2mathml")
     copy = tmp_path_factory.mktemp("checkout")
     ignored = shutil.ignore_patterns("__pycache__", "shipped")
     for folder in ("docs", "surface_gym", "agents"):
@@ -107,6 +108,20 @@ class TestSite:
         for page in site.glob("**/*.html"):
             for loaded in LOADED.findall(page.read_text()):
                 assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
+
+    def test_formulas_are_mathml_that_needs_no_script(self, site):
+        text = (site / "physics" / "index.html").read_text()
+        written = (DOCS / "physics.md").read_text()
+        assert text.count("<math") == len(re.findall(r"(\$\$?).+?\1", written, re.DOTALL))
+        for left in ("arithmatex", "$", "\\(", "\\["):
+            assert left not in re.sub(r"<(script|code).*?</\1>", "", text, flags=re.DOTALL), left
+        for formula in re.findall(r"<math.*?</math>", text):  # all of LaTeX was understood
+            assert "\\" not in formula
+            assert "&<" not in formula
+
+    def test_helper_scripts_are_not_published(self, site):
+        published = {file.suffix for file in site.rglob("*") if file.is_file()}
+        assert not published & {".py", ".pyc", ".yml"}
 
     def test_public_names_stand_in_the_reference(self, site):
         reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))
