@@ -28,6 +28,15 @@ def pictures(monkeypatch):
     return pictures.PICTURES
 
 
+def last_duration(film: Path) -> int:
+    """Return for how many milliseconds the last picture of a film stays."""
+    image = pytest.importorskip("PIL.Image", reason="pillow, of the extra `agents`, is missing")
+    with image.open(film) as pictures:
+        pictures.seek(pictures.n_frames - 1)
+        pictures.load()
+        return int(pictures.info["duration"])
+
+
 def find_anchors(page: Path) -> set[str]:
     """Return the anchors of a page's headings, as Markdown makes them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
@@ -76,6 +85,7 @@ def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictur
     assert len(videos) == 7
     for video in videos:
         assert video.stat().st_size <= VIDEO, video.name
+        assert last_duration(video) >= 1000, video.name
     from pictures import main
 
     with pytest.raises(SystemExit):
@@ -93,6 +103,26 @@ def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
     pictures[name](tmp_path / name)
     same = (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
     assert same, f"python docs/pictures.py --only {name}"  # pytest would compare the bytes for long
+
+
+def test_a_film_of_an_episode_is_cropped_to_what_moves(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    from pictures import _cropped, _moving_area
+
+    from surface_gym.rendering import Scene, SceneParcel
+
+    outline = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    axis = np.arange(600.0).reshape(20, 30)
+    scenes = [
+        Scene(axis, axis > 0.0, (SceneParcel(outline, (x, y, 0.0)),), zone=(9, 2, 3, 10))
+        for x, y in ((0.15, 1.02), (1.55, 1.29))
+    ]
+    rows, columns = _moving_area(scenes)
+    assert (rows, columns) == (slice(8, 15), slice(0, 18))
+    scene = _cropped(scenes[1], rows, columns)
+    np.testing.assert_array_equal(scene.axis, axis[8:15, :18])
+    assert scene.zone == (1, 2, 3, 10)
+    assert scene.origin == pytest.approx((0.05, 0.85))
 
 
 def test_a_film_shows_each_picture_in_its_colours_and_the_last_stays(tmp_path, monkeypatch):
