@@ -2,6 +2,7 @@
 and asks no other host for anything.
 """
 
+import html
 import json
 import os
 import re
@@ -21,6 +22,7 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 LOADED = re.compile(
     r'<(?:script|img|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="([^"]+)'
 )
+SIGNATURE = re.compile(r'<div class="doc-signature highlight">(.*?)</div>', re.DOTALL)
 SOURCE = '''
     """A parcel on its way."""
 
@@ -122,6 +124,16 @@ class TestSite:
     def test_helper_scripts_are_not_published(self, site):
         published = {file.suffix for file in site.rglob("*") if file.is_file()}
         assert not published & {".py", ".pyc", ".yml"}
+
+    def test_signatures_are_wrapped_and_the_environment_is_described(self, site):
+        for page in (site / "api").glob("*/index.html"):
+            for code in SIGNATURE.findall(page.read_text()):
+                lines = html.unescape(re.sub(r"<[^>]+>", "", code)).splitlines()
+                assert max(map(len, lines)) <= 88, (page, lines)
+        text = (site / "api" / "environments" / "index.html").read_text()
+        for name in ("SmartSurfaceEnv", "SmartSurfaceEnv.reset", "SmartSurfaceEnv.step"):
+            described = text.partition(f'id="surface_gym.{name}"')[2].partition("<h")[0]
+            assert re.search(r"<p>[A-Z][^<]{30}", described), name
 
     def test_public_names_stand_in_the_reference(self, site):
         reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))
