@@ -22,6 +22,7 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 LOADED = re.compile(
     r'<(?:script|img|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="([^"]+)'
 )
+REPOSITORY = "https://repository.example/surface"
 SIGNATURE = re.compile(r'<div class="doc-signature highlight">(.*?)</div>', re.DOTALL)
 SOURCE = '''
     """A parcel on its way."""
@@ -93,7 +94,7 @@ def site(tmp_path_factory):
         shutil.copytree(ROOT / folder, copy / folder, ignore=ignored)
     shutil.copy(ROOT / "mkdocs.yml", copy)
     build = [sys.executable, "-m", "zensical", "build", "--strict"]
-    quiet = {**os.environ, "NO_COLOR": "1"}
+    quiet = {**os.environ, "NO_COLOR": "1", "REPOSITORY_URL": REPOSITORY}
     done = subprocess.run(build, cwd=copy, capture_output=True, text=True, env=quiet)
     assert done.returncode == 0, done.stdout + done.stderr
     return copy / "build" / "site"
@@ -134,6 +135,12 @@ class TestSite:
         for name in ("SmartSurfaceEnv", "SmartSurfaceEnv.reset", "SmartSurfaceEnv.step"):
             described = text.partition(f'id="surface_gym.{name}"')[2].partition("<h")[0]
             assert re.search(r"<p>[A-Z][^<]{30}", described), name
+
+    def test_each_page_leads_to_the_repository_and_asks_it_for_nothing(self, site):
+        for page in site.glob("**/index.html"):
+            text = page.read_text()
+            assert f'<a href="{REPOSITORY}" title="Repository"' in text, page
+            assert 'data-md-component="source"' not in text, page
 
     def test_public_names_stand_in_the_reference(self, site):
         reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))
