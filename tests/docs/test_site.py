@@ -66,12 +66,46 @@ def test_an_example_is_fenced_and_fields_are_listed_with_their_comments(tmp_path
     }
 
 
+def test_what_cells_show_becomes_text_tables_and_pictures(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    from notebook_pages import page
+
+    red = {"text/plain": "Figure", "image/png": "cmVk"}
+    outputs = [{"text": "\x1b[1m2 s\x1b[0m\n"}, {"data": {"text/markdown": "| a |"}}, {"data": red}]
+    text, pictures = page(
+        "tour",
+        [
+            {"cell_type": "markdown", "source": "# A tour"},
+            {"cell_type": "code", "source": "look()", "outputs": outputs},
+        ],
+    )
+    title, link, *rest = text.rstrip("\n").split("\n\n")
+    assert (title, "(tour.ipynb)" in link) == ("# A tour", True)
+    assert rest[:3] == ["```py\nlook()\n```", "```output\n2 s\n```", "| a |"]
+    assert rest[3:] == ["![What the cell above shows](tour-1.png)"]
+    assert pictures == {"tour-1.png": b"red"}
+
+
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 class TestNotebook:
     def test_it_is_stored_without_results(self, file):
         cells = json.loads(file.read_text())["cells"]
         assert all(not cell.get("outputs") for cell in cells)
         assert all(cell.get("execution_count") is None for cell in cells)
+
+    def test_its_page_shows_its_cells_and_their_pictures(self, file):
+        """If not: `python docs/notebook_pages.py`."""
+        cells = json.loads(file.read_text())["cells"]
+        text = file.with_suffix(".md").read_text()
+        end = 0
+        for cell in cells:
+            source = "".join(cell["source"])
+            shown = source if cell["cell_type"] == "markdown" else f"```py\n{source}\n```"
+            end = text.index(shown, end) + len(shown)
+        shown = set(re.findall(r"\]\((\S+\.png)\)", text))
+        assert shown == {picture.name for picture in file.parent.glob(f"{file.stem}-*.png")}
+        assert shown
+        assert "```output\n" in text
 
     def test_it_runs(self, file, tmp_path, monkeypatch):
         nbclient, nbformat, _ = map(needed, ("nbclient", "nbformat", "ipykernel"))
