@@ -14,9 +14,9 @@ from surface_gym.files import replacing
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
 # Colours of a film: the drawings are flat, and few take little room.
-INKS = 64  # that most pixels are drawn with
+INKS = 96  # that most pixels are drawn with
 MIXED = 64  # between these, where edges are smoothed
-SAMPLES = 12  # pictures of a film that its colours are chosen from
+SAMPLES = 36  # pictures of a film that its colours are chosen from
 LEAST = 4  # pixels of a colour for it to count
 RARE = 0.3  # [-] power of its number of pixels that it counts with
 WEIGHTS = np.array([1 << 16, 1 << 8, 1])  # of red, green and blue in a colour's number
