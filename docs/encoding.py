@@ -14,16 +14,22 @@ from surface_gym.files import replacing
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
 # Colours of a film: the drawings are flat, and few take little room.
-INKS = 32  # that most pixels are drawn with
+INKS = 96  # that most pixels are drawn with
 MIXED = 64  # between these, where edges are smoothed
-SAMPLES = 12  # pictures of a film that its colours are chosen from
+SAMPLES = 36  # pictures of a film that its colours are chosen from
 LEAST = 4  # pixels of a colour for it to count
 RARE = 0.3  # [-] power of its number of pixels that it counts with
 WEIGHTS = np.array([1 << 16, 1 << 8, 1])  # of red, green and blue in a colour's number
 REST = 1.0  # [s] for which the last picture stays before a film begins anew
 
 
-def write_film(pictures: Sequence[Picture], seconds: float, width: int, file: Path) -> None:
+def write_film(
+    pictures: Sequence[Picture],
+    seconds: float,
+    width: int,
+    file: Path,
+    inks: Sequence[Sequence[int]] = (),
+) -> None:
     """Write an animated WebP, lossless in its few colours, that repeats.
 
     Args:
@@ -31,10 +37,12 @@ def write_film(pictures: Sequence[Picture], seconds: float, width: int, file: Pa
         seconds: [s] each is shown.
         width: [px] of the film.
         file: to write.
+        inks: colours (red, green, blue) that are kept, however little is drawn with them.
     """
     small = [_narrowed(picture, width) for picture in pictures]
     every = max(1, len(small) // SAMPLES)
     palette = _palette(pictures[::every], small[::every])
+    palette = np.concatenate([np.array(inks, dtype=np.uint8).reshape(-1, 3), palette])
     frames = [Image.fromarray(_in_colours(picture, palette)) for picture in small]
     shown = [round(1000.0 * seconds)] * len(frames)
     shown[-1] += round(1000.0 * REST)

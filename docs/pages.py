@@ -3,30 +3,70 @@
 import argparse
 import inspect
 import re
+import textwrap
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from gymnasium.spaces import Discrete
+
 from surface_gym.config import EnvConfig
+from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.task import Flow
-from surface_gym.registration import FLOW, env_id
+from surface_gym.flow.task import ACTIONS, Flow
+from surface_gym.registration import FLOW, FLOW_TASK, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Feature
 
 LONGEST_DEFAULT = 60  # characters of a default in a table
-# Lines from a prompt to the next empty one, as far left as the text around them.
-EXAMPLE = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
+# Lines from a prompt to the next empty one, and the heading above them, if any.
+EXAMPLE = re.compile(r"(?:^### Example\n\n)?^ *>>> .*(?:\n.+)*\n\n", re.MULTILINE)
 
 
-def _described(kind: type[Any]) -> str:
-    """Return a class's docstring, its examples fenced as code."""
-    return EXAMPLE.sub(r"```pycon\n\g<0>\n```", inspect.cleandoc(kind.__doc__ or ""))
+def _opening(kind: type[Any], title: str, *top: str) -> str:
+    """Open a page: title, film, first paragraph, `top`, the example, and then the docstring."""
+    text = inspect.cleandoc(kind.__doc__ or "")
+    found = EXAMPLE.search(text)
+    if found is None:
+        raise ValueError(f"the docstring of {kind.__name__} must have an example")
+    first, rest = EXAMPLE.sub("", text).split("\n\n", 1)
+    lines = textwrap.dedent(found[0].removeprefix("### Example\n\n")).strip()
+    example = f"```pycon\n{lines}\n```"
+    return _join(f"# {title}", *top[:1], first, *top[1:], example, rest).strip()
 
 
 def _film(name: str, caption: str) -> str:
     return f"![{caption}](../images/{name}.webp)"
+
+
+def _space(config: EnvConfig) -> str:
+    """Describe a space of actions in a table."""
+    space: Any = config.action_space()
+    if isinstance(space, Discrete):
+        return f"`Discrete({space.n})`"
+    (choices,) = set(space.nvec.tolist())
+    return f"`MultiDiscrete`, {len(space.nvec)} numbers of 0 to {choices - 1}"
+
+
+def _overview(task: str) -> str:
+    """Tabulate an environment's spaces and how it is made, as Gymnasium's pages do."""
+    kinds = ACTIONS if task == FLOW_TASK else KINDS
+    acting = [f'{_space(EnvConfig(task, actions=kind))} with `actions="{kind}"`' for kind in kinds]
+    space: Any = EnvConfig(task).observation_space()
+    features = "#features-of-a-row" if task == FLOW_TASK else "#observation"
+    return _table(
+        ("", ""),
+        (
+            ("Action space", ";<br>".join([f"{acting[0]}, the default", *acting[1:]])),
+            (
+                "Observation space",
+                f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})",
+            ),
+            ("Import", "`import gymnasium, surface_gym`"),
+            ("Make", f'`gymnasium.make("{env_id(task)}")`'),
+        ),
+    )
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -84,9 +124,9 @@ def page(name: str) -> str:
     period = inspect.signature(SmartSurfaceEnv).parameters["control_period"].default
     limit = task_class.periods
     return _join(
-        f"# {env_id(name)}",
-        _film(name, f"Episodes of {env_id(name)}"),
-        _described(task_class),
+        _opening(
+            task_class, env_id(name), _film(name, f"Episodes of {env_id(name)}"), _overview(name)
+        ),
         "## Observation",
         _feature_table(task.features),
         'With `actions="window"` 25 more follow: the occupancy of the window.',
@@ -104,8 +144,7 @@ def page(name: str) -> str:
 def environment_page() -> str:
     """Write the Markdown page of what all environments share."""
     return _join(
-        "# SmartSurfaceEnv",
-        _described(SmartSurfaceEnv),
+        _opening(SmartSurfaceEnv, "SmartSurfaceEnv"),
         "## Arguments of every environment",
         _argument_table(EnvConfig),
         "## Tasks",
@@ -117,9 +156,7 @@ def environment_page() -> str:
 def flow_page() -> str:
     """Write the Markdown page of the environment of many parcels."""
     return _join(
-        f"# {FLOW}",
-        _film("flow", f"A stream of {FLOW}"),
-        _described(Flow),
+        _opening(Flow, FLOW, _film("flow", f"A stream of {FLOW}"), _overview(FLOW_TASK)),
         "## Features of a row",
         _feature_table(Flow.features),
         "## Arguments of the task",

@@ -5,12 +5,13 @@ as the versions of `constraints.txt` are the same.
 """
 
 import argparse
+import math
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -22,17 +23,25 @@ import numpy as np
 from encoding import Picture, write_film, write_still
 
 from surface_gym import agents
+from surface_gym.env import SmartSurfaceEnv
 from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
-from surface_gym.rendering import with_caption
+from surface_gym.rendering import Painter, Scene
+from surface_gym.rendering.ink import EXITS, GOAL, axis_colours
+from surface_gym.rendering.marks import placed
+from surface_gym.scenes import Renderer
 
 ROOT = Path(__file__).parents[1]
 IMAGES = Path(__file__).parent / "images"
 PERIOD = 0.04  # [s] a picture of the films stays: as long as the control period that it shows
 OURS = ("--parcel", "0.3x0.4", "--mass", "12", "--speed", "1.2")
 SLIDING = "sliding mode"  # the rule that tracks, by the modules around the parcel
-LAST = 12  # pictures for which an episode's end stays before the next begins
+ORIENTATIONS = (0.0, math.pi / 4.0, -math.pi / 4.0, math.pi / 2.0)  # [rad] in the legend
+LAST = 1.0  # [s] for which an episode's end stays before the next begins
+ROOM = 0.1  # [m] that is shown around all that moves
+WIDE, TEXT = 640, 1.4  # [px] of a film of one parcel, and the size of its texts
+BROAD = 800  # of a stream
 BAR = 8  # [px] between two flows, one above the other
 SORTED_AT = 20  # control periods from the start to the picture of Sort
 
@@ -45,26 +54,29 @@ class Film:
     controller: str  # an agent of `agents.names()`, or SLIDING
     starts: tuple[dict[str, Any], ...]  # `options` of each episode's reset
     every: int = 1  # control periods from picture to picture
+    text: float = TEXT
 
     def pictures(self) -> list[Picture]:
-        """Draw all episodes; the end of each stays for some time."""
+        """Draw all episodes on as much of the surface as they need; the end of each stays."""
         env, controller = self._acting()
-        shown: list[Picture] = []
+        scenes: list[Scene] = []
         for start in self.starts:
             episode = list(_episode(env, controller, start))
-            shown += [*episode[: -1 : self.every], *[episode[-1]] * (LAST // self.every)]
+            stays = round(LAST / PERIOD / self.every)
+            scenes += [*episode[: -1 : self.every], *[episode[-1]] * stays]
         env.close()
-        return shown
+        painter, area = Painter(WIDE, self.text), _moving_area(scenes)
+        return [painter.draw(_cropped(scene, *area)) for scene in scenes]
 
     def _acting(self) -> tuple[gym.Env[Any, Any], Any]:
         if self.controller != SLIDING:
             policy = agents.load(self.controller)
-            return gym.make(self.env_id, render_mode="rgb_array", **policy.env_kwargs), policy
+            return gym.make(self.env_id, **policy.env_kwargs), policy
         from surface_gym.agents.rules.steering import SlidingMode
 
-        env = gym.make(self.env_id, render_mode="rgb_array", actions="window")
+        env = gym.make(self.env_id, actions="window")
         bare: Any = env.unwrapped
-        return env, SlidingMode(bare.settings)
+        return env, SlidingMode(bare.config)
 
 
 @dataclass(frozen=True)
@@ -126,23 +138,60 @@ TRACK = Film(
     SLIDING,
     ({"speed": 0.8, "parcel": "S", "tilt": 0.21},),
     every=2,
+    text=1.1,
 )
 
 
-def _episode(env: gym.Env[Any, Any], controller: Any, options: dict[str, Any]) -> Iterator[Picture]:
-    observation, _ = env.reset(seed=0, options=options)
-    yield _picture(env)
+def _moving_area(scenes: Sequence[Scene]) -> tuple[slice, slice]:
+    """Find the rows and columns that parcels move over, with room around, and those of the zone."""
+    first = scenes[0]
+    points = np.concatenate(
+        [placed(parcel.outline, parcel.pose) for scene in scenes for parcel in scene.parcels]
+    )
+    edge = np.array(first.origin) - 0.5 * np.array(first.pitches)
+    low = np.floor((points.min(axis=0) - ROOM - edge) / first.pitches).astype(int)
+    high = np.ceil((points.max(axis=0) + ROOM - edge) / first.pitches).astype(int)
+    zones = np.array([scene.zone for scene in scenes])
+    begin, end = min(low[0], zones[:, 2].min()), max(high[0], zones[:, 2:].sum(axis=1).max())
+    columns = slice(max(0, int(begin)), min(first.columns, int(end)))
+    return slice(max(0, int(low[1])), min(first.rows, int(high[1]))), columns
+
+
+def _cropped(scene: Scene, rows: slice, columns: slice) -> Scene:
+    """Leave only some rows and columns of a scene's surface."""
+    assert scene.zone is not None
+    spans = []
+    for kept, (begin, number) in ((rows, scene.zone[:2]), (columns, scene.zone[2:])):
+        inside = max(begin, kept.start), min(begin + number, kept.stop)
+        spans += [inside[0] - kept.start, inside[1] - inside[0]]
+    corner = np.array([columns.start, rows.start]) * scene.pitches
+    return replace(
+        scene,
+        axis=scene.axis[rows, columns],
+        rotor=scene.rotor[rows, columns],
+        origin=tuple((np.array(scene.origin) + corner).tolist()),
+        zone=tuple(spans),
+    )
+
+
+def _episode(
+    env: gym.Env[Any, Any],
+    controller: Any,
+    options: dict[str, Any] | None = None,
+    seed: int | None = 0,
+) -> Iterator[Scene]:
+    bare: Any = env.unwrapped
+    renderer = Renderer(bare.batch)
+    observation, _ = env.reset(seed=seed, options=options)
+    renderer.record(0, begins=True)
+    yield renderer.scene()
     state, begun, over = None, np.ones(1, dtype=np.bool_), False
     while not over:
         action, state = controller.predict(observation[np.newaxis], state, begun)
         observation, _, terminated, truncated, _ = env.step(action[0])
-        yield _picture(env)
+        renderer.record(0, begins=False)
+        yield renderer.scene()
         begun, over = np.zeros(1, dtype=np.bool_), terminated or truncated
-
-
-def _picture(env: gym.Env[Any, Any]) -> Picture:
-    picture: Any = env.render()
-    return np.asarray(picture, dtype=np.uint8)
 
 
 def flow_by_chutes() -> list[Picture]:
@@ -150,26 +199,10 @@ def flow_by_chutes() -> list[Picture]:
     from surface_gym.agents.rules.reservation import Reservation
 
     stream = Stream(Steady(7000.0), ("S", "B"), speeds=1.5)
-    env = gym.make(
-        "SmartSurface/Flow-v0",
-        render_mode="rgb_array",
-        stream=stream,
-        actions="parcels",
-        gate=True,
-        duration=12.0,
-    )
-    bare: Any = env.unwrapped
-    reservation, state = Reservation(bare.settings), None
-    observation, _ = env.reset(seed=0)
-    shown, over, time = [], False, 0.0
-    while not over:
-        action, state = reservation.predict(observation, state)
-        observation, _, terminated, truncated, info = env.step(action)
-        over, time = terminated or truncated, info["time"]
-        if time > 6.5:
-            shown.append(_picture(env))
-    env.close()
-    return shown[::2]
+    env = SmartSurfaceEnv("flow", stream=stream, actions="parcels", gate=True, duration=12.0)
+    painter = Painter(BROAD)
+    scenes = _episode(env, Reservation(env.config))
+    return [painter.draw(scene) for scene in islice(scenes, 163, None, 2)]
 
 
 def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
@@ -181,11 +214,10 @@ def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
     """
     from surface_gym.agents.evaluation.report import stream_player
     from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, LEARNED, stream_methods
-    from surface_gym.agents.evaluation.video import play
 
     titles = {
-        ARRANGED: "One zone, arranged as a whole for each parcel",
-        LEARNED: "Every module obeys the parcel that it bears: flow-ppo",
+        ARRANGED: "One zone for all",
+        LEARNED: "Each module by itself",
     }
     named = {each.name: each for each in stream_methods()}
     rows = []
@@ -193,13 +225,11 @@ def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
         method = named[name]
         period = method.control_period
         first, last, every = (round(time / period) for time in (begin, end, 0.08))
-        pictures = play(stream_player(method, CURVE, rate=8500.0), every=every)
-        shown = [
-            with_caption(picture, title)
-            for frame, (picture, _) in enumerate(islice(pictures, last))
-            if frame >= first and frame % every == 0
-        ]
-        rows.append(shown)
+        player, painter = stream_player(method, CURVE, rate=8500.0), Painter(BROAD)
+        env = SmartSurfaceEnv(**player.config.arguments())
+        env.np_random = player.rng
+        scenes = islice(_episode(env, player.controller, seed=None), first, last, every)
+        rows.append([painter.draw(replace(scene, title=title)) for scene in scenes])
     bar = np.full((BAR, rows[0][0].shape[1], 3), 255, dtype=np.uint8)
     return [np.concatenate([one, bar, other]) for one, other in zip(*rows, strict=True)]
 
@@ -250,7 +280,8 @@ def checkered(file: Path) -> None:
 
 
 def _film(pictures: Callable[[], list[Picture]], seconds: float, width: int, file: Path) -> None:
-    write_film(pictures(), seconds, width, file)
+    inks = [*axis_colours(ORIENTATIONS).tolist(), GOAL, *EXITS]
+    write_film(pictures(), seconds, width, file, inks)
 
 
 def _design(question: str, *flags: str) -> FromCommand:
@@ -258,13 +289,13 @@ def _design(question: str, *flags: str) -> FromCommand:
 
 
 PICTURES: dict[str, Callable[[Path], None]] = {
-    "start.webp": partial(_film, zone_and_modules, 0.08, 640),
-    "sort.webp": partial(_film, SORT.pictures, PERIOD, 480),
-    "slow.webp": partial(_film, SLOW.pictures, PERIOD, 480),
-    "stop.webp": partial(_film, STOP.pictures, PERIOD, 480),
-    "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, 560),
-    "orient.webp": partial(_film, ORIENT.pictures, PERIOD, 480),
-    "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, 640),
+    "start.webp": partial(_film, zone_and_modules, 0.08, BROAD),
+    "sort.webp": partial(_film, SORT.pictures, PERIOD, WIDE),
+    "slow.webp": partial(_film, SLOW.pictures, PERIOD, WIDE),
+    "stop.webp": partial(_film, STOP.pictures, PERIOD, WIDE),
+    "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, WIDE),
+    "orient.webp": partial(_film, ORIENT.pictures, PERIOD, WIDE),
+    "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, BROAD),
     "sort.png": sort_still,
     "flow.png": flow_still,
     "trajectories.png": trajectories,

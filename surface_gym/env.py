@@ -130,11 +130,15 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode.
+        """Begin an episode: draw where the parcel comes in, how fast, and its goal.
 
         Args:
             seed: of this and later episodes; None: go on with the generator there is.
-            options: fix what would be drawn, by name.
+            options: fix what would be drawn, by name, as `{"speed": 1.5, "parcel": "S"}`; the
+                task's page lists the names.
+
+        Returns:
+            The first observation, and `info`.
 
         Raises:
             ValueError: an unknown option, or a value that is not allowed.
@@ -152,7 +156,19 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return batch.observation[0].copy(), self._info(batch.outcome.item(0))
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Step by one control period."""
+        """Step by one control period: turn the axes, let the parcel move on, and observe.
+
+        Args:
+            action: of `action_space`; it holds for the whole period.
+
+        Returns:
+            The observation, the reward, whether the task has ended (terminated) or its time is up
+            (truncated), and `info`.
+
+        Raises:
+            ResetNeeded: before the first `reset`, or after the end of an episode.
+            ValueError: an action that is not of the space.
+        """
         batch = self.batch
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before step.")

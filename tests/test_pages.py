@@ -5,6 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
+import gymnasium as gym
 import pytest
 
 from surface_gym.flow.task import FEATURES, TERMS, Flow
@@ -28,6 +29,18 @@ def test_a_page_lists_every_feature_term_option_and_argument():
     ):
         assert all(f"| {feature.name} |" in page for feature in features)
         assert all(f"`{word}`" in page for word in words)
+
+
+@pytest.mark.parametrize("task", [*pages.TASKS, "flow"])
+def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
+    top, _, rest = pages.pages()[f"{task}.md"].partition("\n### ")
+    env = gym.make(pages.env_id(task))
+    shown = ["webp", "| Action space |", f"{env.action_space.nvec.size} numbers of 0 to 3"]
+    shown += ["| Observation space |", str(env.observation_space.shape), "import gymnasium"]
+    shown += [f'gymnasium.make("{env.spec.id}")', "```pycon\n>>> import gymnasium as gym"]
+    places = [top.index(text) for text in shown]
+    assert places == sorted(places)
+    assert ">>>" not in rest
 
 
 def test_the_command_writes_them(tmp_path):

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon as Patch
@@ -23,15 +23,19 @@ from .tables import list_methods
 
 DOTS = 150  # to the inch
 LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
+# Colours that the colour-blind tell apart, of Okabe and Ito.
+BLUE, ORANGE, GREEN, RED, PINK, SKY = (
+    "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9",
+)  # fmt: skip
+PALETTE = (BLUE, ORANGE, GREEN, PINK, INK, SKY, RED, "#999999", "#882255", "#a5a12c")
 SHOWN_SPEEDS = {  # [m/s] one trajectory each, by colour
     0.4: "#440154", 0.6: "#3b528b", 0.8: "#21918c", 1.2: "#5ec962", 2.0: "#c9a227",
 }  # fmt: skip
 
 
-def _colours(names: Iterable[str]) -> dict[str, Any]:
-    several = list(names)
-    chosen = colormaps["viridis"](np.linspace(0.0, 0.92, len(several)))
-    return {name: tuple(colour) for name, colour in zip(several, chosen, strict=True)}
+def choose_colours(names: Iterable[str]) -> dict[str, str]:
+    """Choose a colour for each name; the first of them differ most."""
+    return dict(zip(names, cycle(PALETTE), strict=False))
 
 
 def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
@@ -46,7 +50,7 @@ def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None)
 def draw_success(task: str, summaries: Summaries, file: Path) -> None:
     """Draw success rates by preset with their 95 % intervals, a bar for each method."""
     names = list_methods(task, summaries)
-    colours = _colours(names)
+    colours = choose_colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     width = 0.84 / len(names)
@@ -69,7 +73,7 @@ def draw_success(task: str, summaries: Summaries, file: Path) -> None:
 def draw_errors(task: str, error: ErrorPlot, summaries: Summaries, file: Path) -> None:
     """Draw the share of starts by the size of their error, exact sensors."""
     names = list_methods(task, summaries)
-    colours = _colours(names)
+    colours = choose_colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     errors = {
@@ -97,7 +101,7 @@ def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> 
     runs = {name: summaries[task, name, "exact"] for name in list_methods(task, summaries)}
     count = math.prod(grid.shape)
     whole = {name: each for name, each in runs.items() if each.success.shape[1] == count}
-    colours = _colours(whole)
+    colours = choose_colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
     for panel, parcel in zip(panels, PARCELS, strict=True):
@@ -164,7 +168,7 @@ def _draw_path(
 
 def draw_rates(results: StreamResults, file: Path) -> None:
     """Draw the rate delivered right by the load, a line for each method, with 95 % intervals."""
-    colours = _colours(results.names)
+    colours = choose_colours(results.names)
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     panel = figure.subplots()
     offered = CURVE.ceiling * np.array(LOADS)
@@ -200,7 +204,7 @@ def draw_rates(results: StreamResults, file: Path) -> None:
 def draw_capacities(results: StreamResults, file: Path) -> None:
     """Draw the capacities of all streams, exact: a bar for each method, the bound above them."""
     names = tuple(name for name in results.names if name != FIXED)
-    colours = _colours(results.names)
+    colours = choose_colours(results.names)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
     streams = cases()

@@ -25,11 +25,7 @@ TITLE = "# Robustness\n\nSuccess where one thing at a time differs from training
 WIDTH, HEIGHT = 2.0, 1.35  # [inch] of a panel
 NARROWEST = 9.0  # [inch] of the picture, which the legend needs
 IN_LAB = ("all", "square", "rect.", "disc", "poly.")
-# Colours that the colour-blind tell apart, of Okabe and Ito.
-BLUE, ORANGE, GREEN, RED, PINK, SKY = (
-    "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9",
-)  # fmt: skip
-ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
+ALGORITHMS = {"PPO": plots.BLUE, "DQN": plots.ORANGE, "PPO per module": plots.GREEN}
 OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one for each task
 
 
@@ -47,9 +43,9 @@ class Style:
 
 STYLES = {
     methods.FIXED: Style(methods.FIXED, "#8c8c8c", ":", 1.3, "x"),
-    "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
-    "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
-    **{name: Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
+    "threshold logic": Style("threshold logic", plots.PINK, ":", 1.3, "v"),
+    "PID per module": Style("PID per module", plots.SKY, ":", 1.3, "^"),
+    **{name: Style(f"rule of the task ({', '.join(OWN_RULES)})", plots.RED, "-.", 1.6, "s", 3)
        for name in OWN_RULES},
     **{name: Style(name, colour, "--", 1.2, "o", 4) for name, colour in ALGORITHMS.items()},
     methods.PLANNER: Style(methods.PLANNER, plots.INK, "None", 1.0, "_", 6),

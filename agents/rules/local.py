@@ -1,4 +1,11 @@
-"""Rules by which each module decides for itself: thresholds, and a PID controller each."""
+"""Rules by which each module decides for itself: thresholds, and a PID controller each.
+
+Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
+Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",
+Applied Sciences 15(14), 7628, 2025. They tried thresholds on a real surface, for sorting and
+orienting, and simulated a PID for each module on two paths. What is here is written anew, with
+values of our own.
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -132,7 +139,7 @@ class LocalRule(BaseRule):
 
 class ThresholdRule(LocalRule):
     """-45 or 45 deg where the parcel should go more to the one or the other side, else 0 deg where
-    it is too fast, else 90 deg.
+    it is too fast, else 90 deg. After Bianchi et al. (2025), as cited above.
     """
 
     def _turn(self, above: Above, *_: Any) -> Decision:
@@ -147,7 +154,8 @@ class ThresholdRule(LocalRule):
 
 class PidRule(LocalRule):
     """Each module's PID says by how much the velocity above it should change; it takes the
-    orientation whose friction, in a period, comes nearest to that.
+    orientation whose friction, in a period, comes nearest to that. A PID for each module is the
+    idea of Bianchi et al. (2025), as cited above.
 
     A module with nothing above it yet is ready for the parcel as it would be there, but sums
     nothing up. The summed and the last error are remembered: (num_envs, 2, modules, 2).

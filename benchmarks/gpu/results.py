@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import numpy as np
 from rich.table import Table
 
 from benchmarks.environments import TASKS
@@ -119,14 +118,14 @@ def plot_rates(rates: Sequence[Rate], file: Path) -> None:
     """Plot decisions a second against the number of environments: a line for a program measured
     with several numbers, a dashed level for one measured once, such as the CPU's.
     """
-    from matplotlib import colormaps
     from matplotlib.figure import Figure as Plot
+
+    from surface_gym.agents.evaluation.plots import choose_colours
 
     names = list(dict.fromkeys(rate.name for rate in rates))
     plot = Plot(figsize=(9.0, 4.4), layout="constrained")
     axes = plot.subplots()
-    colours = colormaps["viridis"](np.linspace(0.0, 0.92, len(names)))
-    for name, colour in zip(names, colours, strict=True):
+    for name, colour in choose_colours(names).items():
         points = sorted((rate.num_envs, rate.decisions) for rate in rates if rate.name == name)
         if len(points) == 1:
             axes.axhline(points[0][1], color=colour, linestyle="--", linewidth=1.0, label=name)

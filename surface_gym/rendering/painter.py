@@ -25,8 +25,8 @@ _GAP = 1.4  # [font sizes] between the readings of a stream
 class Strips:
     """Writes above and below a surface, in sizes proportional to the picture's width."""
 
-    def __init__(self, width: int) -> None:
-        unit = width / 960.0
+    def __init__(self, width: int, text: float = 1.0) -> None:
+        unit = text * width / 960.0
         self.width = width
         self.head = round(62 * unit)  # [px] height above the surface
         self.foot = round(48 * unit)  # [px] height below it
@@ -184,10 +184,12 @@ class Painter:
 
     Args:
         width: [px] of the pictures, even, as video codecs want it; None: 960, 1280 with traffic.
+        text: size of what is written above and below, in times the usual.
     """
 
-    def __init__(self, width: int | None = None) -> None:
+    def __init__(self, width: int | None = None, text: float = 1.0) -> None:
         self._width = None if width is None else _even_width(width)
+        self._text = checks.positive("text", text)
         self._strips: Strips | None = None
         self._field: _Field | None = None
         self._canvas: pygame.Surface | None = None
@@ -216,7 +218,7 @@ class Painter:
         """Return field and strips for a scene, those of the last picture if they fit."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
-            self._strips = Strips(width)
+            self._strips = Strips(width, self._text)
         margin, across = self._strips.margin, Layout.cells_across(scene)
         cell = (width - 2 * margin) // across
         if cell < _LEAST_CELL:

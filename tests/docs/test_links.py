@@ -28,6 +28,15 @@ def pictures(monkeypatch):
     return pictures.PICTURES
 
 
+def last_duration(film: Path) -> int:
+    """Return for how many milliseconds the last picture of a film stays."""
+    image = pytest.importorskip("PIL.Image", reason="pillow, of the extra `agents`, is missing")
+    with image.open(film) as pictures:
+        pictures.seek(pictures.n_frames - 1)
+        pictures.load()
+        return int(pictures.info["duration"])
+
+
 def find_anchors(page: Path) -> set[str]:
     """Return the anchors of a page's headings, as Markdown makes them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
@@ -55,6 +64,30 @@ def test_each_file_that_is_named_exists(page):
         assert "NAME" in path or any(ROOT.glob(path)), path
 
 
+def test_the_authors_of_the_surface_are_credited_wherever_it_is_cited():
+    sources = ("README.md", "CITATION.cff", "docs/faq.md", "agents/rules/local.py")
+    for page in sources:
+        text = " ".join((ROOT / page).read_text().replace("\n> ", " ").split())
+        assert "Closed-Loop Control Strategies for a Modular Under-Actuated" in text, page
+        assert "7628" in text, page
+        if page != "agents/rules/local.py":
+            assert "novel underactuated smart surface" in text, page
+    for page in PAGES:
+        assert "vector_kwargs" not in (ROOT / page).read_text(), page
+
+
+def test_the_words_of_the_domain_are_explained_before_they_are_used():
+    """On the first page; README and the gallery point there."""
+    before, _, after = (DOCS / "index.md").read_text().partition("## Ten words\n")
+    words = re.findall(r"^\| (.+?) \| .+ \|$", after.partition("\n## ")[0], re.MULTILINE)
+    assert len(words) == 1 + 10
+    for word in ("zone", "lead-in", "S-box", "study"):
+        assert word not in before
+        assert sum(word in listed for listed in words) == 1
+    for page in ("README.md", "docs/environments/index.md"):
+        assert "index.md#ten-words" in (ROOT / page).read_text()
+
+
 def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictures, capsys):
     """`python docs/pictures.py` makes what there is, and nothing else."""
     assert {file.name for file in (DOCS / "images").iterdir()} == set(pictures)
@@ -64,6 +97,7 @@ def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictur
     assert len(videos) == 7
     for video in videos:
         assert video.stat().st_size <= VIDEO, video.name
+        assert last_duration(video) >= 1000, video.name
     from pictures import main
 
     with pytest.raises(SystemExit):
@@ -81,6 +115,26 @@ def test_a_picture_is_made_the_same_again(name, pictures, tmp_path):
     pictures[name](tmp_path / name)
     same = (tmp_path / name).read_bytes() == (DOCS / "images" / name).read_bytes()
     assert same, f"python docs/pictures.py --only {name}"  # pytest would compare the bytes for long
+
+
+def test_a_film_of_an_episode_is_cropped_to_what_moves(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    from pictures import _cropped, _moving_area
+
+    from surface_gym.rendering import Scene, SceneParcel
+
+    outline = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    axis = np.arange(600.0).reshape(20, 30)
+    scenes = [
+        Scene(axis, axis > 0.0, (SceneParcel(outline, (x, y, 0.0)),), zone=(9, 2, 3, 10))
+        for x, y in ((0.15, 1.02), (1.55, 1.29))
+    ]
+    rows, columns = _moving_area(scenes)
+    assert (rows, columns) == (slice(8, 15), slice(0, 18))
+    scene = _cropped(scenes[1], rows, columns)
+    np.testing.assert_array_equal(scene.axis, axis[8:15, :18])
+    assert scene.zone == (1, 2, 3, 10)
+    assert scene.origin == pytest.approx((0.05, 0.85))
 
 
 def test_a_film_shows_each_picture_in_its_colours_and_the_last_stays(tmp_path, monkeypatch):

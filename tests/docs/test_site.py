@@ -2,6 +2,7 @@
 and asks no other host for anything.
 """
 
+import html
 import json
 import os
 import re
@@ -21,6 +22,8 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 LOADED = re.compile(
     r'<(?:script|img|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="([^"]+)'
 )
+REPOSITORY = "https://repository.example/surface"
+SIGNATURE = re.compile(r'<div class="doc-signature highlight">(.*?)</div>', re.DOTALL)
 SOURCE = '''
     """A parcel on its way."""
 
@@ -63,12 +66,46 @@ def test_an_example_is_fenced_and_fields_are_listed_with_their_comments(tmp_path
     }
 
 
+def test_what_cells_show_becomes_text_tables_and_pictures(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    from notebook_pages import page
+
+    red = {"text/plain": "Figure", "image/png": "cmVk"}
+    outputs = [{"text": "\x1b[1m2 s\x1b[0m\n"}, {"data": {"text/markdown": "| a |"}}, {"data": red}]
+    text, pictures = page(
+        "tour",
+        [
+            {"cell_type": "markdown", "source": "# A tour"},
+            {"cell_type": "code", "source": "look()", "outputs": outputs},
+        ],
+    )
+    title, link, *rest = text.rstrip("\n").split("\n\n")
+    assert (title, "(tour.ipynb)" in link) == ("# A tour", True)
+    assert rest[:3] == ["```py\nlook()\n```", "```output\n2 s\n```", "| a |"]
+    assert rest[3:] == ["![What the cell above shows](tour-1.png)"]
+    assert pictures == {"tour-1.png": b"red"}
+
+
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 class TestNotebook:
     def test_it_is_stored_without_results(self, file):
         cells = json.loads(file.read_text())["cells"]
         assert all(not cell.get("outputs") for cell in cells)
         assert all(cell.get("execution_count") is None for cell in cells)
+
+    def test_its_page_shows_its_cells_and_their_pictures(self, file):
+        """If not: `python docs/notebook_pages.py`."""
+        cells = json.loads(file.read_text())["cells"]
+        text = file.with_suffix(".md").read_text()
+        end = 0
+        for cell in cells:
+            source = "".join(cell["source"])
+            shown = source if cell["cell_type"] == "markdown" else f"```py\n{source}\n```"
+            end = text.index(shown, end) + len(shown)
+        shown = set(re.findall(r"\]\((\S+\.png)\)", text))
+        assert shown == {picture.name for picture in file.parent.glob(f"{file.stem}-*.png")}
+        assert shown
+        assert "```output\n" in text
 
     def test_it_runs(self, file, tmp_path, monkeypatch):
         nbclient, nbformat, _ = map(needed, ("nbclient", "nbformat", "ipykernel"))
@@ -84,13 +121,14 @@ class TestNotebook:
 def site(tmp_path_factory):
     """The built site; the checkout is left as it is."""
     needed("zensical")
+    needed("latex2mathml")
     copy = tmp_path_factory.mktemp("checkout")
     ignored = shutil.ignore_patterns("__pycache__", "shipped")
     for folder in ("docs", "surface_gym", "agents"):
         shutil.copytree(ROOT / folder, copy / folder, ignore=ignored)
     shutil.copy(ROOT / "mkdocs.yml", copy)
     build = [sys.executable, "-m", "zensical", "build", "--strict"]
-    quiet = {**os.environ, "NO_COLOR": "1"}
+    quiet = {**os.environ, "NO_COLOR": "1", "REPOSITORY_URL": REPOSITORY}
     done = subprocess.run(build, cwd=copy, capture_output=True, text=True, env=quiet)
     assert done.returncode == 0, done.stdout + done.stderr
     return copy / "build" / "site"
@@ -107,6 +145,36 @@ class TestSite:
         for page in site.glob("**/*.html"):
             for loaded in LOADED.findall(page.read_text()):
                 assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
+
+    def test_formulas_are_mathml_that_needs_no_script(self, site):
+        text = (site / "physics" / "index.html").read_text()
+        written = (DOCS / "physics.md").read_text()
+        assert text.count("<math") == len(re.findall(r"(\$\$?).+?\1", written, re.DOTALL))
+        for left in ("arithmatex", "$", "\\(", "\\["):
+            assert left not in re.sub(r"<(script|code).*?</\1>", "", text, flags=re.DOTALL), left
+        for formula in re.findall(r"<math.*?</math>", text):  # all of LaTeX was understood
+            assert "\\" not in formula
+            assert "&<" not in formula
+
+    def test_helper_scripts_are_not_published(self, site):
+        published = {file.suffix for file in site.rglob("*") if file.is_file()}
+        assert not published & {".py", ".pyc", ".yml"}
+
+    def test_signatures_are_wrapped_and_the_environment_is_described(self, site):
+        for page in (site / "api").glob("*/index.html"):
+            for code in SIGNATURE.findall(page.read_text()):
+                lines = html.unescape(re.sub(r"<[^>]+>", "", code)).splitlines()
+                assert max(map(len, lines)) <= 88, (page, lines)
+        text = (site / "api" / "environments" / "index.html").read_text()
+        for name in ("SmartSurfaceEnv", "SmartSurfaceEnv.reset", "SmartSurfaceEnv.step"):
+            described = text.partition(f'id="surface_gym.{name}"')[2].partition("<h")[0]
+            assert re.search(r"<p>[A-Z][^<]{30}", described), name
+
+    def test_each_page_leads_to_the_repository_and_asks_it_for_nothing(self, site):
+        for page in site.glob("**/index.html"):
+            text = page.read_text()
+            assert f'<a href="{REPOSITORY}" title="Repository"' in text, page
+            assert 'data-md-component="source"' not in text, page
 
     def test_public_names_stand_in_the_reference(self, site):
         reference = "".join(page.read_text() for page in (site / "api").glob("*/index.html"))

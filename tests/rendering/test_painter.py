@@ -129,6 +129,13 @@ class TestPicture:
         assert (later[: plate.top] != flat[: plate.top]).any()
         np.testing.assert_array_equal(later[plate.top :], flat[plate.top :])
 
+    def test_texts_may_be_larger_beside_the_same_surface(self, sorting):
+        usual, large = (Painter(960, text).draw(sorting.scene(40)) for text in (1.0, 1.5))
+        assert large.shape[1] == usual.shape[1]
+        assert (large == INK).all(axis=2)[:60].sum() > 1.5 * (usual == INK).all(axis=2)[:60].sum()
+        with pytest.raises(ValueError, match="text must be greater than 0, got 0"):
+            Painter(text=0)
+
     def test_drawing_needs_no_display_and_outlives_pygame_quit(self, sorting):
         painter = Painter()
         first = painter.draw(sorting.scene(40))

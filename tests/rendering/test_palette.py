@@ -61,3 +61,17 @@ def test_a_text_on_an_exit_s_colour_has_contrast(place):
     low, high = sorted([luminance(ground), luminance(text_on(ground))])
     assert text_on(ground) in (INK, PAPER)
     assert (high + 0.05) / (low + 0.05) >= 4.5
+
+
+@pytest.mark.parametrize("eye", SEEN)
+def test_plots_tell_the_first_controllers_apart(eye):
+    pytest.importorskip("matplotlib", reason="matplotlib, of the extra `agents`, is missing")
+    from matplotlib.colors import to_rgb
+
+    from surface_gym.agents.evaluation.plots import choose_colours
+
+    chosen = list(choose_colours(map(str, range(11))).values())
+    assert chosen[:10] == list(dict.fromkeys(chosen))
+    lab = cielab(255.0 * np.array([to_rgb(colour) for colour in chosen[:3]]), SEEN[eye])
+    apart = np.linalg.norm(lab[:, np.newaxis] - lab, axis=-1)
+    assert apart[np.triu_indices(3, 1)].min() > 35.0
