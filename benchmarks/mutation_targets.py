@@ -79,6 +79,7 @@ TARGETS = (
     _physics("signed_distance", *_WORLDS),
     _physics("island", *_WORLDS),
     _physics("contact_solver", *_WORLDS[1:]),
+    _physics("impact", *_WORLDS),
     _task("sort"),
     _task("slow"),
     _task("stop"),

@@ -18,6 +18,7 @@ import surface_gym as sg
 from benchmarks.figure import Figure
 from surface_gym.physics.rollout import run_implicit
 from surface_gym.physics.types import STATE_SIZE, VX, X, Y, make_scratch
+from surface_gym.simulation import expect_tipping
 
 DT = 0.005  # [s]
 REPEATS = 300
@@ -174,6 +175,7 @@ def explicit_end(scene: Scene) -> np.ndarray | None:
     return run.pose[-1] if run.end == "duration" and run.velocity[:, 0].min() > 0.0 else None
 
 
+@expect_tipping()
 def measure_accuracy(scenes: int, seed: int, console: Console) -> dict[float, np.ndarray]:
     """Return the errors (scenes, 2) of position [mm] and angle [deg] by step [s]."""
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from surface_gym.env import SmartSurfaceEnv
     from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
     from surface_gym.randomisation import Actuators, Randomisation
-    from surface_gym.simulation import simulate, simulate_together
+    from surface_gym.simulation import TippingWarning, simulate, simulate_together
     from surface_gym.surface import Surface
     from surface_gym.trajectory import Trajectory
     from surface_gym.vector_env import SmartSurfaceVectorEnv
@@ -31,6 +31,7 @@ __all__ = [
     "SmartSurfaceEnv",
     "SmartSurfaceVectorEnv",
     "Surface",
+    "TippingWarning",
     "Trajectory",
     "layouts",
     "lines",
@@ -44,7 +45,7 @@ _NAMES = {
     "env": ("SmartSurfaceEnv",),
     "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
     "randomisation": ("Actuators", "Randomisation"),
-    "simulation": ("simulate", "simulate_together"),
+    "simulation": ("TippingWarning", "simulate", "simulate_together"),
     "surface": ("Surface",),
     "trajectory": ("Trajectory",),
     "vector_env": ("SmartSurfaceVectorEnv",),

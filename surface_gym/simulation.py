@@ -1,7 +1,9 @@
 """`simulate` and `simulate_together`: parcels on one surface, from start to end."""
 
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,11 +23,27 @@ METHODS = ("implicit", "explicit")
 PIECE = 2000  # steps in a row: Ctrl-C waits for no more
 MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
+# A run hangs on the steps that tip the parcel if they make this share of all change of velocity,
+# and no less than this speed.
+TIPPING_SHARE = 0.1
+TIPPING_SPEED = 0.01  # [m/s]
 ENDS = {
     stepping.OFF_SURFACE: "left the surface",
     stepping.UNSUPPORTED: "nothing bears it",
     stepping.STOPPED: "stopped",
 }
+
+
+class TippingWarning(UserWarning):
+    """A result hangs on steps in which a real parcel would tip."""
+
+
+@contextmanager
+def expect_tipping() -> Iterator[None]:
+    """Ignore `TippingWarning` in a block, or in a function decorated so."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TippingWarning)
+        yield
 
 
 def simulate(
@@ -59,6 +77,10 @@ def simulate(
         ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, the start
             is off the surface or on no element, a step moves the parcel past a pitch, or the
             explicit method is to start a parcel on a level surface that does not move towards +x.
+
+    Warns:
+        TippingWarning: at least a tenth of the change of velocity came about in steps in which
+            Eq. (1) has no solution (`Trajectory.tipping`).
 
     >>> import surface_gym as sg
     >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
@@ -99,8 +121,26 @@ def simulate(
     reports = np.zeros(len(time), dtype=np.int64)
     _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
     done = _trajectory(surface, parcel, time, dt, states, reports)
+    _warn_of_tipping(body, states[: len(done.time)], done.tipping)
     run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
     return replace(done, run=run)
+
+
+def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
+    """Warn the caller of `simulate` where steps that tip the parcel decide what became of it."""
+    if not tipping.any():
+        return
+    velocity = states[:, ph.VX : ph.OMEGA + 1] * [1.0, 1.0, math.sqrt(body.gyration)]
+    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    tipped = change[tipping[1:]].sum()
+    if tipped >= max(TIPPING_SPEED, TIPPING_SHARE * change.sum()):
+        warnings.warn(
+            f"the parcel would tip in {tipping.sum()} of {len(change)} steps, with "
+            f"{tipped / change.sum():.0%} of all change of its velocity: Eq. (1) has no solution "
+            "there, and the forces nearest to balance decide where it goes (Trajectory.tipping)",
+            TippingWarning,
+            stacklevel=3,
+        )
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:

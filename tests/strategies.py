@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 import surface_gym as sg
 from surface_gym.parcel import Base
+from surface_gym.simulation import expect_tipping
 
 ROWS, COLUMNS = 16, 20
 MIDDLE = (1.0, 0.8)  # [m] of a surface of that size
@@ -25,9 +26,10 @@ class Scene:
     def run(
         self, duration: float = 0.4, dt: float = 0.005, method: str = "implicit"
     ) -> sg.Trajectory:
-        return sg.simulate(
-            self.surface, self.parcel, self.pose, self.velocity, duration, dt, method=method
-        )
+        with expect_tipping():
+            return sg.simulate(
+                self.surface, self.parcel, self.pose, self.velocity, duration, dt, method=method
+            )
 
     def on(self, **changes: object) -> "Scene":
         """The same start on a surface with some fields changed."""

@@ -43,6 +43,7 @@ class TestAnyAngle:
             if one[2]:
                 break
 
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     def test_an_angle_between_acts_as_a_surface_so_turned(self):
         env = bare(actions="quadrants", orientations="any", zone=(0, 29))
         _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})

@@ -251,6 +251,7 @@ def test_what_is_beyond_the_bounds_is_refused_by_name(name):
             call(wrong)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize("name", [name for name in NUMBERS if "duration" not in name])
 def test_the_bounds_themselves_are_allowed(name):
     call, least, most = NUMBERS[name]

@@ -137,11 +137,17 @@ class TestEnds:
 
     def test_a_parcel_over_fewer_than_three_elements_tips_all_along(self):
         rail = sg.Surface(np.full((1, 30), math.pi / 2), np.ones((1, 30), dtype=bool))
-        run = sg.simulate(rail, BOX, (0.5, 0.05, 0.0), (1.0, 0.0, 0.0), duration=0.5)
+        with pytest.warns(sg.TippingWarning, match="100 of 100 steps, with 100% of all change"):
+            run = sg.simulate(rail, BOX, (0.5, 0.05, 0.0), (1.0, 0.0, 0.0), duration=0.5)
         assert run.tipping[1:].all()
         assert run.end == "duration"
         expected = 0.5 + 0.5 - 0.5 * 0.01 * 9.81 * 0.25
         assert run.pose[-1, 0] == pytest.approx(expected, abs=1e-3)
+
+    def test_few_steps_that_tip_a_parcel_and_those_of_one_at_rest_are_no_warning(self):
+        rail = sg.Surface(np.full((1, 30), math.pi / 2), np.ones((1, 30), dtype=bool))
+        assert sg.simulate(rail, BOX, (0.5, 0.05, 0.0)).tipping[1:].all()
+        assert sg.simulate(sg.layouts.sorting(), BOX, START, (1.5, 0.0, 0.0)).tipping.sum() > 0
 
 
 BIG = 2000
@@ -160,6 +166,7 @@ def huge() -> Surface:
 
 
 class TestLargeSurfaces:
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     @pytest.mark.parametrize("first", [(0, 0), (0, 1960), (1000, 1000), (1970, 0), (1970, 1960)])
     def test_a_window_gives_the_same_motion(self, huge, first):
         row, column = first

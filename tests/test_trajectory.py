@@ -99,6 +99,7 @@ class TestForces:
         motion = np.diff(run.run.states[:, 3:6], axis=0) / np.diff(run.time)[:, None]
         np.testing.assert_allclose(run.acceleration[1:], motion, rtol=0.0, atol=1e-9)
 
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     @given(scene=scenes())
     def test_normal_forces_carry_the_weight_and_bound_the_friction(self, scene):
         run = scene.run(duration=0.2)
@@ -265,6 +266,7 @@ class TestEnergy:
         np.testing.assert_allclose(ratios, 4.0, rtol=0.1)
         assert left[-1] < 1e-4
 
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     @pytest.mark.parametrize(("axis", "mu"), [(0.0, 0.5), (math.pi / 2, 0.01), (None, 0.005)])
     @every_method
     def test_it_is_friction_times_the_way(self, method, axis, mu):

@@ -62,6 +62,7 @@ def test_a_stroke_lies_along_each_rotors_axis():
     np.testing.assert_allclose(np.cos(axis) * along[:, 1], np.sin(axis) * along[:, 0], atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize(
     "parcel", [BOX, sg.Parcel(sg.Disc(0.2)), sg.Parcel(sg.Rectangle(2.4, 1.2))]
 )

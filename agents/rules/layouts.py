@@ -14,6 +14,7 @@ import numpy as np
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import VX, VY
+from surface_gym.simulation import expect_tipping
 from surface_gym.tasks.planning import LineObservation, Nodes, square_reach
 from surface_gym.tasks.start import Start
 
@@ -36,6 +37,7 @@ def round_sizes(half_length: Numbers) -> Numbers:
     return SAME_SIZE * np.round(half_length / SAME_SIZE)
 
 
+@expect_tipping()
 def _run(
     zone_axis: Numbers,
     half_length: float,

@@ -100,6 +100,7 @@ def align(zone: Zone) -> Aligned:
     )  # fmt: skip
 
 
+@simulation.expect_tipping()
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
     """Move a box, off the middle [m] and turned [deg], until it has left the zone or stopped."""
     surface = zone.surface
@@ -168,6 +169,7 @@ def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
     return 0.5 * (low + high)
 
 
+@simulation.expect_tipping()
 def _stops(surface: Surface, integration: Integration) -> bool:
     """Push the S-box, and return whether it stands in the last quarter of the time."""
     run = simulation.simulate(

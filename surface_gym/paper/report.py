@@ -42,8 +42,9 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
         f"took, and converged ({runs.CONVERGED}).\n"
         "* differs from the paper; / is the paper's mark for a task that fails.\n"
         "Where Eq. (1) has no solution the box would tip; taken instead are the forces that bear "
-        "its weight and come nearest to the moments. Shares of the steps up to the value stand "
-        f"below each table, as well by the method that does not chatter ({runs.SMOOTH}).\n",
+        "its weight and come nearest to the moments, on which the values then hang. Shares "
+        "of the steps up to the value stand below each table, as well by the method that does not "
+        f"chatter ({runs.SMOOTH}).\n",
         highlight=False,
     )
     for part in (

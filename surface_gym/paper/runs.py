@@ -15,7 +15,7 @@ from surface_gym import layouts
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import find_contacts
 from surface_gym.physics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch, make_scratch
-from surface_gym.simulation import simulate
+from surface_gym.simulation import expect_tipping, simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
@@ -190,6 +190,7 @@ class Integration:
     def __str__(self) -> str:
         return f"{self.method}, {1000 * self.dt:g} ms"
 
+    @expect_tipping()
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
         """Start the "S" or "B" box where the paper does, at `speed` [m/s] along x."""
         return simulate(

@@ -3,8 +3,7 @@
 Each parcel first steps as if it were alone. Parcels whose bases meet on the way push each other;
 all others stay where their steps led, to the bit. Parcels that touch, directly or through others,
 form an island. In each island
-    1. sides that close fast rebound, with no time for friction below: the impulses that stop them
-       act once more, times the restitution (Poisson's hypothesis, which gains no energy);
+    1. sides that close fast rebound, with no time for friction below (`impact.py`);
     2. the velocities after the step are solved, of all at once, so that no sides close on each
        other (`island.py`), with friction for the rest of the step since the touch;
     3. each parcel moves on with its new velocity from where it first touched.
@@ -18,7 +17,13 @@ out of it, and pushes it in the next.
 
 import math
 
-from surface_gym.physics import collision, island as islands, signed_distance as sd, types as ph
+from surface_gym.physics import (
+    collision,
+    impact,
+    island as islands,
+    signed_distance as sd,
+    types as ph,
+)
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.friction import implicit_velocity, load_contacts
 from surface_gym.physics.island import Island
@@ -158,20 +163,28 @@ def _closes_fast(island: Island, start: Array) -> bool:
 
 
 @inlined
-def _apply_impulses(scratch: WorldScratch, island: Island, times: float) -> None:
-    """Add the impulses of an island, times a factor, to the velocities at the start."""
+def _presses(island: Island, c: int) -> bool:
+    """Return whether the normal impulse of a point counts."""
+    point = island.point
+    least = PUSHED * point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS
+    return bool(point[c, ph.NORMAL_IMPULSE] > least)
+
+
+@inlined
+def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
+    """Add the impulses of an island to the velocities at the start."""
     change = scratch.gradient
     for n in range(island.members):
         for axis in range(3):
             change[island.member[n], axis] = 0.0
     for m in range(island.contacts):
         c = island.contact[m]
-        impulse = island.point[c, ph.NORMAL_IMPULSE]
-        if impulse > PUSHED * island.point[c, ph.NORMAL_STIFFNESS] / islands.STIFFNESS:
+        if _presses(island, c):
+            impulse = island.point[c, ph.NORMAL_IMPULSE]
             islands.add_impulse(
-                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, times
+                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, 1.0
             )
-            scratch.push[island.ends[c, 2]] += times * impulse
+            scratch.push[island.ends[c, 2]] += impulse
     for n in range(island.members):
         k = island.member[n]
         body = island.bodies.body[island.body[k]]
@@ -182,14 +195,28 @@ def _apply_impulses(scratch: WorldScratch, island: Island, times: float) -> None
 
 @linked
 def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
-    """Stop the sides of an island, and apply the impulses that did so once more."""
+    """Let the sides of an island stop each other and part, with no time for friction below."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
             scratch.target[k, axis] = scratch.start[k, axis]
             scratch.velocity[k, axis] = scratch.start[k, axis]
     islands.solve_velocities(island, material.friction)
-    _apply_impulses(scratch, island, 1.0 + material.restitution)
+    pressed, only = 0, 0
+    for m in range(island.contacts):
+        if _presses(island, island.contact[m]):
+            pressed += 1
+            only = island.contact[m]
+    if pressed == 1:
+        pn, pt = impact.integrate_impact(
+            island, only, scratch.start, material.friction, material.restitution
+        )
+        island.point[only, ph.NORMAL_IMPULSE] = pn
+        island.point[only, ph.TANGENT_IMPULSE] = pt
+    else:
+        _apply_impulses(scratch, island)
+        impact.part_sides(island, scratch.start, material.friction, material.restitution)
+    _apply_impulses(scratch, island)
 
 
 @linked
@@ -203,7 +230,7 @@ def _continue(
             scratch.target[k, axis] = scratch.start[k, axis]
         scratch.target[k, 0] += (dt - scratch.since[k]) * grid.gravity_along
     islands.solve_velocities(island, material.friction)
-    _apply_impulses(scratch, island, 1.0)
+    _apply_impulses(scratch, island)
 
 
 @inlined

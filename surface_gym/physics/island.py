@@ -95,26 +95,42 @@ def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sig
 
 
 @inlined
+def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
+    """Return the speeds [1/kg] that an impulse of 1 N s makes at a point between free parcels.
+
+    Along the normal by one along the normal, along either by one along the other, and along the
+    side by one along the side.
+    """
+    point = island.point
+    first = island.bodies.body[island.body[island.ends[c, 0]]]
+    second = island.bodies.body[island.body[island.ends[c, 1]]]
+    nx = point[c, ph.NORMAL_X]
+    ny = point[c, ph.NORMAL_Y]
+    per_mass = 1.0 / first[ph.MASS] + 1.0 / second[ph.MASS]
+    per_first = 1.0 / (first[ph.MASS] * first[ph.GYRATION])
+    per_second = 1.0 / (second[ph.MASS] * second[ph.GYRATION])
+    turn = point[c, ph.FIRST_X] * ny - point[c, ph.FIRST_Y] * nx
+    twist = point[c, ph.SECOND_X] * ny - point[c, ph.SECOND_Y] * nx
+    turn_by_side = point[c, ph.FIRST_X] * nx + point[c, ph.FIRST_Y] * ny
+    twist_by_side = point[c, ph.SECOND_X] * nx + point[c, ph.SECOND_Y] * ny
+    return (
+        per_mass + turn * turn * per_first + twist * twist * per_second,
+        turn * turn_by_side * per_first + twist * twist_by_side * per_second,
+        per_mass
+        + turn_by_side * turn_by_side * per_first
+        + twist_by_side * twist_by_side * per_second,
+    )
+
+
+@inlined
 def set_contact_stiffness(island: Island) -> None:
     """Set the stiffness of each point by the mass it moves, and its impulses to zero."""
     point = island.point
     for m in range(island.contacts):
         c = island.contact[m]
-        first = island.bodies.body[island.body[island.ends[c, 0]]]
-        second = island.bodies.body[island.body[island.ends[c, 1]]]
-        nx = point[c, ph.NORMAL_X]
-        ny = point[c, ph.NORMAL_Y]
-        per_mass = 1.0 / first[ph.MASS] + 1.0 / second[ph.MASS]
-        per_first = 1.0 / (first[ph.MASS] * first[ph.GYRATION])
-        per_second = 1.0 / (second[ph.MASS] * second[ph.GYRATION])
-        turn = point[c, ph.FIRST_X] * ny - point[c, ph.FIRST_Y] * nx
-        twist = point[c, ph.SECOND_X] * ny - point[c, ph.SECOND_Y] * nx
-        moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, ph.NORMAL_STIFFNESS] = STIFFNESS / moved
-        turn = point[c, ph.FIRST_X] * nx + point[c, ph.FIRST_Y] * ny
-        twist = point[c, ph.SECOND_X] * nx + point[c, ph.SECOND_Y] * ny
-        moved = per_mass + turn * turn * per_first + twist * twist * per_second
-        point[c, ph.TANGENT_STIFFNESS] = STIFFNESS / moved
+        normal, _, side = point_mobility(island, c)
+        point[c, ph.NORMAL_STIFFNESS] = STIFFNESS / normal
+        point[c, ph.TANGENT_STIFFNESS] = STIFFNESS / side
         point[c, ph.NORMAL_IMPULSE] = 0.0
         point[c, ph.TANGENT_IMPULSE] = 0.0
         point[c, ph.FRICTION_LIMIT] = 0.0

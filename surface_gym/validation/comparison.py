@@ -13,7 +13,7 @@ from surface_gym.paper import runs
 from surface_gym.paper.runs import COARSE, Integration, load_data
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import Array
-from surface_gym.simulation import simulate
+from surface_gym.simulation import expect_tipping, simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
@@ -56,6 +56,7 @@ class Case:
             self.surface, PARCEL, self.pose, self.velocity, self.duration, recipe
         )
 
+    @expect_tipping()
     def analytic(self, integration: Integration = IMPLICIT) -> Trajectory:
         """Run the case by the model of Section 3."""
         start = (self.pose, self.velocity, self.duration)

@@ -170,6 +170,7 @@ def test_supports_bear_a_parcel_beside_the_line_and_all_axes_but_the_zone_s_roll
         assert line_for(sg.Parcel(sg.Rectangle(0.3, width)), 8).rows == rows
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_a_run_is_simulate_s_to_the_bit():
     """Where it ends is a state that `simulate` records, on the same surface."""
     rng = np.random.default_rng(0)

@@ -121,6 +121,7 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
     return False
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     speeds, factors = least_speed(LARGE), friction_range(LARGE).along
     found, step = speeds.of(NOMINAL), 0.01

@@ -23,6 +23,7 @@ def mapped(case: Case = CASE, checkpoint: Path | None = None, **more: object) ->
     return success_map(case, 5, SPEEDS, SIZES, checkpoint=checkpoint, **more)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_a_parcel_of_another_size_on_the_same_zone_ends_where_simulate_has_it(size, speed):
@@ -122,6 +123,7 @@ def rest(factor: float) -> float:
     return float(run.pose[-1, 0] - line.zone_x[0])
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_a_bar_is_what_simulate_finds_draw_by_draw():
     found = sensitivity(STOPPED, columns=8)
     bar = found.bars[list(FIELDS).index("friction")]

@@ -23,6 +23,7 @@ def test_a_mirrored_start_ends_mirrored(size, towards):
     assert other[1] == pytest.approx(-one[1], abs=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize("towards", [INWARDS, OUTWARDS])
 def test_the_row_that_bears_more_wins(towards):
     """Two rows at +-d bear (1 +- 2 s / 2d) / 2 of the weight, s the load's place across.

@@ -209,6 +209,7 @@ def transcribed_step(
     return pose + DT * velocity, velocity, new
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize(
     ("size", "degrees", "speed"),
     [
@@ -232,6 +233,7 @@ def test_each_step_is_the_papers(size: str, degrees: float, speed: Triple) -> No
         np.testing.assert_allclose(run.pose[k + 1], pose, rtol=0.0, atol=1e-7)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_the_loop_ends_where_the_paper_stops_the_parcel() -> None:
     surface, parcel, start = sg.layouts.stopping(), sg.layouts.box("S"), sg.layouts.start("S")
     run = sg.simulate(surface, parcel, start, (0.8, 0.0, 0.0), 2.0, DT, method="explicit")
@@ -254,6 +256,7 @@ def test_rotors_along_the_slope_hold_a_parcel_by_the_reverse_motion_rule() -> No
     np.testing.assert_allclose(run.pose[:, 0], 1.0, atol=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize("degrees", [*np.arange(0.05, 0.6, 0.05), 0.56, 0.7, 1.0, 3.0])
 @pytest.mark.parametrize("size", ["S", "B"])
 @pytest.mark.parametrize("layout", [sg.layouts.sorting, sg.layouts.stopping])

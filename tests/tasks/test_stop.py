@@ -32,6 +32,7 @@ class TestStarts:
             zone_end = 1.9 if start.parcel is BOX else 2.1
             assert start.goal[0] + start.parcel.rear <= zone_end + 1e-12
 
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     @pytest.mark.parametrize("size", ["S", "B"])
     @pytest.mark.parametrize("speed", [0.5, 1.2, 2.7])
     def test_every_asked_x_can_be_reached(self, size, speed):
@@ -50,6 +51,7 @@ class TestStarts:
 
 
 class TestEnds:
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
     @pytest.mark.parametrize(
         ("off", "outcome"),
         [(0.0, "success"), (0.004, "success"), (-0.004, "success"), (0.006, "missed"),

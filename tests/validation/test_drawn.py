@@ -103,6 +103,7 @@ def test_a_raised_corner_or_a_stiff_diagonal_bears_more(height, stiffness, expec
     np.testing.assert_allclose(forces, expected, atol=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_level_supports_end_where_simulate_does():
     stiffness = np.exp(0.5 * np.random.default_rng(2).standard_normal((20, 40)))
     surface = replace(sg.layouts.sorting(tilt=0.15), stiffness=stiffness)

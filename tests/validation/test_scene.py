@@ -86,6 +86,7 @@ def test_the_contact_stiffness_is_the_recipes():
     assert stiffness == pytest.approx(3e6, rel=0.01)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_only_what_is_within_reach_is_built_and_a_parcel_stays_within():
     parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
     within = reachable(SURFACE, parcel, (0.5, 0.5, 0.0), (0.3, 0.0, 0.0), 0.1)

@@ -104,6 +104,7 @@ def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() 
     np.testing.assert_allclose(across, [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 @pytest.mark.parametrize("angle", [0.0, math.pi / 4, -math.pi / 4, math.pi / 2])
 def test_the_square_slides_as_in_the_simulator(angle) -> None:
     """All axes alike under a box on a field, tilted by 0.1: 40 ms of it."""
