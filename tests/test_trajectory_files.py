@@ -216,10 +216,10 @@ class TestDamagedArrays:
                 return (Path.touch, (tmp_path / "sprung",))
 
         path = self.changed(tmp_path, end=np.array(Trap(), dtype=object))
-        with pytest.raises(ValueError, match=r"run\.npz': .*allow_pickle"):
+        with pytest.raises(ValueError, match=r"run\.npz': end must hold numbers or text, got obj"):
             Trajectory.load(path)
         path.write_bytes(pickle.dumps(Trap()))
-        with pytest.raises(ValueError, match=r"it is no \.npz, or only the beginning of one"):
+        with pytest.raises(ValueError, match="it is no archive, or only the beginning of one"):
             Trajectory.load(path)
         assert not (tmp_path / "sprung").exists()
 
@@ -253,7 +253,7 @@ class TestDamagedArrays:
         with zipfile.ZipFile(packed, "w") as archive:
             archive.writestr("time", "soon")
         (tmp_path / "run.npz").write_bytes(packed.getvalue())
-        with pytest.raises(ValueError, match="it lacks pose, velocity, tipping, end"):
+        with pytest.raises(ValueError, match="it lacks time, pose, velocity, tipping, end"):
             Trajectory.load(tmp_path / "run.npz")
 
 
@@ -284,5 +284,5 @@ def test_a_table_that_is_none_is_refused_by_line(text, message, tmp_path):
 
 def test_a_table_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "run.csv").write_bytes(b"# end: \xff\xfe\n")
-    with pytest.raises(ValueError, match=r"run\.csv': it is not UTF-8 text"):
+    with pytest.raises(ValueError, match=r"run\.csv': line 1: it is not UTF-8 text"):
         Trajectory.load(tmp_path / "run.csv")

@@ -15,7 +15,6 @@ from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
-import yaml
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
@@ -341,8 +340,8 @@ def is_of_streams(run: Path) -> bool:
     """Check whether the first policy of a run is for streams; a damaged one is not."""
     folder = next(iter(policy_folders(run).values()))
     try:
-        return bool(yaml.safe_load((folder / library.CARD).read_text())["env_id"] == FLOW)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return bool(library.read_yaml(folder / library.CARD)["env_id"] == FLOW)
+    except (OSError, ValueError, KeyError):
         return False
 
 

@@ -185,6 +185,13 @@ class SweepResult:
     success: list[str]  # (levels,) a letter for each start: 1 for success, else 0
     error: list[float]  # (levels,) median size of the task's first metric; 0 where it has none
 
+    def __post_init__(self) -> None:
+        if not len(self.levels) == len(self.success) == len(self.error):
+            raise ValueError(f"success and error must be of each level, got {self.levels}")
+        for letters in self.success:
+            if len(letters) != self.starts or set(letters) - {"0", "1"}:
+                raise ValueError(f"success must be {self.starts} of '0' and '1', got {letters!r}")
+
     @property
     def key(self) -> SweepKey:
         """The job that gave it: another number of starts, or other levels, make another result."""
