@@ -179,14 +179,20 @@ def parse_yaml(text: str) -> dict[str, Any]:
     return found
 
 
-def read_yaml(file: Path) -> dict[str, Any]:
+def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
     """Read the names and values of a YAML file; see `parse_yaml`.
+
+    Args:
+        by_hand: the last line may lack its break, by which others show that they are whole.
 
     Raises:
         ValueError: it holds none; what follows the file's name says why.
         FileNotFoundError: there is none.
     """
-    return parse_yaml(read_text(file, YAML))
+    text = read_text(file, YAML)
+    if not by_hand and not text.endswith("\n"):
+        raise ValueError("it is cut: its last line must end in a line break")
+    return parse_yaml(text)
 
 
 @dataclass(frozen=True)

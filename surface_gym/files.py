@@ -92,12 +92,12 @@ def read_text(file: Path, most: int) -> str:
     return _decode(read_bytes(file, most))
 
 
-def read_lines(file: Path, drop_cut: bool = False) -> Iterator[str]:
+def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
     """Yield the lines of a text (UTF-8), their breaks too; an error names the line.
 
     Args:
-        drop_cut: leave out a last line without a line break, which was broken off, as an error
-            says otherwise.
+        cut: what a last line without its line break may look like, for which a writer that was
+            killed is to blame: it is left out. Any other is an error.
 
     Raises:
         ValueError: it is no text; what follows the file's name says why.
@@ -109,7 +109,7 @@ def read_lines(file: Path, drop_cut: bool = False) -> Iterator[str]:
             if not line.endswith(b"\n"):
                 if len(line) == LINE:
                     raise ValueError(f"line {number} must have less than {LINE} bytes, got more")
-                if line and not drop_cut:
+                if line and not re.fullmatch(cut, _decode(line, f"line {number}: ")):
                     raise ValueError(
                         f"line {number} is cut: it must end in a line break; "
                         f"{number - 1} whole lines stand before it"
@@ -202,24 +202,24 @@ class ArrayFile:
     def read(self, name: str, most: int) -> NDArray[Any]:
         """Read an array of at most so many bytes."""
         member = f"{name}.npy"
+        with self._naming(name), self._archive.open(member) as stream:
+            shape, _, kind = _HEADERS[np.lib.format.read_magic(stream)](stream)
+            left = self._sizes[member] - stream.tell()
+        if kind.kind not in "biufU" or kind.itemsize == 0:
+            raise ValueError(f"{name} must hold numbers or text, got {kind!s:.60}")
+        if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != left:
+            raise ValueError(f"{name} must fill its {left} bytes, got {shape} of {kind!s:.60}")
+        if left > most:
+            raise ValueError(f"{name} must be of at most {most} bytes, got {left}")
+        with self._naming(name), self._archive.open(member) as stream:
+            found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        return found
+
+    @staticmethod
+    @contextmanager
+    def _naming(name: str) -> Iterator[None]:
         try:
-            with self._archive.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
-                if version not in _HEADERS:
-                    raise ValueError(f"{name} must be of format 1.0 or 2.0, got {version}")
-                shape, _, kind = _HEADERS[version](stream)
-                left = self._sizes[member] - stream.tell()
-            if kind.kind not in "biufU" or kind.itemsize == 0:
-                raise ValueError(f"{name} must hold numbers or text, got {kind!s:.60}")
-            if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != left:
-                raise ValueError(f"{name} must fill its {left} bytes, got {shape} of {kind!s:.60}")
-            if left > most:
-                raise ValueError(f"{name} must be of at most {most} bytes, got {left}")
-            with self._archive.open(member) as stream:
-                found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-            return found
-        except ValueError:
-            raise
+            yield
         except DAMAGE as error:
             raise ValueError(f"{name} is damaged: {describe_damage(error)}") from None
 

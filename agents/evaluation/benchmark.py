@@ -310,7 +310,7 @@ def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
     """
     found: list[AnyRow] = []
     try:
-        for line in read_lines(file, drop_cut=True):
+        for line in read_lines(file, cut=r"\{.*"):
             row = make(**json.loads(line))
             _check_fields(row)
             found.append(row)
@@ -340,6 +340,8 @@ def _check_kind(name: str, value: Any, kind: Any) -> None:
         raise ValueError(f"{name} must be of {kind}, got {value!r:.60}")
     if kind is int:
         checks.integer(name, value, least=0)
+    if kind is float and value == value:  # nan: there was nothing to measure
+        checks.number(name, value)
     for each in value if outer is list else value.values() if outer is dict else ():
         _check_kind(name, each, get_args(kind)[-1])
     if is_dataclass(kind):

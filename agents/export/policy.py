@@ -109,7 +109,7 @@ def _read_training(folder: Path) -> Training | None:
         asked = words[words.index("--preset") + 1] if "--preset" in words else NOMINAL
         results = tuple(
             (name, checks.within(f"success of {name}", found["success"], 0.0, 1.0))
-            for name, found in card.get("results", {}).items()
+            for name, found in card["results"].items()
             if "success" in found
         )
         training = Training(str(card.get("preset", asked)), command, results)

@@ -396,7 +396,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
     task, algo = given["task"], given["algo"]
     from ..library import read_yaml
 
-    of_tasks = read_yaml(file)
+    of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
     if key not in of_tasks:
         known = ", ".join(repr(name) for name in PERIODS if env_id(name) in of_tasks)

@@ -288,9 +288,9 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
         ValueError: the file holds no curve; the error names it and the line.
     """
     file, rows = folder / CURVE, []
-    lines = csv.reader(read_lines(file, drop_cut=True), strict=True)
+    lines = csv.reader(read_lines(file, cut=r"[0-9][0-9.,e+na-]*\r?"), strict=True)
     try:
-        names = next(lines, list(FIGURES))
+        names = next(lines, [])
         if names[: len(FIGURES)] != list(FIGURES) or len(set(names)) < len(names):
             raise ValueError(f"it must begin with {','.join(FIGURES)}, got {','.join(names)!r:.60}")
         for row in lines:
@@ -298,9 +298,11 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
                 raise ValueError(f"a row must have {len(names)} entries, got {len(row)}")
             pairs = zip(names, row, strict=True)
             found = {k: math.nan if v == "nan" else parse_number(k, v) for k, v in pairs}
-            checks.not_negative("steps", found["steps"])
-            if rows and found["steps"] < rows[-1]["steps"]:
-                raise ValueError(f"steps must not fall, got {found['steps']:g}")
+            for name, most in (("steps", 2.0**53), ("success", 1.0), ("length", math.inf)):
+                if name == "steps" or not math.isnan(found[name]):
+                    checks.not_negative(name, found[name], most)
+            if rows and found["steps"] <= rows[-1]["steps"]:
+                raise ValueError(f"steps must rise, got {found['steps']:g}")
             rows.append(found)
     except FileNotFoundError:
         return []

@@ -149,7 +149,7 @@ class Sweep:
 def read_sweep(file: Path, task: str | None = None) -> Sweep:
     """Read the request of a search. No code is run but that of `task`."""
     try:
-        return _read(read_yaml(file), task)
+        return _read(read_yaml(file, by_hand=True), task)
     except DAMAGE as error:
         raise ValueError(f"{file} is not a search's: {describe_damage(error)}") from None
 
