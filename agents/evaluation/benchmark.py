@@ -97,6 +97,7 @@ class Result:
     decision_time: float  # [s] a decision of one environment
 
     def __post_init__(self) -> None:
+        checks.integer("seed", self.seed, least=0)
         for values in (self.time, *self.metrics.values()):
             if len(values) != len(self.success):
                 raise ValueError(f"each start must have its time and its metrics, got {values}")
@@ -327,7 +328,7 @@ def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
 
 
 def _check_fields(row: Any) -> None:
-    """Raise a ValueError where a field of a dataclass is not of its type; counts are at least 0."""
+    """Raise a ValueError where a field of a dataclass is not of its type."""
     for name, kind in get_type_hints(type(row)).items():
         _check_kind(name, getattr(row, name), kind)
 
@@ -338,8 +339,6 @@ def _check_kind(name: str, value: Any, kind: Any) -> None:
         outer = kind = next((each for each in get_args(kind) if _is_of(value, each)), kind)
     if not _is_of(value, outer):
         raise ValueError(f"{name} must be of {kind}, got {value!r:.60}")
-    if kind is int:
-        checks.integer(name, value, least=0)
     if kind is float and value == value:  # nan: there was nothing to measure
         checks.number(name, value)
     for each in value if outer is list else value.values() if outer is dict else ():

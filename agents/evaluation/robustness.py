@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base
@@ -186,6 +187,8 @@ class SweepResult:
     error: list[float]  # (levels,) median size of the task's first metric; 0 where it has none
 
     def __post_init__(self) -> None:
+        checks.integer("seed", self.seed, least=0)
+        checks.integer("starts", self.starts, least=1)
         if not len(self.levels) == len(self.success) == len(self.error):
             raise ValueError(f"success and error must be of each level, got {self.levels}")
         for letters in self.success:
