@@ -192,7 +192,7 @@ class SweepResult:
         if not len(self.levels) == len(self.success) == len(self.error):
             raise ValueError(f"success and error must be of each level, got {self.levels}")
         for letters in self.success:
-            if len(letters) != self.starts or set(letters) - {"0", "1"}:
+            if len(str(letters)) != self.starts or set(str(letters)) - {"0", "1"}:
                 raise ValueError(f"success must be {self.starts} of '0' and '1', got {letters!r}")
 
     @property

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,7 +122,7 @@ class Sweep:
                 else:
                     self._try("space", {name: value, **any_batch})
 
-    @property
+    @cached_property
     def default(self) -> TrainConfig:
         """The package's configuration of the task and the algorithm."""
         return defaults(self.task, self.algo)
