@@ -276,8 +276,9 @@ def build_policy(
         fields = parse_yaml(files.card.decode())
         if fields.pop(DIGEST) != _digest(fields, files.weights):
             raise ValueError(f"{WEIGHTS} or {CARD} is not as it was written: its digest differs")
-        arrays = {name: tuple(fields[name]) for name in ("hidden", "observe") if name in fields}
-        card = PolicyCard(**{**fields, **arrays})
+        for name in {"hidden", "observe"} & fields.keys():
+            fields[name] = tuple(fields[name])
+        card = PolicyCard(**fields)
         weights = load_tensors(BytesIO(files.weights))
         _check_hidden(card, len(files.weights))
         if card.algo == "parcels":

@@ -118,14 +118,21 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
             yield _decode(line, f"line {number}: ").removeprefix("" if number > 1 else "\ufeff")
 
 
-@contextmanager
-def _opened(file: Path, most: int) -> Iterator[IO[bytes]]:
+def _open(file: Path, most: int) -> IO[bytes]:
     check_plain(file, most)
     try:
-        with file.open("rb") as stream:
-            yield stream
+        return file.open("rb")
     except OSError as error:
         raise ValueError(f"it cannot be read ({error.strerror})") from None
+
+
+@contextmanager
+def _opened(file: Path, most: int) -> Iterator[IO[bytes]]:
+    with _open(file, most) as stream:
+        try:
+            yield stream
+        except OSError as error:
+            raise ValueError(f"it cannot be read ({error.strerror})") from None
 
 
 def _decode(content: bytes, where: str = "") -> str:
@@ -180,8 +187,7 @@ class ArrayFile:
     """
 
     def __init__(self, file: Path) -> None:
-        check_plain(file, ARCHIVE)
-        self._stream = file.open("rb")
+        self._stream = _open(file, ARCHIVE)
         try:
             self._archive = check_archive(self._stream)
         except DAMAGE as error:

@@ -321,8 +321,8 @@ def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
         reason = describe_damage(error)
         where = "" if reason.startswith("line ") else f"line {len(found) + 1}: "
         raise ValueError(
-            f"{file} holds something else than results: {where}{reason}; without that line its "
-            "result is computed again"
+            f"{file} holds something else than results: {where}{reason}; where the line, or the "
+            "file, is removed, they are computed again"
         ) from None
     return found
 

@@ -4,7 +4,7 @@ A rate is sustained where nearly all deliveries are right and nothing jams.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,8 +111,8 @@ class Measurement:
     counted: float  # [s] after the warm-up
 
     def __post_init__(self) -> None:
-        each = (self.right, self.delivered, self.touches, self.waiting)
-        if not self.right or len(set(map(len, each))) > 1:
+        each: list[Sequence[float]] = [self.right, self.delivered, self.touches, self.waiting]
+        if not self.right or len({len(values) for values in each}) > 1:
             raise ValueError(f"each replication must have its deliveries, got {self.right}")
         checks.positive("counted", self.counted)
 

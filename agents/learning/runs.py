@@ -287,7 +287,8 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     Raises:
         ValueError: the file holds no curve; the error names it and the line.
     """
-    file, rows = folder / CURVE, []
+    file = folder / CURVE
+    rows: list[dict[str, float]] = []
     lines = csv.reader(read_lines(file, cut=r"[0-9][0-9.,e+na-]*\r?"), strict=True)
     try:
         names = next(lines, [])
@@ -309,7 +310,9 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     except (ValueError, csv.Error) as error:
         reason = describe_damage(error)
         where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
-        raise ValueError(f"{file} holds no learning curve: {where}{reason}") from None
+        raise ValueError(
+            f"{file} holds no learning curve: {where}{reason}; without it, a new one begins"
+        ) from None
     return rows
 
 
