@@ -27,8 +27,9 @@ from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 from surface_gym.tasks import TASKS, Task
 
 from .base import SIDE, BatchController, Integers, Singles, action_mirror, mirrored_orientations
-from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, parse_yaml, read_files
+from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, read_files
 from .module_policy import ModulePolicy, SharedNetwork
+from .yaml_file import parse_yaml
 
 DIGEST = "digest"  # field of the card: of its other fields and the weights
 
@@ -303,12 +304,13 @@ def _digest(fields: dict[str, Any], weights: bytes) -> str:
     return sha256(json.dumps(fields, sort_keys=True).encode() + weights).hexdigest()
 
 
-def load_tensors(stream: IO[bytes]) -> dict[str, Any]:
+def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
     """Load tensors and plain values by their names, as PyTorch saves them; no code is run.
 
-    What is not as it was written, or claims more than there is, is one of the errors of `DAMAGE`.
+    Plain values, which PyTorch reads slowly, have so many bytes at most; policies have 2000. What
+    is not as it was written, or claims more than there is, is one of the errors of `DAMAGE`.
     """
-    check_archive(stream, stored=True)
+    check_archive(stream, plain)
     stream.seek(0)
     found = torch.load(stream, map_location="cpu", weights_only=True)
     if not isinstance(found, dict):

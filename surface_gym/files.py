@@ -144,11 +144,12 @@ def _decode(content: bytes, where: str = "") -> str:
         raise ValueError(f"{where}it is not UTF-8 text: byte {error.start + 1}") from None
 
 
-def check_archive(stream: IO[bytes], stored: bool = False) -> zipfile.ZipFile:
+def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFile:
     """Open a zip archive, or raise an error for one that this package never writes.
 
     Args:
-        stored: nothing in it may be compressed, and all of it is compared with its checksums.
+        stored: nothing in it may be compressed, all of it is compared with its checksums, and the
+            plain values beside its tensors have so many bytes at most.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
@@ -161,7 +162,9 @@ def check_archive(stream: IO[bytes], stored: bool = False) -> zipfile.ZipFile:
     members = archive.infolist()
     if len({each.filename for each in members}) < len(members):
         raise ValueError("its members must have names of their own, got one twice")
-    allowed = {zipfile.ZIP_STORED: "stored"} | ({} if stored else {zipfile.ZIP_DEFLATED: "deflate"})
+    allowed = {zipfile.ZIP_STORED: "stored"} | (
+        {} if stored is not None else {zipfile.ZIP_DEFLATED: "deflate"}
+    )
     for each in members:
         if each.compress_type not in allowed or each.flag_bits & 1:
             method = "encryption" if each.flag_bits & 1 else f"method {each.compress_type}"
@@ -169,7 +172,10 @@ def check_archive(stream: IO[bytes], stored: bool = False) -> zipfile.ZipFile:
                 f"{each.filename!r} must be compressed by {' or '.join(allowed.values())}, "
                 f"got {method}"
             )
-    if stored:
+    if stored is not None:
+        plain = [each.file_size for each in members if each.filename.endswith(".pkl")]
+        if sum(plain) > stored:
+            raise ValueError(f"its plain values must have at most {stored} bytes, got {sum(plain)}")
         if sum(each.file_size for each in members) > size:
             raise ValueError(f"its members must fit into its {size} bytes, got larger ones")
         if (damaged := archive.testzip()) is not None:

@@ -25,6 +25,7 @@ from surface_gym.tasks.benchmark import Column
 
 from .. import library
 from ..base import Controller
+from ..yaml_file import read_yaml
 from . import plots, streams
 from . import tables as texts
 from .benchmark import SEED, Result, Summaries, compute_results, find_benchmark, summarise
@@ -340,7 +341,7 @@ def is_of_streams(run: Path) -> bool:
     """Check whether the first policy of a run is for streams; a damaged one is not."""
     folder = next(iter(policy_folders(run).values()))
     try:
-        return bool(library.read_yaml(folder / library.CARD)["env_id"] == FLOW)
+        return bool(read_yaml(folder / library.CARD)["env_id"] == FLOW)
     except (OSError, ValueError, KeyError):
         return False
 

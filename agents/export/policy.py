@@ -21,6 +21,7 @@ from ..learning import runs
 from ..learning.config import NOMINAL, current_option
 from ..module_policy import ModulePolicy
 from ..policy import DIGEST, Policy, load_tensors, make_network
+from ..yaml_file import parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
@@ -92,7 +93,7 @@ def _read(
         policy,
         policy.card.env_config(task),
         load_tensors(BytesIO(files.weights)),
-        str(library.parse_yaml(files.card.decode())[DIGEST]),
+        str(parse_yaml(files.card.decode())[DIGEST]),
         training or Training(NOMINAL),
     )
 
@@ -101,7 +102,7 @@ def _read_training(folder: Path) -> Training | None:
     """Read the training from the card of a folder; None if there is none."""
     file = folder / runs.CARD
     try:
-        card = library.read_yaml(file)
+        card = read_yaml(file)
         command = card["command"]
         if not isinstance(command, str):
             raise ValueError(f"command must be text, got {command!r:.60}")

@@ -10,6 +10,8 @@ from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.registration import FLOW, FLOW_TASK, PERIODS, env_id
 
+from ..yaml_file import read_yaml
+
 if TYPE_CHECKING:
     from ..library import PolicyCard
 
@@ -394,8 +396,6 @@ def _entry_name(task: str) -> str:
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
     """Read a task's entry; task, algorithm, preset and device are given."""
     task, algo = given["task"], given["algo"]
-    from ..library import read_yaml
-
     of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
     if key not in of_tasks:

@@ -39,13 +39,15 @@ from surface_gym.files import (
 from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
 from surface_gym.registration import FLOW_TASK
 
-from ..library import read_yaml, task_label
+from ..library import task_label
+from ..yaml_file import read_yaml
 from . import config as configs
 from .config import TrainConfig
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
 CHECKPOINT = "checkpoint.pt"
+PLAIN = 2**19  # [bytes] in a checkpoint beside its tensors: 1000 episodes have half of it
 CURVE = "curve.csv"
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
@@ -213,7 +215,7 @@ def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> R
     try:
         check_plain(folder / CHECKPOINT, ARCHIVE)
         with (folder / CHECKPOINT).open("rb") as file:
-            return restore(load_tensors(file))
+            return restore(load_tensors(file, PLAIN))
     except DAMAGE as error:
         raise ValueError(
             f"{folder / CHECKPOINT} is damaged or of another run: {describe_damage(error)}"
@@ -311,7 +313,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
         reason = describe_damage(error)
         where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
         raise ValueError(
-            f"{file} holds no learning curve: {where}{reason}; without it, a new one begins"
+            f"{file} holds no learning curve: {where}{reason}; without it a new one begins"
         ) from None
     return rows
 

@@ -19,7 +19,7 @@ from surface_gym.tasks import TASKS
 
 from ..learning.config import RENAMED, TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
-from ..library import read_yaml
+from ..yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rich.console import Console
