@@ -9,16 +9,16 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
-
-import yaml
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS
+from surface_gym.files import read_bytes
 from surface_gym.registration import FLOW, FLOW_TASK, env_id
 from surface_gym.tasks import TASKS, Task
+
+from .yaml_file import YAML
 
 if TYPE_CHECKING:
     from .module_policy import ModulePolicy
@@ -91,20 +91,7 @@ def _load_module(file: Path) -> Any:
     return sys.modules[name]
 
 
-# Errors of reading a damaged file, by PyYAML, by PyTorch and here.
-DAMAGE = (
-    yaml.YAMLError, UnpicklingError, EOFError, OSError, AttributeError, KeyError, RuntimeError,
-    TypeError, ValueError,
-)  # fmt: skip
-
-
-def describe_damage(error: Exception) -> str:
-    """Describe a file's damage in one line, without a library's advice on how to read it."""
-    if isinstance(error, UnpicklingError):
-        return "it holds more than tensors and plain values"
-    if isinstance(error, KeyError):
-        return f"{error} is missing"
-    return " ".join(str(error).split()) or "it is cut short"
+POLICY = 2**27  # [bytes] of weights: the largest here has 0.2 million
 
 
 @dataclass(frozen=True)
@@ -172,10 +159,15 @@ class PolicyFiles:
 
 def read_files(folder: Path) -> PolicyFiles:
     """Read the files of a policy without decoding them."""
-    for name in (WEIGHTS, CARD):
-        if not (folder / name).is_file():
-            raise ValueError(f"{folder} holds no policy: {name} is missing")
-    return PolicyFiles(folder, (folder / WEIGHTS).read_bytes(), (folder / CARD).read_bytes())
+    found = {}
+    for name, most in ((WEIGHTS, POLICY), (CARD, YAML)):
+        try:
+            found[name] = read_bytes(folder / name, most)
+        except FileNotFoundError:
+            raise ValueError(f"{folder} holds no policy: {name} is missing") from None
+        except ValueError as error:
+            raise ValueError(f"{folder} holds no policy: {name}: {error}") from None
+    return PolicyFiles(folder, found[WEIGHTS], found[CARD])
 
 
 def names() -> tuple[str, ...]:

@@ -7,8 +7,9 @@ import json
 from dataclasses import asdict
 from hashlib import sha256
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import torch
@@ -19,14 +20,16 @@ from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.distributions import Categorical
 
+from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.files import replacing
+from surface_gym.files import DAMAGE, check_archive, describe_damage, replacing
 from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 from surface_gym.tasks import TASKS, Task
 
 from .base import SIDE, BatchController, Integers, Singles, action_mirror, mirrored_orientations
-from .library import CARD, DAMAGE, WEIGHTS, PolicyCard, PolicyFiles, describe_damage, read_files
+from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, read_files
 from .module_policy import ModulePolicy, SharedNetwork
+from .yaml_file import parse_yaml
 
 DIGEST = "digest"  # field of the card: of its other fields and the weights
 
@@ -242,12 +245,14 @@ def build_policy(
         ValueError: they are damaged or foreign, or of another task.
     """
     try:
-        fields = yaml.safe_load(files.card.decode())
+        fields = parse_yaml(files.card.decode())
         if fields.pop(DIGEST) != _digest(fields, files.weights):
             raise ValueError(f"{WEIGHTS} or {CARD} is not as it was written: its digest differs")
-        arrays = {name: tuple(fields[name]) for name in ("hidden", "observe") if name in fields}
-        card = PolicyCard(**{**fields, **arrays})
-        weights = torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True)
+        for name in {"hidden", "observe"} & fields.keys():
+            fields[name] = tuple(fields[name])
+        card = PolicyCard(**fields)
+        weights = load_tensors(BytesIO(files.weights))
+        _check_hidden(card, len(files.weights))
         if card.algo == "parcels":
             of_parcels = make_parcel_network(card)
             _load_weights(of_parcels, weights)
@@ -270,11 +275,84 @@ def _digest(fields: dict[str, Any], weights: bytes) -> str:
     return sha256(json.dumps(fields, sort_keys=True).encode() + weights).hexdigest()
 
 
-def _load_weights(network: torch.nn.Module, weights: Any) -> None:
+def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
+    """Load tensors and plain values by their names, as PyTorch saves them; no code is run.
+
+    Plain values, which PyTorch reads slowly, have so many bytes at most; policies have 2000. What
+    is not as it was written, or claims more than there is, is one of the errors of `DAMAGE`.
+    """
+    check_archive(stream, plain)
+    stream.seek(0)
+    found = torch.load(stream, map_location="cpu", weights_only=True)
+    if not isinstance(found, dict):
+        raise ValueError(f"it must hold tensors by name, got a {type(found).__name__}")
+    return found
+
+
+def check_tensor(name: str, found: Any, wanted: torch.Tensor) -> None:
+    """Raise a ValueError unless a tensor is finite and of the type and shape of another."""
+    if not isinstance(found, torch.Tensor):
+        raise ValueError(f"{name} must be a tensor, got a {type(found).__name__}")
+    for what, has, asked in (
+        ("type", found.dtype, wanted.dtype),
+        ("shape", tuple(found.shape), tuple(wanted.shape)),
+    ):
+        if has != asked:
+            raise ValueError(f"{name} must have the {what} {asked}, got {has}")
+    if not bool(torch.isfinite(found).all()):
+        raise ValueError(f"{name} must be finite")
+
+
+def check_like(name: str, found: Any, own: Any) -> None:
+    """Raise a ValueError unless values have the names, the types and the shapes of others.
+
+    Numbers must be finite, and whole ones at least 0.
+    """
+    if isinstance(own, torch.Tensor):
+        check_tensor(name, found, own)
+    elif isinstance(own, float):
+        checks.number(name, found)
+    elif isinstance(own, int) and not isinstance(own, bool):
+        checks.integer(name, found, least=0, most=2**53)
+    elif not isinstance(found, dict if isinstance(own, dict) else type(own)):
+        raise ValueError(f"{name} must be a {type(own).__name__}, got a {type(found).__name__}")
+    elif isinstance(own, dict):
+        if found.keys() != own.keys():
+            raise ValueError(f"{name} must hold {', '.join(own)}, got {', '.join(map(str, found))}")
+        for key, value in own.items():
+            check_like(f"{name}.{key}", found[key], value)
+    elif isinstance(own, (list, tuple)):
+        if len(found) != len(own):
+            raise ValueError(f"{name} must hold {len(own)} values, got {len(found)}")
+        for place, value in enumerate(own):
+            check_like(f"{name}.{place}", found[place], value)
+
+
+def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
+    """Load the state of an optimiser, Adam, for the same parameters; one it cannot use is refused.
+
+    Options that another version of PyTorch has may be missing or more.
+    """
+    own = optimizer.state_dict()
+    for group, saved in zip(own["param_groups"], found["param_groups"], strict=True):
+        for key in {"params", "lr", *(group.keys() & saved.keys())}:
+            check_like(f"optimizer.{key}", saved[key], group[key])
+    parameters = [each for group in optimizer.param_groups for each in group["params"]]
+    for place, saved in found["state"].items():
+        like = parameters[checks.integer("optimizer", place, 0, len(parameters) - 1)]
+        like_this = {"step": torch.zeros(()), "exp_avg": like, "exp_avg_sq": like}
+        check_like(f"optimizer.{place}", saved, like_this)
+    optimizer.load_state_dict(found)
+
+
+def _check_hidden(card: PolicyCard, size: int) -> None:
+    """Raise a ValueError if a file of this size [bytes] cannot fill the layers of the card."""
+    if 4 * sum(card.hidden) + 4 * sum(a * b for a, b in pairwise(card.hidden)) > size:
+        raise ValueError(f"hidden must be layers that {size} bytes fill, got {card.hidden}")
+
+
+def _load_weights(network: torch.nn.Module, weights: dict[str, Any]) -> None:
     """Load finite weights of the network's own types, which PyTorch would convert otherwise."""
     for name, wanted in network.state_dict().items():
-        if weights[name].dtype != wanted.dtype:
-            raise ValueError(f"{name} must be {wanted.dtype}, got {weights[name].dtype}")
-        if not bool(torch.isfinite(weights[name]).all()):
-            raise ValueError(f"{name} must be finite")
+        check_tensor(name, weights[name], wanted)
     network.load_state_dict(weights)

@@ -1,11 +1,39 @@
-"""Files that are written whole or not at all."""
+"""Files: written whole or not at all; read within bounds, or refused by what is wrong with them.
 
+A reader's error says what is wrong in words that follow a file's name; its caller puts that before.
+"""
+
+import itertools
+import math
 import os
+import re
+import stat
+import struct
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from pickle import UnpicklingError
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 SUFFIX = ".part"  # of a file that is being written
+LINE = 2**20  # [bytes] of a text's line
+TABLE = ARCHIVE = 4 * 2**30  # [bytes] on the disk
+MEMBERS = 1000  # of an archive: the largest here has some fifty
+REASON = 300  # characters that tell what is wrong
+# What libraries raise where a file is damaged: text, YAML, JSON, zip, arrays, tensors.
+DAMAGE = (
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError,
+    NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, UnpicklingError, ValueError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
+}  # fmt: skip
 
 
 @contextmanager
@@ -18,3 +46,210 @@ def replacing(file: Path) -> Iterator[Path]:
     part = file.with_name(file.name + SUFFIX)
     yield part
     os.replace(part, file)
+
+
+def describe_damage(error: Exception) -> str:
+    """Describe what is wrong with a file in one short line, without a library's advice."""
+    if isinstance(error, UnpicklingError):
+        return "it holds more than tensors and plain values"
+    if isinstance(error, KeyError) and len(error.args) == 1:
+        return f"{error.args[0]!r:.60} is missing"
+    if isinstance(error, RecursionError):
+        return "it is nested too deep"
+    text = " ".join(str(error).split()) or "it is cut short"
+    return text if len(text) <= REASON else f"{text[:REASON]}..."
+
+
+def check_plain(file: Path, most: int) -> None:
+    """Raise a ValueError unless a file is one on a disk and of bounded size [bytes].
+
+    Pipes and devices never end.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    try:
+        found = file.stat()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ValueError(f"it cannot be read ({error.strerror})") from None
+    if not stat.S_ISREG(found.st_mode):
+        what = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
+        raise ValueError(f"it must be a file, got {what}")
+    if found.st_size > most:
+        raise ValueError(f"it must have at most {most} bytes, got {found.st_size}")
+
+
+def read_bytes(file: Path, most: int) -> bytes:
+    """Read a file of at most so many bytes; see `read_lines`."""
+    with _opened(file, most) as stream:
+        return stream.read(most)
+
+
+def read_text(file: Path, most: int) -> str:
+    """Read text (UTF-8, without NULs) of at most so many bytes; see `read_lines`."""
+    return _decode(read_bytes(file, most))
+
+
+def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
+    """Yield the lines of a text (UTF-8), their breaks too; an error names the line.
+
+    Args:
+        cut: what a last line without its line break may look like, for which a writer that was
+            killed is to blame: it is left out. Any other is an error.
+
+    Raises:
+        ValueError: it is no text; what follows the file's name says why.
+        FileNotFoundError: there is none.
+    """
+    with _opened(file, TABLE) as stream:
+        for number in itertools.count(1):
+            line = stream.readline(LINE)
+            if not line.endswith(b"\n"):
+                if len(line) == LINE:
+                    raise ValueError(f"line {number} must have less than {LINE} bytes, got more")
+                if line and not re.fullmatch(cut, _decode(line, f"line {number}: ")):
+                    raise ValueError(
+                        f"line {number} is cut: it must end in a line break; "
+                        f"{number - 1} whole lines stand before it"
+                    )
+                return
+            yield _decode(line, f"line {number}: ").removeprefix("" if number > 1 else "\ufeff")
+
+
+def _open(file: Path, most: int) -> IO[bytes]:
+    check_plain(file, most)
+    try:
+        return file.open("rb")
+    except OSError as error:
+        raise ValueError(f"it cannot be read ({error.strerror})") from None
+
+
+@contextmanager
+def _opened(file: Path, most: int) -> Iterator[IO[bytes]]:
+    with _open(file, most) as stream:
+        try:
+            yield stream
+        except OSError as error:
+            raise ValueError(f"it cannot be read ({error.strerror})") from None
+
+
+def _decode(content: bytes, where: str = "") -> str:
+    if b"\0" in content:
+        raise ValueError(f"{where}it is not text: byte {content.index(0) + 1} is NUL")
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{where}it is not UTF-8 text: byte {error.start + 1}") from None
+
+
+def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFile:
+    """Open a zip archive, or raise an error for one that this package never writes.
+
+    Args:
+        stored: nothing in it may be compressed, all of it is compared with its checksums, and the
+            plain values beside its tensors have so many bytes at most.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    if not zipfile.is_zipfile(stream):
+        raise ValueError("it is no archive, or only the beginning of one")
+    stream.seek(0)
+    if sum(part.count(b"PK\x01\x02") for part in iter(lambda: stream.read(2**20), b"")) > MEMBERS:
+        raise ValueError(f"it must hold at most {MEMBERS} members, got more")
+    archive = zipfile.ZipFile(stream)
+    members = archive.infolist()
+    if len({each.filename for each in members}) < len(members):
+        raise ValueError("its members must have names of their own, got one twice")
+    allowed = {zipfile.ZIP_STORED: "stored"} | (
+        {} if stored is not None else {zipfile.ZIP_DEFLATED: "deflate"}
+    )
+    for each in members:
+        if each.compress_type not in allowed or each.flag_bits & 1:
+            method = "encryption" if each.flag_bits & 1 else f"method {each.compress_type}"
+            raise ValueError(
+                f"{each.filename!r} must be compressed by {' or '.join(allowed.values())}, "
+                f"got {method}"
+            )
+    if stored is not None:
+        plain = [each.file_size for each in members if each.filename.endswith(".pkl")]
+        if sum(plain) > stored:
+            raise ValueError(f"its plain values must have at most {stored} bytes, got {sum(plain)}")
+        if sum(each.file_size for each in members) > size:
+            raise ValueError(f"its members must fit into its {size} bytes, got larger ones")
+        if (damaged := archive.testzip()) is not None:
+            raise ValueError(f"{damaged!r} is not as it was written: its checksum differs")
+    return archive
+
+
+class ArrayFile:
+    """The arrays of an .npz, none of which is unpacked before its header was checked.
+
+    Raises:
+        ValueError: it is no such file, or one that NumPy does not write; what follows the file's
+            name says why.
+        FileNotFoundError: there is none.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._stream = _open(file, ARCHIVE)
+        try:
+            self._archive = check_archive(self._stream)
+        except DAMAGE as error:
+            self._stream.close()
+            raise ValueError(describe_damage(error)) from None
+        self._sizes = {each.filename: each.file_size for each in self._archive.infolist()}
+
+    def __enter__(self) -> "ArrayFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._archive.close()
+        self._stream.close()
+
+    def __contains__(self, name: str) -> bool:
+        return f"{name}.npy" in self._sizes
+
+    def read(self, name: str, most: int) -> NDArray[Any]:
+        """Read an array of at most so many bytes."""
+        member = f"{name}.npy"
+        with self._naming(name), self._archive.open(member) as stream:
+            shape, _, kind = _HEADERS[np.lib.format.read_magic(stream)](stream)
+            left = self._sizes[member] - stream.tell()
+        if kind.kind not in "biufU" or kind.itemsize == 0:
+            raise ValueError(f"{name} must hold numbers or text, got {kind!s:.60}")
+        if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != left:
+            raise ValueError(f"{name} must fill its {left} bytes, got {shape} of {kind!s:.60}")
+        if left > most:
+            raise ValueError(f"{name} must be of at most {most} bytes, got {left}")
+        with self._naming(name), self._archive.open(member) as stream:
+            found: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        return found
+
+    @staticmethod
+    @contextmanager
+    def _naming(name: str) -> Iterator[None]:
+        try:
+            yield
+        except DAMAGE as error:
+            raise ValueError(f"{name} is damaged: {describe_damage(error)}") from None
+
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+def parse_number(name: str, text: str) -> float:
+    """Return the finite number that text writes in decimal digits 0 to 9, or raise an error."""
+    plain = text.strip()
+    found = float(plain) if _NUMBER.fullmatch(plain) else math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"{name} must be a finite number, got {text!r:.60}")
+    return found
+
+
+def parse_integer(name: str, text: str) -> int:
+    """Return the whole number that text writes in decimal digits 0 to 9, or raise an error."""
+    if not re.fullmatch(r"[+-]?[0-9]{1,300}", text):
+        raise ValueError(f"{name} must be a whole number, got {text!r:.60}")
+    return int(text)

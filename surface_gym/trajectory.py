@@ -4,8 +4,6 @@ All of a trajectory is kept as .npz, its motion as .csv.
 """
 
 import csv
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -16,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics import rollout, types as ph
 from surface_gym.physics.references import find_support, support_load_by
@@ -227,6 +225,12 @@ class Trajectory:
         parts: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in MOTION}
         if self.run is not None:
             parts |= _run_parts(self.run)
+        for name, most in _sizes(len(self.time)).items():
+            if name in parts and parts[name].nbytes > most:
+                raise ValueError(
+                    f"{name} must be of at most {most} bytes to be saved as .npz, got "
+                    f"{parts[name].nbytes}; a .csv holds a motion of any length"
+                )
         with file.open("wb") as packed:
             np.savez_compressed(packed, **parts)
 
@@ -234,15 +238,17 @@ class Trajectory:
     def load(path: str | PathLike[str]) -> "Trajectory":
         """Read a trajectory that `save` wrote, the same to the bit.
 
-        Only numbers and text are read; nothing in a file is executed. A file that holds no
-        trajectory is a ValueError that names what is wrong.
+        Only numbers and text are read; nothing in a file is executed, and nothing unpacked that
+        claims to be larger than a trajectory can be. A file that holds none is a ValueError that
+        names what is wrong.
         """
         file = _checked_file(path)
         try:
             found = _read_table(file) if file.suffix == ".csv" else _read_arrays(file)
         except ValueError as error:
             raise ValueError(
-                f"path must lead to a trajectory that was saved, got {str(path)!r}: {error}"
+                f"path must lead to a trajectory that was saved, got {str(path)!r}: "
+                f"{files.describe_damage(error)}"
             ) from None
         return Trajectory(**found)
 
@@ -388,6 +394,7 @@ PARCEL = ("mass", "com_height", "com_offset")
 RUN = ("dt", "method", "normal_forces", "states")
 MAY_BE_NONE = ("stiffness", "inertia")  # absent then
 ALL = (*SURFACE, *PARCEL, *RUN, "base", "base_lengths")
+ROWS = 4_000_000  # of a trajectory in an .npz: an hour in steps of a millisecond
 
 # A base's name and its lengths [m]: length and width, radius, or vertices (vertices, 2).
 BASES: dict[str, Callable[[Array], Base]] = {
@@ -405,8 +412,8 @@ def _checked_file(path: str | PathLike[str]) -> Path:
 
 
 def _check_end(end: str) -> None:
-    if not isinstance(end, str) or not end.strip() or len(end.splitlines()) != 1:
-        raise ValueError(f"end must be one line of text, got {end!r}")
+    if not isinstance(end, str) or not end.isprintable() or not end.strip():
+        raise ValueError(f"end must be one line of text, got {end!r:.60}")
 
 
 def _check_time(time: Array) -> Array:
@@ -423,12 +430,22 @@ def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...])
     return checks.array(name, value, shape).copy()
 
 
+def _sizes(rows: int) -> dict[str, int]:
+    """Return how large [bytes] each array of an .npz may be, for a motion of so many rows."""
+    sizes = dict.fromkeys((*MOTION, *ALL, *MAY_BE_NONE), 8 * checks.ELEMENTS)
+    each = dict.fromkeys(("pose", "velocity", "tipping", "states"), 8 * ph.STATE_SIZE * rows)
+    return sizes | each | {"time": 8 * ROWS}
+
+
 def _read_arrays(file: Path) -> Fields:
     """Read the fields of a trajectory from an .npz; each array is checked where it is used."""
-    parts = _unpack(file)
-    _check_missing([name for name in MOTION if name not in parts])
-    time = _check_time(parts["time"])
-    rows = len(time)
+    with files.ArrayFile(file) as archive:
+        _check_missing([name for name in MOTION if name not in archive])
+        # The time first: how many rows there are bounds the others before they are unpacked.
+        time = _check_time(archive.read("time", 8 * ROWS))
+        rows = len(time)
+        sizes = _sizes(rows)
+        parts = {name: archive.read(name, sizes[name]) for name in sizes if name in archive}
     motion = {name: _checked_rows(name, parts[name], (rows, 3)) for name in ("pose", "velocity")}
     tipping, end = parts["tipping"], parts["end"].item() if parts["end"].ndim == 0 else ""
     if tipping.dtype != np.bool_ or tipping.shape != time.shape:
@@ -439,19 +456,6 @@ def _read_arrays(file: Path) -> Fields:
     _check_end(end)
     run = _read_run(parts, rows)
     return {"time": time, **motion, "tipping": tipping, "end": end, "run": run}
-
-
-def _unpack(file: Path) -> Parts:
-    """Read the arrays of an .npz; none may hold Python objects."""
-    with file.open("rb") as packed:
-        if not zipfile.is_zipfile(packed):
-            raise ValueError("it is no .npz, or only the beginning of one")
-        packed.seek(0)
-        try:
-            with np.load(packed, allow_pickle=False) as archive:
-                return {name: np.asarray(archive[name]) for name in archive.files}
-        except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, SyntaxError) as error:
-            raise ValueError(f"it is damaged ({error})") from None
 
 
 def _check_missing(missing: list[str]) -> None:
@@ -534,23 +538,21 @@ def _write_table(file: Path, trajectory: Trajectory) -> None:
 
 def _read_table(file: Path) -> Fields:
     """Read a .csv; an error names the line."""
-    with file.open(encoding="utf-8-sig", newline="") as stream:
-        try:
-            end = stream.readline().rstrip("\r\n")
-            lines = list(csv.reader(stream, strict=True))
-        except UnicodeDecodeError:
-            raise ValueError("it is not UTF-8 text") from None
-        except csv.Error as error:
-            raise ValueError(f"it is not comma-separated values ({error})") from None
+    rows = files.read_lines(file)
+    end = next(rows, "").rstrip("\r\n")
     if not end.startswith(END):
-        raise ValueError(f"line 1 must begin with {END!r}, got {end!r}")
+        raise ValueError(f"line 1 must begin with {END!r}, got {end!r:.60}")
     end = end[len(END) :]
     _check_end(end)
-    if not lines or tuple(lines[0]) != COLUMNS:
-        found = ",".join(lines[0]) if lines else ""
-        raise ValueError(f"line 2 must be {','.join(COLUMNS)!r}, got {found!r}")
-    rows = np.array([_numbers(line, row) for line, row in enumerate(lines[1:], start=3)])
-    table = rows.reshape(-1, len(COLUMNS))
+    lines = csv.reader(rows, strict=True)
+    try:
+        names = next(lines, [])
+        if tuple(names) != COLUMNS:
+            raise ValueError(f"line 2 must be {','.join(COLUMNS)!r}, got {','.join(names)!r:.60}")
+        numbers = np.array([_numbers(lines.line_num + 1, row) for row in lines])
+    except csv.Error as error:
+        raise ValueError(f"it is not comma-separated values ({error})") from None
+    table = numbers.reshape(-1, len(COLUMNS))
     time, pose, velocity = _check_time(table[:, 0]), table[:, 1:4].copy(), table[:, 4:7].copy()
     tipping = table[:, 7] == 1.0
     return {"time": time, "pose": pose, "velocity": velocity, "tipping": tipping, "end": end}
@@ -559,11 +561,8 @@ def _read_table(file: Path) -> Fields:
 def _numbers(line: int, row: list[str]) -> list[float]:
     if len(row) != len(COLUMNS):
         raise ValueError(f"line {line} must have {len(COLUMNS)} entries, got {len(row)}")
-    numbers = []
-    for name, text in zip(COLUMNS, row, strict=True):
-        try:
-            numbers.append(checks.number(name, float(text)))
-        except ValueError:
-            raise ValueError(f"line {line}: {name} must be a finite number, got {text!r}") from None
     checks.one_of(f"line {line}: tipping", row[-1], ("0", "1"))
-    return numbers
+    return [
+        files.parse_number(f"line {line}: {name}", text)
+        for name, text in zip(COLUMNS, row, strict=True)
+    ]

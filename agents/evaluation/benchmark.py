@@ -4,10 +4,11 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from types import UnionType
+from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from rich import progress as bars
@@ -15,7 +16,9 @@ from rich.console import Console
 from scipy import stats
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.files import DAMAGE, describe_damage, read_lines, replacing
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.tasks.benchmark import Benchmark, Column
 
@@ -95,6 +98,12 @@ class Result:
     time: list[float]  # (starts,) [s]
     metrics: dict[str, list[float]]  # the task's own, (starts,) each
     decision_time: float  # [s] a decision of one environment
+
+    def __post_init__(self) -> None:
+        checks.integer("seed", self.seed, least=0)
+        for values in (self.time, *self.metrics.values()):
+            if len(values) != len(self.success):
+                raise ValueError(f"each start must have its time and its metrics, got {values}")
 
     @property
     def key(self) -> tuple[str, str, str, int]:
@@ -300,7 +309,8 @@ def compute_kept(
     if file is not None:
         found = {each.key: each for each in read_kept(file, make)}
         # A line that was broken off must not spoil the next.
-        file.write_text("".join(map(_line, found.values())))
+        with replacing(file) as part:
+            part.write_text("".join(map(_line, found.values())))
     left = [partial(without_report, job) for key, job in jobs.items() if key not in found]
     for done, (_, each) in enumerate(map_jobs(left, workers), len(jobs) - len(left) + 1):
         found[each.key] = each
@@ -312,17 +322,57 @@ def compute_kept(
 
 
 def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
-    """Read the results kept in a file; a line that was broken off is left out.
+    """Read the results kept in a file; a last line that was broken off is left out.
 
     There are none where there is no file.
+
+    Raises:
+        ValueError: a line holds no result; the error names the file and the line.
     """
-    found = []
-    for line in file.read_text().splitlines() if file.is_file() else ():
-        try:
-            found.append(make(**json.loads(line)))
-        except (json.JSONDecodeError, TypeError, KeyError):
-            continue
+    found: list[AnyRow] = []
+    try:
+        for line in read_lines(file, cut=r"\{.*"):
+            row = make(**json.loads(line))
+            _check_fields(row)
+            found.append(row)
+    except FileNotFoundError:
+        return []
+    except DAMAGE as error:
+        reason = describe_damage(error)
+        where = "" if reason.startswith("line ") else f"line {len(found) + 1}: "
+        raise ValueError(
+            f"{file} holds something else than results: {where}{reason}; where the line, or the "
+            "file, is removed, they are computed again"
+        ) from None
     return found
+
+
+def _check_fields(row: Any) -> None:
+    """Raise a ValueError where a field of a dataclass is not of its type."""
+    for name, kind in get_type_hints(type(row)).items():
+        _check_kind(name, getattr(row, name), kind)
+
+
+def _check_kind(name: str, value: Any, kind: Any) -> None:
+    outer = get_origin(kind) or kind
+    if outer is UnionType:
+        outer = kind = next((each for each in get_args(kind) if _is_of(value, each)), kind)
+    if not _is_of(value, outer):
+        raise ValueError(f"{name} must be of {kind}, got {value!r:.60}")
+    if kind is float and value == value:  # nan: there was nothing to measure
+        checks.number(name, value)
+    for each in value if outer is list else value.values() if outer is dict else ():
+        _check_kind(name, each, get_args(kind)[-1])
+    if is_dataclass(kind):
+        _check_fields(value)
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    if isinstance(kind, UnionType):
+        return False
+    return isinstance(value, (int, float) if kind is float else kind) and (
+        kind is bool or not isinstance(value, bool)
+    )
 
 
 def _line(each: Any) -> str:

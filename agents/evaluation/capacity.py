@@ -4,12 +4,13 @@ A rate is sustained where nearly all deliveries are right and nothing jams.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
@@ -108,6 +109,12 @@ class Measurement:
     waiting: list[float]  # (replications,) [s] at the entry, mean over those that came and entered
     jams: int  # replications that ended in one
     counted: float  # [s] after the warm-up
+
+    def __post_init__(self) -> None:
+        each: list[Sequence[float]] = [self.right, self.delivered, self.touches, self.waiting]
+        if not self.right or len({len(values) for values in each}) > 1:
+            raise ValueError(f"each replication must have its deliveries, got {self.right}")
+        checks.positive("counted", self.counted)
 
     @property
     def rates(self) -> Numbers:

@@ -1,5 +1,6 @@
 """Methods that are compared on single parcels: fixed layouts, rules, the planner and agents."""
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -113,7 +114,8 @@ def of_run(run: Path, task: str | None = None) -> Method:
 
 def policy_folders(run: Path) -> dict[int, Path]:
     """Find the folders of a run's policies by seed; a single policy is in the run's own."""
-    found = {int(each.name.removeprefix("seed-")): each for each in run.glob("seed-*")}
+    named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
+    found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
-import yaml
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
@@ -26,6 +25,7 @@ from surface_gym.tasks.benchmark import Column
 
 from .. import library
 from ..base import Controller
+from ..yaml_file import read_yaml
 from . import benchmark, plots, streams, tables as texts
 from .benchmark import (
     SEED,
@@ -354,8 +354,8 @@ def is_of_streams(run: Path) -> bool:
     """Check whether the first policy of a run is for streams; a damaged one is not."""
     folder = next(iter(policy_folders(run).values()))
     try:
-        return bool(yaml.safe_load((folder / library.CARD).read_text())["env_id"] == FLOW)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return bool(read_yaml(folder / library.CARD)["env_id"] == FLOW)
+    except (OSError, ValueError, KeyError):
         return False
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Base
@@ -184,6 +185,15 @@ class SweepResult:
     levels: list[Level]
     success: list[str]  # (levels,) a letter for each start: 1 for success, else 0
     error: list[float]  # (levels,) median size of the task's first metric; 0 where it has none
+
+    def __post_init__(self) -> None:
+        checks.integer("seed", self.seed, least=0)
+        checks.integer("starts", self.starts, least=1)
+        if not len(self.levels) == len(self.success) == len(self.error):
+            raise ValueError(f"success and error must be of each level, got {self.levels}")
+        for letters in self.success:
+            if len(str(letters)) != self.starts or set(str(letters)) - {"0", "1"}:
+                raise ValueError(f"success must be {self.starts} of '0' and '1', got {letters!r}")
 
     @property
     def key(self) -> SweepKey:

@@ -4,15 +4,14 @@ import shlex
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-import yaml
 from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.files import DAMAGE, describe_damage
 from surface_gym.tasks import Sort, Task
 
 from .. import library
@@ -21,7 +20,8 @@ from ..evaluation.methods import policy_folders
 from ..learning import runs
 from ..learning.config import NOMINAL, current_option
 from ..module_policy import ModulePolicy
-from ..policy import DIGEST, Policy, make_network
+from ..policy import DIGEST, Policy, load_tensors, make_network
+from ..yaml_file import parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
@@ -92,8 +92,8 @@ def _read(
         seed,
         policy,
         policy.card.env_config(task),
-        torch.load(BytesIO(files.weights), map_location="cpu", weights_only=True),
-        str(yaml.safe_load(files.card.decode())[DIGEST]),
+        load_tensors(BytesIO(files.weights)),
+        str(parse_yaml(files.card.decode())[DIGEST]),
         training or Training(NOMINAL),
     )
 
@@ -101,18 +101,25 @@ def _read(
 def _read_training(folder: Path) -> Training | None:
     """Read the training from the card of a folder; None if there is none."""
     file = folder / runs.CARD
-    if not file.is_file():
+    try:
+        card = read_yaml(file)
+        command = card["command"]
+        if not isinstance(command, str):
+            raise ValueError(f"command must be text, got {command!r:.60}")
+        words = list(map(current_option, shlex.split(command)))
+        asked = words[words.index("--preset") + 1] if "--preset" in words else NOMINAL
+        results = tuple(
+            (name, checks.within(f"success of {name}", found["success"], 0.0, 1.0))
+            for name, found in card["results"].items()
+            if "success" in found
+        )
+        training = Training(str(card.get("preset", asked)), command, results)
+        _ = training.presets  # names those that there are
+        return training
+    except FileNotFoundError:
         return None
-    card: dict[str, Any] = yaml.safe_load(file.read_text())
-    command = str(card["command"])
-    words = list(map(current_option, shlex.split(command)))
-    asked = words[words.index("--preset") + 1] if "--preset" in words else NOMINAL
-    results = tuple(
-        (name, float(found["success"]))
-        for name, found in card.get("results", {}).items()
-        if "success" in found
-    )
-    return Training(str(card.get("preset", asked)), command, results)
+    except DAMAGE as error:
+        raise ValueError(f"{file} is no run's card: {describe_damage(error)}") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeGuard, get_args
 import yaml
 
 from surface_gym import checks
+from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.registration import FLOW, FLOW_TASK, PERIODS, env_id
+
+from ..yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from ..library import PolicyCard
@@ -349,9 +352,9 @@ def defaults(
         return _read(given, FOLDER / f"{name}.yml")
     try:
         return _read(given, file)
-    except (OSError, yaml.YAMLError, ValueError) as error:
-        message = " ".join(str(error).split())
-        raise ValueError(f"{file} does not hold hyper-parameters: {message}") from None
+    except DAMAGE as error:
+        reason = describe_damage(error)
+        raise ValueError(f"{file} does not hold hyper-parameters: {reason}") from None
 
 
 def write_hyperparams(config: TrainConfig, file: Path) -> None:
@@ -393,9 +396,7 @@ def _entry_name(task: str) -> str:
 def _read(given: dict[str, str], file: Path) -> TrainConfig:
     """Read a task's entry; task, algorithm, preset and device are given."""
     task, algo = given["task"], given["algo"]
-    of_tasks = yaml.safe_load(file.read_text())
-    if not isinstance(of_tasks, dict):
-        raise ValueError(f"it must hold an entry a task, got {of_tasks!r}")
+    of_tasks = read_yaml(file, by_hand=True)
     key = _entry_name(task)
     if key not in of_tasks:
         known = ", ".join(repr(name) for name in PERIODS if env_id(name) in of_tasks)
@@ -421,7 +422,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
         elif name == "zones" and isinstance(value, list):
             chosen[name] = tuple(value)
         elif name == "n_timesteps":
-            chosen["steps"] = int(checks.positive(name, value))
+            chosen["steps"] = int(checks.positive(name, value, 1.0, 1e15))
         elif _FIELDS.get(name, name) in known_fields:
             chosen[_FIELDS.get(name, name)] = value
         else:
@@ -433,11 +434,11 @@ def _initial_rate(value: Any) -> float:
     """Parse the zoo's notation of a learning rate that falls to 0."""
     try:
         if isinstance(value, str) and value.startswith(_LINEAR):
-            return float(value.removeprefix(_LINEAR))
+            return parse_number("learning_rate", value.removeprefix(_LINEAR))
     except ValueError:
         pass
     raise ValueError(
-        f"learning_rate must be {_LINEAR} and a number, since it falls to 0, got {value!r}"
+        f"learning_rate must be {_LINEAR} and a number, since it falls to 0, got {value!r:.60}"
     )
 
 

@@ -19,7 +19,7 @@ from surface_gym.tasks import Sort
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..library import find_task
-from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
+from ..policy import EqualCategoricals, EqualChoicesPolicy, check_like, load_optimizer, make_network
 from . import ppo
 from .config import PPOConfig, is_registered, make_card
 from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
@@ -279,9 +279,11 @@ class DeviceLearner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
+        check_like("policy", state["policy"], self._policy.state_dict())
+        check_like("steps", state["steps"], 0)
         self._policy.load_state_dict(state["policy"])
-        self._policy.optimizer.load_state_dict(state["optimizer"])
-        self.steps = int(state["steps"])
+        load_optimizer(self._policy.optimizer, state["optimizer"])
+        self.steps = state["steps"]
 
     @torch.no_grad()
     def roll_out(self) -> Samples:

@@ -13,6 +13,7 @@ from surface_gym.tasks.sort import TERMS
 from .. import module_policy
 from ..base import Integers, Singles
 from ..module_policy import GROUPS, ModuleView
+from ..policy import check_like, load_optimizer
 from ..vec_env import ConcatVecEnv
 from . import ppo
 from .config import ModulesConfig, make_card
@@ -120,11 +121,14 @@ class ModuleLearner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
+        own = {"network": self.network.state_dict(), "value": self.value.state_dict(), "steps": 0}
+        for name, values in own.items():
+            check_like(name, state[name], values)
         self.network.load_state_dict(state["network"])
         self.value.load_state_dict(state["value"])
         for optimiser, saved in zip(self._optimisers, state["optimisers"], strict=True):
-            optimiser.load_state_dict(saved)
-        self.steps = int(state["steps"])
+            load_optimizer(optimiser, saved)
+        self.steps = state["steps"]
 
     @torch.no_grad()
     def _decide(self) -> tuple[ModuleSamples, Integers]:

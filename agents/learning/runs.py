@@ -6,6 +6,7 @@ starts all environments anew, so that a resumed run comes to the same result as 
 """
 
 import csv
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -28,21 +29,34 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from surface_gym import checks
 from surface_gym.cli import TRAIN, command_line
-from surface_gym.files import SUFFIX, replacing
+from surface_gym.files import (
+    ARCHIVE,
+    DAMAGE,
+    SUFFIX,
+    check_plain,
+    describe_damage,
+    parse_number,
+    read_lines,
+    replacing,
+)
 from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
 from surface_gym.registration import FLOW_TASK
 
-from ..library import DAMAGE, describe_damage, task_label
+from ..library import task_label
+from ..yaml_file import read_yaml
 from . import config as configs
 from .config import TrainConfig
 
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
 CHECKPOINT = "checkpoint.pt"
+PLAIN = 2**19  # [bytes] in a checkpoint beside its tensors: 1000 episodes have half of it
 CURVE = "curve.csv"
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
+FIGURES = ("steps", "success", "return", "length")  # columns of every curve
 REWARD = "reward_"  # before the name of a reward term, which may be "success" as well
 RECENT_EPISODES = 1000
 
@@ -120,10 +134,8 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
         task: that it must be of; None: one of the package, since a file must not say what code is
             run.
     """
-    if not file.is_file():
-        raise ValueError(f"{file.parent} holds no run: {file.name} is missing")
     try:
-        plain = yaml.safe_load(file.read_text())
+        plain = read_yaml(file)
         plain = {configs.RENAMED.get(name, name): value for name, value in plain.items()}
         known = plain["task"] == FLOW_TASK or configs.is_registered(plain["task"])
         asked = plain["task"] if task is None and known else task
@@ -136,16 +148,17 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
             plain[name] = tuple(plain.get(name, ()))
         plain["out"] = Path(plain["out"])
         return configs.CONFIGS[plain["algo"]](**plain)
-    except (yaml.YAMLError, TypeError, KeyError, ValueError, AttributeError) as error:
-        raise ValueError(f"{file} holds no run's configuration: {error}") from error
+    except FileNotFoundError:
+        raise ValueError(f"{file.parent} holds no run: {file.name} is missing") from None
+    except DAMAGE as error:
+        raise ValueError(f"{file} holds no run's configuration: {describe_damage(error)}") from None
 
 
 def task_name(file: Path) -> str | None:
     """Read the task's name from a run's configuration; None where it is damaged. Runs no code."""
     try:
-        plain = yaml.safe_load(file.read_text())
-        return str(plain["task"])
-    except (yaml.YAMLError, TypeError, KeyError):
+        return str(read_yaml(file)["task"])
+    except (OSError, ValueError, KeyError):
         return None
 
 
@@ -202,10 +215,12 @@ def write_state(state: dict[str, Any], folder: Path) -> None:
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
     """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file."""
-    import torch
+    from ..policy import load_tensors
 
     try:
-        return restore(torch.load(folder / CHECKPOINT, map_location="cpu", weights_only=True))
+        check_plain(folder / CHECKPOINT, ARCHIVE)
+        with (folder / CHECKPOINT).open("rb") as file:
+            return restore(load_tensors(file, PLAIN))
     except DAMAGE as error:
         raise ValueError(
             f"{folder / CHECKPOINT} is damaged or of another run: {describe_damage(error)}"
@@ -225,14 +240,17 @@ class Curve:
         from torch.utils.tensorboard import SummaryWriter
 
         self._file = folder / CURVE
-        self._columns = ("steps", "success", "return", "length", *(REWARD + term for term in terms))
+        self._columns = (*FIGURES, *(REWARD + term for term in terms))
+        _check_recent(folder / CHECKPOINT, recent, self._columns[1:])
         self.recent: deque[dict[str, float]] = deque(recent, maxlen=RECENT_EPISODES)
         self._writer: Any = SummaryWriter(str(folder / "tensorboard"), purge_step=steps or None)
         kept = [row for row in read_curve(folder) if row["steps"] <= steps] if steps else []
-        with self._file.open("w", newline="") as file:
-            csv.writer(file).writerow(self._columns)
-        for row in kept:
-            self._append(row)
+        if kept and tuple(kept[0]) != self._columns:
+            raise ValueError(f"{self._file} must have the columns {', '.join(self._columns)}")
+        with replacing(self._file) as part:
+            part.write_bytes((",".join(self._columns) + "\r\n").encode())
+            for row in kept:
+                self._append(row, part)
 
     def add_episodes(self, infos: list[dict[str, Any]]) -> None:
         for info in filter(None, infos):
@@ -261,9 +279,9 @@ class Curve:
     def close(self) -> None:
         self._writer.close()
 
-    def _append(self, row: dict[str, float]) -> None:
-        with self._file.open("a", newline="") as file:
-            csv.writer(file).writerow(f"{row[name]:.8g}" for name in self._columns)
+    def _append(self, row: dict[str, float], file: Path | None = None) -> None:
+        with (file or self._file).open("a", newline="") as text:
+            csv.writer(text).writerow(f"{row[name]:.8g}" for name in self._columns)
 
     def _mean(self, name: str) -> float:
         values = [episode[name] for episode in self.recent]
@@ -271,17 +289,50 @@ class Curve:
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of a run's curve, without a last line that was broken off."""
+    """Read the rows of a run's curve, without a last line that was broken off.
+
+    Raises:
+        ValueError: the file holds no curve; the error names it and the line.
+    """
     file = folder / CURVE
-    if not file.is_file():
+    rows: list[dict[str, float]] = []
+    lines = csv.reader(read_lines(file, cut=r"[0-9][0-9.,e+na-]*\r?"), strict=True)
+    try:
+        names = next(lines, [])
+        if names[: len(FIGURES)] != list(FIGURES) or len(set(names)) < len(names):
+            raise ValueError(f"it must begin with {','.join(FIGURES)}, got {','.join(names)!r:.60}")
+        for row in lines:
+            if len(row) != len(names):
+                raise ValueError(f"a row must have {len(names)} entries, got {len(row)}")
+            pairs = zip(names, row, strict=True)
+            found = {k: math.nan if v == "nan" else parse_number(k, v) for k, v in pairs}
+            for name, most in (("steps", 2.0**53), ("success", 1.0), ("length", math.inf)):
+                if name == "steps" or not math.isnan(found[name]):
+                    checks.not_negative(name, found[name], most)
+            if rows and found["steps"] <= rows[-1]["steps"]:
+                raise ValueError(f"steps must rise, got {found['steps']:g}")
+            rows.append(found)
+    except FileNotFoundError:
         return []
-    with file.open(newline="") as lines:
-        rows = list(csv.DictReader(lines))
-    return [
-        {name: float(value) for name, value in row.items()}
-        for row in rows
-        if None not in row.values() and "" not in row.values()
-    ]
+    except (ValueError, csv.Error) as error:
+        reason = describe_damage(error)
+        where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
+        raise ValueError(
+            f"{file} holds no learning curve: {where}{reason}; without it a new one begins"
+        ) from None
+    return rows
+
+
+def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
+    """Raise a ValueError unless a checkpoint's latest episodes have numbers by these names."""
+    try:
+        if not isinstance(recent, list):
+            raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
+        for episode in recent:
+            for name in {*names, *episode}:
+                checks.number(name, episode[name])
+    except DAMAGE as error:
+        raise ValueError(f"{file} is damaged or of another run: {describe_damage(error)}") from None
 
 
 def train(

@@ -14,13 +14,14 @@ from stable_baselines3.common import buffers, logger, utils, vec_env
 from stable_baselines3.common.callbacks import BaseCallback
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import PRESETS, Preset
 from surface_gym.flow.task import PARCEL_TERMS
 from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
-from ..policy import EqualChoicesPolicy, ParcelNetwork, save_policy
+from ..policy import EqualChoicesPolicy, ParcelNetwork, check_like, load_optimizer, save_policy
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
 from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
@@ -194,20 +195,30 @@ def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, floa
     """Restore a model from a checkpoint and return the latest episodes."""
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
-        model.policy.load_state_dict(state["policy"])
-        model.policy.optimizer.load_state_dict(state["optimizer"])
-        for name in _COUNTERS:
-            setattr(model, name, int(state["counters"][name]))
+        check_like("policy", state["policy"], model.policy.state_dict())
+        check_like("counters", state["counters"], dict.fromkeys(_COUNTERS, 0))
         if isinstance(model, DoubleDQN):
-            model._n_calls = int(state["calls"])
-            buffer, memory = model.memory, state["memory"]
-            buffer.pos, buffer.full = int(memory["pos"]), bool(memory["full"])
-            for name in _REPLAYED:
-                values = memory["arrays"][name].numpy()
-                getattr(buffer, name)[: len(values)] = values
+            _restore_memory(model, state)
+        model.policy.load_state_dict(state["policy"])
+        load_optimizer(model.policy.optimizer, state["optimizer"])
+        for name in _COUNTERS:
+            setattr(model, name, state["counters"][name])
         return state["recent"]
 
     return runs.read_state(folder, restore)
+
+
+def _restore_memory(model: DoubleDQN, state: dict[str, Any]) -> None:
+    buffer, memory = model.memory, state["memory"]
+    check_like("calls", state["calls"], 0)
+    check_like("full", memory["full"], buffer.full)
+    pos = checks.integer("pos", memory["pos"], least=0, most=buffer.buffer_size - 1)
+    filled = buffer.buffer_size if memory["full"] else pos
+    arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
+    check_like("arrays", memory["arrays"], arrays)
+    model._n_calls, buffer.pos, buffer.full = state["calls"], pos, memory["full"]
+    for name, values in arrays.items():
+        values[:] = memory["arrays"][name]
 
 
 class _Checkpoints(BaseCallback):

@@ -1,6 +1,7 @@
 """The options of the commands: of the control loop, and of the simulator."""
 
 import os
+import re
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,7 +85,7 @@ class SimulatorConfig:
 def parse_address(text: str) -> tuple[str, int]:
     """Return the host and the port of "host:port"."""
     host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+    if not colon or not host or not re.fullmatch("[0-9]{1,5}", port) or not 0 < int(port) < 65536:
         raise ValueError(f"address must be host:port, got {text!r}")
     return host, int(port)
 

@@ -360,7 +360,9 @@ class SimulatorProcess:
         self._process.stdout.close()
         if not line.startswith(LISTENING):
             self.close()
-            raise ValueError(f"simulator must start, got: {log.read_text().strip()[-500:]}")
+            raise ValueError(
+                f"simulator must start, got: {log.read_text(errors='replace').strip()[-500:]}"
+            )
         self.address = parse_address(line.removeprefix(LISTENING).strip())
 
     def __enter__(self) -> "SimulatorProcess":

@@ -7,10 +7,11 @@ is then judged on fresh starts that are the same for all trials.
 
 import json
 import math
+import sqlite3
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,8 +29,10 @@ from optuna.trial import FrozenTrial, TrialState
 from optuna.visualization import matplotlib as plots
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from sqlalchemy.exc import SQLAlchemyError
 
 from surface_gym.cli import TRAIN, command_line
+from surface_gym.files import ARCHIVE, DAMAGE, check_plain, describe_damage
 from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..evaluation.tables import markdown
@@ -70,20 +73,42 @@ def open_study(sweep: Sweep, folder: Path) -> Iterator[optuna.Study]:
     Trials that were running when an earlier process ended are asked for once more.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    storage = optuna.storages.RDBStorage(f"sqlite:///{(folder / FILE).resolve().as_posix()}")
+    storage, study = _open_storage(folder / FILE)
     try:
+        study.sampler = make_sampler(sweep, len(study.get_trials(deepcopy=False)))
+        study.pruner = make_pruner(sweep)
+        yield study
+    finally:
+        _close(storage)
+
+
+def _open_storage(file: Path) -> tuple[optuna.storages.RDBStorage, optuna.Study]:
+    """Open the file of a study, or raise an error that names what is wrong with it."""
+    storage = None
+    try:
+        if file.exists():
+            check_plain(file, ARCHIVE)
+            with closing(sqlite3.connect(file)) as tables:
+                (found,) = tables.execute("PRAGMA quick_check(1)").fetchone()
+            if found != "ok":
+                raise ValueError(found)
+        storage = optuna.storages.RDBStorage(f"sqlite:///{file.resolve().as_posix()}")
         study = optuna.create_study(
             storage=storage, study_name="search", direction="maximize", load_if_exists=True
         )
         for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
             study.tell(trial.number, state=TrialState.FAIL)
             study.enqueue_trial(trial.params)
-        study.sampler = make_sampler(sweep, len(study.get_trials(deepcopy=False)))
-        study.pruner = make_pruner(sweep)
-        yield study
-    finally:
-        storage.remove_session()
-        storage.engine.dispose()
+        return storage, study
+    except (sqlite3.Error, SQLAlchemyError, optuna.exceptions.OptunaError, *DAMAGE) as error:
+        if storage is not None:
+            _close(storage)
+        raise ValueError(f"{file} holds no search: {describe_damage(error)}") from None
+
+
+def _close(storage: optuna.storages.RDBStorage) -> None:
+    storage.remove_session()
+    storage.engine.dispose()
 
 
 def finished_trials(study: optuna.Study) -> list[FrozenTrial]:

@@ -7,18 +7,19 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from surface_gym import checks, files, parallel
 from surface_gym.cli import TRAIN, command_line
+from surface_gym.files import DAMAGE, describe_damage
 from surface_gym.tasks import TASKS
 
 from ..learning.config import RENAMED, TrainConfig, defaults
 from ..learning.runs import CURVE_EVERY
+from ..yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -121,7 +122,7 @@ class Sweep:
                 else:
                     self._try("space", {name: value, **any_batch})
 
-    @property
+    @cached_property
     def default(self) -> TrainConfig:
         """The package's configuration of the task and the algorithm."""
         return defaults(self.task, self.algo)
@@ -149,9 +150,9 @@ class Sweep:
 def read_sweep(file: Path, task: str | None = None) -> Sweep:
     """Read the request of a search. No code is run but that of `task`."""
     try:
-        return _read(yaml.safe_load(file.read_text()), task)
-    except (OSError, yaml.YAMLError, ValueError) as error:
-        raise ValueError(f"{file} is not a search's: {' '.join(str(error).split())}") from None
+        return _read(read_yaml(file, by_hand=True), task)
+    except DAMAGE as error:
+        raise ValueError(f"{file} is not a search's: {describe_damage(error)}") from None
 
 
 def differences(sweep: Sweep, other: Sweep) -> list[str]:
@@ -163,9 +164,7 @@ def differences(sweep: Sweep, other: Sweep) -> list[str]:
     ]
 
 
-def _read(plain: Any, task: str | None) -> Sweep:
-    if not isinstance(plain, dict):
-        raise ValueError(f"it must hold names and values, got {plain!r}")
+def _read(plain: dict[str, Any], task: str | None) -> Sweep:
     known = [each.name for each in fields(Sweep)]
     for name in plain:
         checks.one_of("a name", name, known)
@@ -267,5 +266,5 @@ def open_folder(file: Path, folder: Path, task: str | None = None) -> Sweep:
         raise ValueError(f"folder must be new, or a search's, got {folder}")
     folder.mkdir(parents=True, exist_ok=True)
     with files.replacing(kept) as part:
-        part.write_text(file.read_text())
+        part.write_bytes(file.read_bytes())
     return sweep

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +18,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.types import Array, Booleans
 from surface_gym.randomisation import RandomDraw, Randomisation
 
+CHECKPOINT = 2**26  # [bytes] of an array in a checkpoint: far more than a search's population
 EIGHTH = math.pi / 4  # [rad] 45 deg
 
 
@@ -552,11 +552,14 @@ def load_checkpoint(
 ) -> dict[str, NDArray[Any]]:
     """Load the values that `save_checkpoint` has saved, of a kind of computation as "search"."""
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
-            found = dict(zip(kept["_names"].tolist(), kept["_identity"].tolist(), strict=True))
-            values = {name: kept[name] for name in names}
-    except (BadZipFile, EOFError, KeyError, TypeError, ValueError, AttributeError):
-        raise ValueError(f"checkpoint must be one of a {kind}, got {file}") from None
+        with files.ArrayFile(file) as kept:
+            texts = (kept.read(name, CHECKPOINT) for name in ("_names", "_identity"))
+            found = dict(zip(*(text.tolist() for text in texts), strict=True))
+            values = {name: kept.read(name, CHECKPOINT) for name in names}
+    except files.DAMAGE as error:
+        raise ValueError(
+            f"checkpoint must be one of a {kind}, got {file}: {files.describe_damage(error)}"
+        ) from None
     for name, wanted in identity.items():
         if found.get(name) != wanted:
             raise ValueError(

@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as ScreenTable
 
-from surface_gym import checks, design, layouts, lines, parallel
+from surface_gym import checks, design, files, layouts, lines, parallel
 from surface_gym.design import runs, search
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
@@ -221,13 +221,7 @@ class Question:
 
 
 def _numbers(name: str, parts: Sequence[str]) -> list[float]:
-    numbers = []
-    for part in parts:
-        try:
-            numbers.append(float(part))
-        except ValueError:
-            raise ValueError(f"{name} must be made of numbers, got {part!r} in it") from None
-    return numbers
+    return [files.parse_number(f"each part of {name}", part) for part in parts]
 
 
 @dataclass(frozen=True)

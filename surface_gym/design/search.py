@@ -135,8 +135,9 @@ def search(
     file = None if checkpoint is None else Path(checkpoint)
     if file is not None and file.exists():
         values = case.load_checkpoint(file, "search", identity, tuple(SearchState.__annotations__))
-        given: dict[str, Any] = {k: v if v.ndim else int(v) for k, v in values.items()}
+        given: dict[str, Any] = {k: v if v.ndim else v.item() for k, v in values.items()}
         state = SearchState(**given)
+        _check_state(file, state, _begin(space, known, effort, seed))
     else:
         state = _begin(space, known, effort, seed)
     steps = effort.epochs + effort.rounds * space.columns
@@ -164,6 +165,19 @@ def search(
             case.save_checkpoint(file, identity, vars(state))
     on_progress(steps, steps)
     return space.axes(state.population[:1])[0], state.evaluations
+
+
+def _check_state(file: Path, state: SearchState, fresh: SearchState) -> None:
+    """Raise a ValueError unless a state that was kept is like a fresh one of the same search."""
+    try:
+        for name in ("epoch", "column", "unchanged", "evaluations"):
+            checks.integer(name, getattr(state, name), least=0)
+        for name in ("population", "cost"):
+            kept, like = getattr(state, name), getattr(fresh, name)
+            if np.shape(kept) != like.shape or kept.dtype != like.dtype or np.isnan(kept).any():
+                raise ValueError(f"{name} must be {like.dtype} of {like.shape} without nan")
+    except ValueError as error:
+        raise ValueError(f"checkpoint must be one of a search, got {file}: {error}") from None
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> SearchState:

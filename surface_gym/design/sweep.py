@@ -419,7 +419,14 @@ def success_map(
     )  # fmt: skip
     found = np.full((2, len(factors), len(over)), math.nan)
     if file is not None and file.exists():
-        found = np.array(cases.load_checkpoint(file, "map", identity, ("found",))["found"])
+        kept = cases.load_checkpoint(file, "map", identity, ("found",))["found"]
+        done = kept[~np.isnan(kept)] if kept.dtype == found.dtype else np.full(1, math.nan)
+        if kept.shape != found.shape or not ((done >= 0.0) & (done <= 1.0)).all():
+            raise ValueError(
+                f"checkpoint must be one of a map, got {file}: found must be shares of the shape "
+                f"{found.shape}, got {kept.dtype} of {kept.shape}"
+            )
+        found = kept
     largest = _scaled(case.parcel, float(factors.max()))
     whole = _line_for_size(arrangement.line, case, largest)
     whole.check_capacity(largest.base, whole.shape[::-1])

@@ -6,16 +6,17 @@ The first parcel arrives at time 0, or as soon as the rate of a schedule is abov
 import csv
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files
 from surface_gym.flow.exits import Exits, check_name
 from surface_gym.parcel import Parcel, Rectangle
 
@@ -265,30 +266,31 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
     speed [m/s] and exit, a name. Each further line is a parcel, in order of time; blank ones are
     skipped. With `exits`, every destination must be among them.
 
+    A line must end in a line break: the last one shows by that that it is whole.
+
     Raises:
-        ValueError: what the file holds is not allowed; the error names the line.
-        OSError: there is no such file, or it cannot be read.
+        ValueError: what the file holds is not allowed; the error names the file and the line.
+        FileNotFoundError: there is no such file.
     """
     arrivals: list[Arrival] = []
-    with open(path, encoding="utf-8-sig", newline="") as file:
-        lines = csv.reader(file, strict=True)
-        rows = filter(None, lines)
-        try:
-            header = [name.strip() for name in next(rows, [])]
-            _check_header(header)
-            for row in rows:
-                arrival = _arrival(header, row)
-                if arrivals:
-                    _check_order(arrivals[-1], arrival)
-                if exits is not None:
-                    exits.place(arrival.exit)
-                arrivals.append(arrival)
-        except UnicodeDecodeError:
-            raise ValueError(f"path must lead to UTF-8 text, got {str(path)!r}") from None
-        except (ValueError, csv.Error) as error:
-            raise ValueError(f"line {max(1, lines.line_num)}: {error}") from None
-    if not arrivals:
-        raise ValueError(f"line {lines.line_num}: a parcel must follow, got the end of the file")
+    lines = csv.reader(files.read_lines(Path(path)), strict=True)
+    rows = filter(None, lines)
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        _check_header(header)
+        for row in rows:
+            arrival = _arrival(header, row)
+            if arrivals:
+                _check_order(arrivals[-1], arrival)
+            if exits is not None:
+                exits.place(arrival.exit)
+            arrivals.append(arrival)
+        if not arrivals:
+            raise ValueError("a parcel must follow, got the end of the file")
+    except (ValueError, csv.Error) as error:
+        reason = files.describe_damage(error)
+        where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
+        raise ValueError(f"{path} holds no trace: {where}{reason}") from None
     return Trace(tuple(arrivals))
 
 
@@ -336,18 +338,11 @@ def _arrival(header: list[str], row: list[str]) -> Arrival:
     if len(row) != len(header):
         raise ValueError(f"a row must have {len(header)} entries, got {len(row)}")
     text = dict(zip(header, row, strict=True))
-    time, length, width, mass, speed = _numbers(text)
+    time, length, width, mass, speed = (
+        files.parse_number(name, text[name]) for name in COLUMNS[:-1]
+    )
     parcel = Parcel(Rectangle(length, width), mass)
     return Arrival(time, parcel, speed, text["exit"].strip())
-
-
-def _numbers(text: dict[str, str]) -> Iterator[float]:
-    for name in COLUMNS[:-1]:
-        try:
-            number = float(text[name])
-        except ValueError:
-            raise ValueError(f"{name} must be a finite number, got {text[name]!r}") from None
-        yield checks.number(name, number)
 
 
 def _check_order(before: Arrival, after: Arrival) -> None:

@@ -132,9 +132,11 @@ def exits_option(value: Any, length: float) -> Exits:
 
 
 def check_name(name: str, value: Any) -> str:
-    """Return the name of an exit: text without spaces at its ends, not empty."""
+    """Return the name of an exit: text without spaces at its ends, not empty, as files hold it."""
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
+    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise ValueError(f"{name} must hold neither NUL nor half a letter (UTF-16), got {value!r}")
     return value
 
 

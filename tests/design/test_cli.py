@@ -67,7 +67,7 @@ def test_an_error_names_the_flag():
         ((), "parcel must be one of --parcel, --disc and --polygon, got none"),
         (("--parcel", "S", "--disc", "0.2"), "got --parcel and --disc"),
         (("--parcel", "0.3"), "parcel must be LxW as 0.3x0.4, S or B, got '0.3'"),
-        (("--parcel", "ax0.3"), "parcel must be made of numbers, got 'a' in it"),
+        (("--parcel", "ax0.3"), "each part of parcel must be a finite number, got 'a'"),
         (("--polygon", "0,0 0.3"), "polygon must be 'X,Y X,Y X,Y', got '0,0 0.3'"),
         (("--parcel", "S", "--pitch", "1x2x3"), "pitch must be one number or two"),
         (("--parcel", "S", "--speed", "30"), "speed must be between 0 and 20, got 30.0"),

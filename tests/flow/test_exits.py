@@ -79,6 +79,8 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
     [
         ({"name": ""}, "name must be text without spaces at its ends, got ''"),
         ({"name": " left"}, "name must be text without spaces at its ends, got ' left'"),
+        ({"name": "le\0ft"}, "name must hold neither NUL nor half a letter"),
+        ({"name": "\ud800"}, "name must hold neither NUL nor half a letter"),
         ({"name": 3}, "name must be text without spaces at its ends, got 3"),
         ({"side": 2}, "side must be one of -1, 0, 1, got 2"),
         ({"side": "left"}, "side must be one of -1, 0, 1, got 'left'"),

@@ -65,7 +65,7 @@ def test_a_file_is_read(path: Path) -> None:
         HEADER.replace("\n", "\r\n") + FIRST.replace("\n", "\r\n"),
         "\n" + HEADER + "\n" + FIRST + "\n\n",
         HEADER.replace(",", " , ") + FIRST.replace(",", " , "),
-        HEADER + '"0","0.25","0.25","1e1","1.5","left"',
+        HEADER + '"0","0.25","0.25","1e1","1.5","left"\n',
     ],
 )
 def test_ways_to_write_the_same(path: Path, text: str) -> None:
@@ -117,11 +117,14 @@ def test_any_trace_is_read_back_the_same(tmp_path_factory: Any, arrivals: list[A
         (HEADER + FIRST + "1,0.25,0.25,10\n", "line 3: a row must have 6 entries, got 4"),
         (HEADER + FIRST + FIRST[:-1] + ",more\n", "line 3: a row must have 6 entries, got 7"),
         (HEADER + "\n\n1,0.25\n", "line 4: a row must have 6 entries, got 2"),
-        (HEADER + FIRST + '1,"0.25', "line 3: unexpected end of data"),
+        (HEADER + FIRST + '1,"0.25\n', "line 3: unexpected end of data"),
+        (HEADER + FIRST + FIRST[:-3], "line 3 is cut: .* a line break; 2 whole lines stand before"),
+        (HEADER + FIRST + FIRST[:-1], "line 3 is cut: "),
+        (HEADER + FIRST.replace("left", "le\0ft"), "line 2: it is not text: byte 22 is NUL"),
     ],
 )
 def test_a_damaged_file_is_refused_by_its_line(path: Path, text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}"):
+    with pytest.raises(ValueError, match=rf"trace\.csv holds no trace: {message}"):
         read(path, text)
 
 
@@ -130,10 +133,12 @@ def test_a_damaged_file_is_refused_by_its_line(path: Path, text: str, message: s
     [
         ("mass", "-3", "be greater than 0, got -3.0"),
         ("mass", "heavy", "be a finite number, got 'heavy'"),
+        ("mass", "1_0", "be a finite number, got '1_0'"),
+        ("mass", "\u0661\u0660", "be a finite number, got '\u0661\u0660'"),
         ("mass", "", "be a finite number, got ''"), ("length", "0", "be greater than 0, got 0.0"),
         ("width", "-0.1", "be greater than 0, got -0.1"),
-        ("width", "nan", "be a finite number, got nan"),
-        ("speed", "inf", "be a finite number, got inf"),
+        ("width", "nan", "be a finite number, got 'nan'"),
+        ("speed", "inf", "be a finite number, got 'inf'"),
         ("speed", "6", "be between 0 and 5, got 6.0"), ("time", "-1", "be at least 0, got -1.0"),
         ("time", "3", "not fall, got 3.0 after 4.0"),
         ("exit", " ", "be text without spaces at its ends, got ''"),
@@ -144,15 +149,15 @@ def test_a_damaged_entry_is_refused(path: Path, column: str, entry: str, message
     row = ["5", "0.25", "0.25", "10", "1.5", "left"]
     row[COLUMNS.index(column)] = entry
     text = HEADER + FIRST + "4,0.25,0.25,10,1.5,left\n" + ",".join(row) + "\n"
-    with pytest.raises(ValueError, match=f"^line 4: {column} must {message}$"):
+    with pytest.raises(ValueError, match=f"holds no trace: line 4: {column} must {message}$"):
         read(path, text, sides())
 
 
 def test_a_file_that_is_not_there_or_no_text_is_refused(path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_trace(path)
-    path.write_bytes(HEADER.encode() + b"\xff\xfe")
-    with pytest.raises(ValueError, match=r"path must lead to UTF-8 text, got '.*trace\.csv'"):
+    path.write_bytes(HEADER.encode() + b"\xff\xfe\n")
+    with pytest.raises(ValueError, match=r"trace\.csv holds no trace: line 2: it is not UTF-8"):
         read_trace(path)
 
 

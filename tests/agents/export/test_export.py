@@ -240,7 +240,7 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     assert presets == list(policy.TRAINED_IN["lab"])
     for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
         command = f"python train.py --{flag} lab"
-        (folder / "card.yaml").write_text(f"command: {command}\n")
+        (folder / "card.yaml").write_text(f"command: {command}\nresults: {{}}\n")
         training = policy.of_run(folder).training
         assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):

@@ -140,7 +140,7 @@ def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("", "an entry a task"),
+        ("", "names and values"),
         ("[1", "flow sequence"),
         ("SmartSurface/Slow-v0: {}", "task must be one of 'slow' for ppo, got 'sort'"),
         (TRAP, "could not determine a constructor"),

@@ -167,10 +167,30 @@ def test_a_damaged_checkpoint_and_a_foreign_one_are_refused(name, tmp_path) -> N
     run(config, tmp_path)
     with pytest.raises(ValueError, match="damaged or of another run"):
         run(replace(config, hidden=(8, 9)), tmp_path)
-    content = (tmp_path / runs.CHECKPOINT).read_bytes()
-    (tmp_path / runs.CHECKPOINT).write_bytes(content[: len(content) // 2])
-    with pytest.raises(ValueError, match="damaged or of another run"):
-        run(config, tmp_path)
+    file = tmp_path / runs.CHECKPOINT
+    content = file.read_bytes()
+    state = torch.load(file, weights_only=True)
+    weights = next(iter(state["network" if "network" in state else "policy"].values()))
+    place = content.index(weights.numpy().tobytes())
+    changed = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    for damaged in (content[: len(content) // 2], b"text\n", changed):
+        file.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged or of another run: \S+ "):
+            run(config, tmp_path)
+    counted = state.get("counters", state)
+    steps = "num_timesteps" if "counters" in state else "steps"
+    for wrong in (-5, 10**30, 1.5, None):
+        counted[steps] = wrong
+        runs.write_state(state, tmp_path)
+        with pytest.raises(ValueError, match=r"checkpoint\.pt .*: \S*steps must be a whole number"):
+            run(config, tmp_path)
+    counted[steps] = 256
+    for recent in (None, [3], [{}], [{"success": "no"}]):
+        runs.write_state({**state, "recent": recent}, tmp_path)
+        with pytest.raises(
+            ValueError, match=r"checkpoint\.pt is damaged .*: (recent|success|\S+) "
+        ):
+            run(config, tmp_path)
 
 
 def test_code_in_a_checkpoint_is_not_run(tmp_path) -> None:

@@ -1,0 +1,103 @@
+"""YAML files, read within bounds: names and values, with numbers in plain decimal digits."""
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from surface_gym.files import DAMAGE, describe_damage, parse_integer, parse_number, read_text
+
+NODES = 100_000  # of a YAML file, each mention of an alias counted with all that it stands for
+YAML = 30_000  # [bytes] of a file, parsed in a second: the largest here has 6000
+BRACKETS = 1000
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, with numbers in plain decimal digits and aliases that end."""
+
+    yaml_implicit_resolvers = {
+        first: [each for each in some if not each[0].endswith((":int", ":float"))]
+        for first, some in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node, and count what it holds: an alias may stand for billions."""
+        named: Any = self.check_event(yaml.AliasEvent)
+        node: Any = super().compose_node(parent, index)
+        if named:
+            if not hasattr(node, "total"):
+                raise ValueError("an alias must not stand inside of what it names")
+            return node
+        parts = node.value if isinstance(node.value, list) else []
+        if isinstance(node, yaml.MappingNode):
+            names = [name.value for name, _ in parts if isinstance(name, yaml.ScalarNode)]
+            for name, times in Counter(names).items():
+                if times > 1:
+                    raise ValueError(f"{name!r:.60} must stand once, got it {times} times")
+            parts = [part for pair in parts for part in pair]
+        node.total = 1 + sum(part.total for part in parts)
+        if node.total > NODES:
+            raise ValueError(f"it must hold at most {NODES} values, got more by its aliases")
+        return node
+
+    def construct_whole(self, node: Any) -> int:
+        """Return a whole number in digits 0 to 9; Python reads 1_0 and other scripts' too."""
+        return parse_integer("!!int", str(self.construct_scalar(node)))
+
+    def construct_real(self, node: Any) -> float:
+        """Return a number in digits 0 to 9, or .inf or .nan."""
+        text = str(self.construct_scalar(node))
+        named = text.lower().lstrip("+-").removeprefix(".")
+        return (
+            float(text.replace(".", ""))
+            if named in ("inf", "nan")
+            else parse_number("!!float", text)
+        )
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[+-]?(?:0|[1-9][0-9]*)\Z"), list("+-0123456789")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"(?:[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-][0-9]+)?|[+-]?\.inf|\.nan)\Z"),
+    list("+-.0123456789"),
+)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_whole)
+_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_real)
+
+
+def parse_yaml(text: str) -> dict[str, Any]:
+    """Parse names and values from YAML, or raise a ValueError that says what is wrong.
+
+    Nothing in it is run. Numbers are plain decimals; PyYAML alone reads 1_0 as ten, 010 as eight.
+    """
+    if len(text) > YAML:
+        raise ValueError(f"it must have at most {YAML} characters, got {len(text)}")
+    if text.count("[") + text.count("{") > BRACKETS:
+        raise ValueError(f"it must have at most {BRACKETS} brackets, got more")
+    try:
+        found = yaml.load(text, _Loader)
+    except (yaml.YAMLError, *DAMAGE) as error:
+        raise ValueError(describe_damage(error)) from None
+    if not isinstance(found, dict) or not all(isinstance(name, str) for name in found):
+        raise ValueError(f"it must hold names and values, got {found!r:.60}")
+    return found
+
+
+def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
+    """Read the names and values of a YAML file; see `parse_yaml`.
+
+    Args:
+        by_hand: the last line may lack its break, by which others show that they are whole.
+
+    Raises:
+        ValueError: it holds none; what follows the file's name says why.
+        FileNotFoundError: there is none.
+    """
+    text = read_text(file, YAML)
+    if not by_hand and not text.endswith("\n"):
+        raise ValueError("it is cut: its last line must end in a line break")
+    return parse_yaml(text)
