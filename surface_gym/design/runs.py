@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from surface_gym import checks, state as st
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
-from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
+from surface_gym.parallel import Cluster, Workers, check_workers, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.physics import step as stepping, types as ph
 from surface_gym.physics.collision import read_body
@@ -244,7 +244,7 @@ def run_all(
     surfaces = _make_surfaces(line, layouts, stiffness)
     bodies = make_bodies(parcels)
     arrays = _make_arrays(line, parcels, runs, dt)
-    if isinstance(workers, Cluster):
+    if isinstance(check_workers(workers), Cluster):
         _run_on_nodes(surfaces, bodies, arrays, dt, workers, on_progress)
     else:
         _run_in_threads(surfaces, bodies, arrays, dt, workers, on_progress)
