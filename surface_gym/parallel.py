@@ -85,7 +85,8 @@ def map_jobs(
             version of the package.
         ValueError: there is no cluster at the address.
     """
-    if not isinstance(check_workers(workers), Cluster):
+    if not isinstance(workers, Cluster):
+        check_count("workers", workers)
         known = len(jobs) if isinstance(jobs, Sized) else workers
         if min(workers, known) <= 1:
             for index, job in enumerate(jobs):
