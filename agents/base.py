@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
 from surface_gym.tasks.sort import FEATURES
@@ -58,7 +59,7 @@ class BatchController(ABC):
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Choose the action for an observation, or actions for several; see `Controller`."""
-        seen = np.asarray(observation)
+        seen = checks.observation(observation, self._dims)
         batch = seen.reshape(-1, *seen.shape[-self._dims :])
         actions, state = self._predict(batch, state, episode_start, deterministic=deterministic)
         return (actions[0] if seen.ndim == self._dims else actions), state

@@ -7,6 +7,7 @@ Within these bounds every step stays finite; beyond them squares and quotients o
 to nothing. Each bound is generous: beyond one stands a wrong unit or a typing error.
 """
 
+import inspect
 import math
 import numbers
 from collections.abc import Iterable
@@ -22,7 +23,10 @@ LENGTH = (1e-4, 1e3)
 # [m] of any x or y, either way: round-off there, 2e-12 m, is far below the 1e-9 m by which an
 # element on a base's perimeter counts as under it.
 FARTHEST = 1e4
-TURNED = 1e6  # [rad] of any angle, either way: round-off there, 1e-10 rad, turns a base by nothing
+# [rad] of a parcel, whose heading counts whole turns, either way: round-off there, 1e-10 rad,
+# turns a base by nothing
+TURNED = 1e6
+TURN = 2.0 * math.pi + 1e-6  # [rad] of any other angle, either way, as float32 rounds a turn
 SPEED = 100.0  # [m/s] either way: twenty times the fastest sorter
 SPIN = 1e3  # [rad/s] either way: 10 000 revolutions a minute
 FRICTION = 100.0  # [-] of any coefficient: rubber on rubber has 4
@@ -44,7 +48,7 @@ ODDS = (1e-9, 1e9)  # [-] of one thing against another
 AXIS_SPEED = (1e-6, 1e9)  # [rad/s] at which an axis turns, if it is not infinite
 FRAME_RATE = (1e-3, 1e6)  # [Hz] of a sensor
 POSITION_ERROR = 10.0  # [m] standard deviation of what a sensor says: many parcels
-ANGLE_ERROR = 2.0 * math.pi  # [rad] a whole turn, of which nothing is known then
+ANGLE_ERROR = TURN  # [rad] a whole turn, of which nothing is known then
 TOLERANCE = (1e-6, 1.0)  # [m] within which a switch switches
 # [m^2/s^3] and [rad^2/s^3]: from a physics that never errs to one that says nothing
 DENSITY = (1e-12, 1e9)
@@ -53,6 +57,9 @@ LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
 ELEMENTS = 1_000_000  # of a line, whose state arrays are as large
 ORIENTATIONS = 1000  # on offer: a fifth of a degree apart; "any" is finer
+PER_CORE = 32  # processes or threads at most: more only wait for each other
+
+DEGREES = "degrees become radians by np.radians"  # said of an angle beyond its bounds
 
 
 def number(name: str, value: Any) -> float:
@@ -86,6 +93,16 @@ def not_negative(name: str, value: Any, most: float = math.inf) -> float:
 def within(name: str, value: Any, low: float, high: float) -> float:
     """Return a finite number in [low, high], or raise an error."""
     return _limited(name, value, number(name, value), low, high)
+
+
+def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> float:
+    """Return an angle [rad] in [low, high], or raise an error that says how degrees are given."""
+    result = number(name, value)
+    if not low <= result <= high:
+        raise ValueError(
+            f"{name} must be between {low:g} and {high:g} rad, got {value!r}; {DEGREES}"
+        )
+    return result
 
 
 def coordinate(name: str, value: Any) -> float:
@@ -124,23 +141,53 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(one_of(name, each, allowed) for each in value)
 
 
-def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return a read-only float64 copy, finite, of a shape (None: any length)."""
+def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
+    """Return an object of a kind, or raise an error; a class in its place is to be called."""
+    if isinstance(value, kind):
+        return value
+    called = ""
+    if isinstance(value, type) and issubclass(value, kind):
+        needed = inspect.signature(value).parameters.values()
+        inside = "..." if any(each.default is each.empty for each in needed) else ""
+        called = f"; call it: {value.__name__}({inside})"
+    raise ValueError(f"{name} must be {allowed}, got {value!r}{called}")
+
+
+def observation(value: Any, dims: int) -> NDArray[Any]:
+    """Return observations as an array of finite numbers, of `dims` dimensions or more."""
+    given = _numbers("observation", value)
+    if given.ndim < dims:
+        raise ValueError(f"observation must have the shape of its space, got {given.shape}")
+    _check_finite("observation", given)
+    return given
+
+
+def _numbers(name: str, value: Any) -> NDArray[Any]:
+    """Return an array of real numbers of any type."""
     try:
         given = np.asarray(value)
     except ValueError:  # rows of different lengths
         raise ValueError(f"{name} must be an array of numbers, got {value!r}") from None
     if given.dtype.kind not in "iuf":
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")
-    result = np.array(given, dtype=np.float64)
+    return given
+
+
+def _check_finite(name: str, values: NDArray[Any]) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} must be finite, got {values[~np.isfinite(values)][0]} in it")
+
+
+def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Return a read-only float64 copy, finite, of a shape (None: any length)."""
+    result = np.array(_numbers(name, value), dtype=np.float64)
     fits = result.ndim == len(shape) and all(
         want is None or have == want for have, want in zip(result.shape, shape, strict=True)
     )
     if not fits:
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
         raise ValueError(f"{name} must have the shape ({wanted}), got {result.shape}")
-    if not np.isfinite(result).all():
-        raise ValueError(f"{name} must be finite, got {result[~np.isfinite(result)][0]} in it")
+    _check_finite(name, result)
     result.setflags(write=False)
     return result
 
@@ -152,6 +199,17 @@ def limited(name: str, values: NDArray[np.float64], most: ArrayLike) -> NDArray[
         bound = np.broadcast_to(most, values.shape)[beyond][0]
         raise ValueError(
             f"{name} must be between {-bound:g} and {bound:g}, got {values[beyond][0]:g} in it"
+        )
+    return values
+
+
+def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArray[np.float64]:
+    """Return angles [rad] no farther from 0 than `most`, or raise an error, as `angle` does."""
+    beyond = np.abs(values) > most
+    if beyond.any():
+        raise ValueError(
+            f"{name} must be between {-most:g} and {most:g} rad, got {values[beyond][0]:g} in it; "
+            f"{DEGREES}"
         )
     return values
 
@@ -222,14 +280,14 @@ def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
 
 def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
     """Return two or more axis angles [rad] that differ, or raise an error."""
-    angles = limited(name, array(name, value, (None,)), checks.TURNED)
-    if not 2 <= len(angles) <= checks.ORIENTATIONS:
-        least_or_most = "least 2" if len(angles) < 2 else f"most {checks.ORIENTATIONS}"
-        given = repr(value) if len(angles) < 2 else f"{len(angles)}"
+    offered = angles(name, array(name, value, (None,)))
+    if not 2 <= len(offered) <= checks.ORIENTATIONS:
+        least_or_most = "least 2" if len(offered) < 2 else f"most {checks.ORIENTATIONS}"
+        given = repr(value) if len(offered) < 2 else f"{len(offered)}"
         raise ValueError(f"{name} must be at {least_or_most}, got {given}")
-    if len(np.unique(angles)) < len(angles):
+    if len(np.unique(offered)) < len(offered):
         raise ValueError(f"{name} must differ from each other, got {value!r}")
     # Sines of the turns from the first: an axis turned by pi is the same.
-    if np.abs(np.sin(angles - angles[0])).max() < 1e-9:
+    if np.abs(np.sin(offered - offered[0])).max() < 1e-9:
         raise ValueError(f"{name} must hold two axes that differ, got {value!r}")
-    return tuple(angles.tolist())
+    return tuple(offered.tolist())

@@ -99,6 +99,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
+SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
 
 
@@ -180,13 +181,12 @@ class EnvConfig:
     def _check(self) -> None:
         set_field = object.__setattr__
         for name, kind, allowed in (
-            ("sensors", Sensor, "a Sensor"),
+            ("sensors", Sensor, SENSORS),
             ("actuators", Actuators, "Actuators"),
             ("randomisation", Randomisation, "a Randomisation"),
             ("line", BaseLine | None, "a BaseLine"),
         ):
-            if not isinstance(getattr(self, name), kind):
-                raise ValueError(f"{name} must be {allowed}, got {getattr(self, name)!r}")
+            checks.instance(name, getattr(self, name), kind, allowed)
         if isinstance(self.orientations, str):
             checks.one_of("orientations", self.orientations, (ANY,))
         elif self.orientations is not None:
@@ -212,7 +212,12 @@ class EnvConfig:
             if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
                 raise ValueError(f"zone must be two columns, first and last, got {self.zone!r}")
             first = checks.integer("zone", self.zone[0], least=0)
-            last = checks.integer("zone", self.zone[1], least=first)
+            last = checks.integer("zone", self.zone[1], least=0)
+            if last < first:
+                raise ValueError(
+                    f"zone must be its first column and then its last, got {self.zone!r}: "
+                    f"the first, {first}, is after the last, {last}"
+                )
             if last >= line.columns:
                 most = line.columns - 1
                 raise ValueError(f"zone must lie in the columns 0 to {most}, got {self.zone!r}")
@@ -413,10 +418,8 @@ def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
     """Make a task by its name, or with other fields, or raise an error that lists these."""
     if isinstance(task, str):
         kind = ENV_TASKS[checks.one_of("task", task, ENV_TASKS)]
-    elif isinstance(task, Task):
-        kind = type(task)
     else:
-        raise ValueError(f"task must be one of {', '.join(ENV_TASKS)} or a Task, got {task!r}")
+        kind = type(checks.instance("task", task, Task, f"one of {', '.join(ENV_TASKS)} or a Task"))
     known = [each.name for each in fields(kind) if each.init]
     for name in arguments:
         if name not in known:

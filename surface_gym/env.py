@@ -30,6 +30,15 @@ def make_batch(
     return kind(config, num_envs, threads, max_episode_steps)
 
 
+def warn_of_no_render_mode(spec: Any, make: str) -> None:
+    """Warn as Gymnasium's own environments do where `render` has no mode to draw in."""
+    env_id = "SmartSurface/Sort-v0" if spec is None else spec.id
+    gym.logger.warn(
+        "You are calling render method without specifying any render mode. You can specify the "
+        f'render_mode at initialization, e.g. gym.{make}("{env_id}", render_mode="rgb_array")'
+    )
+
+
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface under a parcel or a stream of parcels: actions turn the rotors' axes.
 
@@ -174,7 +183,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
             raise gym.error.ResetNeeded("Call reset before step.")
         if batch.outcome.item(0) != RUNNING:
             raise gym.error.ResetNeeded("The episode has ended: call reset before the next step.")
-        batch.step(self._action_kind.commands([action], 1))
+        batch.step(self._action_kind.commands(action, None))
         if self.render_mode is not None:
             self._record(begins=False)
         outcome = batch.outcome.item(0)
@@ -188,6 +197,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the picture (height, width, 3) in "rgb_array" mode; give None in any other."""
+        if self.render_mode is None:
+            warn_of_no_render_mode(self.spec, "make")
         if self.render_mode != "rgb_array":
             return None
         if not self._started:

@@ -67,7 +67,7 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
         tilt: [rad] downhill towards +x.
     """
     checks.one_of("size", size, ("S", "B"))
-    task = checks.array("task_axis", task_axis, (None, None))
+    task = checks.angles("task_axis", checks.array("task_axis", task_axis, (None, None)))
     rows, lead_in = LINE_ROWS[size], LEAD_IN[size]
     if task.shape[0] not in (1, rows):
         raise ValueError(f"task_axis must have 1 or {rows} rows, got {task.shape[0]}")
@@ -106,7 +106,7 @@ def stopping(
 
 def _alternating(size: str, angle: float, task_columns: int) -> list[list[float]]:
     """Return axes [rad] of columns, their sign alternating from row to row."""
-    angle = checks.number("angle", angle)
+    angle = checks.angle("angle", angle)
     checks.integer("task_columns", task_columns, least=1)
     checks.one_of("size", size, ("S", "B"))
     return [[angle if row % 2 else -angle] * task_columns for row in range(LINE_ROWS[size])]

@@ -86,6 +86,7 @@ def map_jobs(
         ValueError: there is no cluster at the address.
     """
     if not isinstance(workers, Cluster):
+        check_count("workers", workers)
         known = len(jobs) if isinstance(jobs, Sized) else workers
         if min(workers, known) <= 1:
             for index, job in enumerate(jobs):
@@ -154,13 +155,25 @@ def without_report(job: Callable[[], Result], report: Report) -> Result:
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Return a cluster, or a number of processes of at least one."""
-    return workers if isinstance(workers, Cluster) else checks.integer("workers", workers, least=1)
+    """Return a cluster, or a number of processes that this machine may share its cores among."""
+    return workers if isinstance(workers, Cluster) else check_count("workers", workers)
+
+
+def check_count(name: str, value: Any) -> int:
+    """Return a number of processes or threads, from one to `checks.PER_CORE` for each core."""
+    count, cores = checks.integer(name, value, least=1), usable_cores()
+    if count > checks.PER_CORE * cores:
+        raise ValueError(
+            f"{name} must be at most {checks.PER_CORE} for each usable core, "
+            f"{checks.PER_CORE * cores} here, got {value!r}"
+        )
+    return count
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
     """Return what a command's options name: a cluster if there is an address, else processes."""
-    return processes if cluster is None else Cluster(cluster, files)
+    checked = check_workers(processes)
+    return checked if cluster is None else Cluster(cluster, files)
 
 
 def usable_cores() -> int:

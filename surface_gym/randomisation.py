@@ -77,9 +77,9 @@ class Randomisation:
         for name, most in (
             ("stiffness", checks.STIFFNESS_SPREAD),
             ("lateral", checks.LENGTH[1]),
-            ("heading", math.pi),
         ):
             checks.not_negative(name, getattr(self, name), most)
+        checks.angle("heading", self.heading, 0.0, math.pi)
 
     @property
     def varies(self) -> bool:

@@ -92,7 +92,7 @@ class Surface(Elements):
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         axis = checks.array("axis", self.axis, (None, None))
-        checks.limited("axis", axis, checks.TURNED)
+        checks.angles("axis", axis)
         if axis.size == 0:
             raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
         rotor = checks.booleans("rotor", self.rotor)
@@ -112,7 +112,9 @@ class Surface(Elements):
         checks.rolling(self.mu_max, self.mu_min)
         tilt = checks.number("tilt", self.tilt)
         if not abs(tilt) < math.pi / 4:
-            raise ValueError(f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}")
+            raise ValueError(
+                f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}; {checks.DEGREES}"
+            )
         set_field(self, "tilt", tilt)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.env import RENDER_FPS, make_batch
+from surface_gym.env import RENDER_FPS, make_batch, warn_of_no_render_mode
+from surface_gym.parallel import check_count
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
@@ -152,7 +153,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     ) -> None:
         super().__init__(num_envs, autoreset_mode, max_episode_steps, render_mode)
         self.config = EnvConfig(task, **config)
-        threads = min(self.num_envs, checks.integer("threads", threads, least=1))
+        threads = min(self.num_envs, check_count("threads", threads))
         self.batch = make_batch(self.config, self.num_envs, threads, max_episode_steps)
         self._set_spaces(self.config.observation_space(), self.config.action_space())
         self._action_kind = self.config.action_kind
@@ -223,6 +224,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw one picture (height, width, 3) of all environments; None without a render mode."""
         if self.render_mode is None:
+            warn_of_no_render_mode(self.spec, "make_vec")
             return None
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before render.")

@@ -88,7 +88,7 @@ def surfaces(draw: st.DrawFn, columns: tuple[int, int] = (1, 12)) -> sg.Surface:
     decades = draw(st.sampled_from([0.0, 3.0, math.log10(checks.STIFFNESS_RATIO) - 1e-9]))
     at = either_way(0.5 * checks.FARTHEST)
     return sg.Surface(
-        axis=draw(st.sampled_from([math.pi, checks.TURNED])) * rng.uniform(-1.0, 1.0, shape),
+        axis=draw(st.sampled_from([math.pi, checks.TURN])) * rng.uniform(-1.0, 1.0, shape),
         rotor=rng.random(shape) < draw(st.sampled_from([0.0, 0.5, 1.0])),
         pitch=(pitch, min(max(other, checks.LENGTH[0]), checks.LENGTH[1])),
         origin=(draw(at), draw(at)),
@@ -215,7 +215,7 @@ SHARES = st.one_of(st.just(0.0), st.floats(0.0, 0.99))
 COMMON: dict[str, st.SearchStrategy[Any]] = {
     "control_period": sizes(checks.CONTROL_PERIOD[0], 0.2),
     "orientations": st.lists(
-        either_way(checks.TURNED), min_size=2, max_size=8, unique_by=lambda a: round(math.tan(a), 6)
+        either_way(checks.TURN), min_size=2, max_size=8, unique_by=lambda a: round(math.tan(a), 6)
     ).map(tuple),
     "randomisation": st.builds(
         sg.Randomisation,

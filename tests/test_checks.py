@@ -10,6 +10,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import checks
+from surface_gym.design.case import Case, Turn, Unknown
+from surface_gym.design.limits import least_tilt
 from surface_gym.flow.arrivals import Arrival, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.exits import Exit, flow_line
 from surface_gym.flow.stream import Stream
@@ -68,6 +70,16 @@ MESSAGES: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
         checks.velocity, ([(0.0, 0.0, -2e3)], (None, 3)),
         "be between -1000 and 1000, got -2000 in it",
     ),
+    (checks.angle, (45.0,), f"be between -6.28319 and 6.28319 rad, got 45.0; {checks.DEGREES}"),
+    (checks.angle, (-0.1, 0.0, 1.0), f"be between 0 and 1 rad, got -0.1; {checks.DEGREES}"),
+    (
+        checks.angles, (np.array([0.0, -90.0]),),
+        f"be between -6.28319 and 6.28319 rad, got -90 in it; {checks.DEGREES}",
+    ),
+    (checks.instance, (3, Field, "a Field"), "be a Field, got 3"),
+    (checks.instance, (Field, Line, "a Line"), f"be a Line, got {Field!r}"),
+    (checks.instance, (Field, Field, "a Field"), f"be a Field, got {Field!r}; call it: Field()"),
+    (checks.instance, (Steady, Steady, "one"), f"be one, got {Steady!r}; call it: Steady(...)"),
     (checks.place, ((0.0, -2e4),), "be between -10000 and 10000, got -20000 in it"),
     (checks.friction, ([[1.0, 101.0]], (1, 2)), "be at most 100, got 101.0"),
     (checks.orientations, (np.linspace(0.0, 1.0, 1001),), "be at most 1000, got 1001"),
@@ -83,6 +95,10 @@ def test_messages(check, given, message):
 
 
 def test_what_is_allowed_passes():
+    turn = np.float32(2.0 * math.pi)  # a little more than a turn
+    assert checks.angle("a", turn) == turn
+    assert checks.angles("a", np.float64([turn, -turn])).tolist() == [turn, -turn]
+    assert checks.observation(np.float32([1.0]), 1).dtype == np.float32
     assert checks.not_negative("mu", 0) == 0.0
     assert checks.within("a", 0, 0, 1) == 0.0
     assert checks.within("a", 1, 0, 1) == 1.0
@@ -145,6 +161,7 @@ def beside(**changes: Any) -> Any:
     return sg.simulate_together(ON_IT[0], **arguments)
 
 
+TURN = 2.0 * math.pi
 NUMBER, SHARE, COEFFICIENT = (-1e4, 1e4), (0.0, 0.9999), (0.0, 100.0)
 OBSERVER = {
     "drop": SHARE, "mu_max": COEFFICIENT, "mu_min": COEFFICIENT, "mu_support": COEFFICIENT,
@@ -171,7 +188,7 @@ FIELDS: dict[Callable[..., Any], dict[str, tuple[float, float]]] = {
     },
     flow: {
         "duration": (0.04, 86_400.0), "control_period": (1e-6, 10.0), "patience": (1e-6, 86_400.0),
-        "tilt": (-0.2617, 0.2617), "entry_gap": (0.0, 1e3), "ahead": (0.0, 100.0),
+        "tilt": (-0.2617, 0.2617), "entry_gap": (0.0, SHORT.length), "ahead": (0.0, 100.0),
         "side_friction": COEFFICIENT,
     },
     Sine: {"amplitude": NUMBER, "wavelength": (1e-4, 1e3)},
@@ -179,7 +196,7 @@ FIELDS: dict[Callable[..., Any], dict[str, tuple[float, float]]] = {
 }  # fmt: skip
 # By the name of each: what takes it, and the least and greatest that it may be.
 NUMBERS: dict[str, tuple[Callable[[Any], Any], float, float]] = {
-    "Surface.axis": (lambda v: sg.Surface([[0.0, v]], [[True, True]]), -1e6, 1e6),
+    "Surface.axis": (lambda v: sg.Surface([[0.0, v]], [[True, True]]), -TURN, TURN),
     "Surface.pitch in y": (lambda v: surface(pitch=(0.1, v)), 1e-4, 1e3),
     "Surface.origin": (lambda v: surface(origin=(0.0, v)), -1e4, 1e4),
     "Surface.mu_max": (lambda v: surface(mu_max=v, mu_min=0.0), 0.0, 100.0),
@@ -259,6 +276,40 @@ def test_the_bounds_themselves_are_allowed(name):
         run_or_refusal(lambda value=value: call(value))
 
 
+DEGREES = {
+    "axis": lambda: sg.Surface([[45.0]], [[True]]),
+    "tilt": lambda: surface(tilt=15),
+    "task_axis": lambda: sg.layouts.line([[45.0]]),
+    "angle": lambda: sg.layouts.slowing(angle=45),
+    "angle of a stop": lambda: sg.layouts.stopping(angle=45.0),
+    "tilt of a layout": lambda: sg.layouts.sorting(tilt=5.0),
+    "orientations": lambda: sg.SmartSurfaceEnv(orientations=(0, 45, -45, 90)),
+    "orientations of a line": lambda: Field(orientations=(0.0, 90.0)),
+    "heading": lambda: sg.Randomisation(heading=5.0),
+    "angle_noise": lambda: Camera(angle_noise=10.0),
+    "angle of an entry": lambda: Entry(angle=10.0),
+    "entry_turn": lambda: sg.tasks.Sort(entry_turn=10.0),
+    "angles": lambda: sg.tasks.Orient(angles=(-45.0, 45.0)),
+    "tilts": lambda: sg.tasks.Track(tilts=(0.0, 5.0)),
+    "tilt of a stream": lambda: flow(tilt=5.0),
+    "angle of a start": lambda: sg.SmartSurfaceEnv("orient").reset(options={"angle": 45}),
+    "tilt of a start": lambda: sg.SmartSurfaceEnv("track").reset(options={"tilt": 5.0}),
+    "angle of a purpose": lambda: Turn(30.0),
+    "tolerance": lambda: Turn(0.5, tolerance=10.0),
+    "tilt of a case": lambda: Case(ON_IT[1], tilt=5.0),
+    "tilt of a spread": lambda: Unknown(tilt=1.0),
+    "highest": lambda: least_tilt(Case(ON_IT[1]), highest=15.0),
+    "tilt of Sort.start": lambda: batch_with(Start(*ON_IT[1:], (1.0, 0.0, 0.0), (1.0,), tilt=5.0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEGREES)
+def test_an_angle_in_degrees_is_refused_and_the_error_says_how_it_is_given(name):
+    named = name.partition(" of ")[0]
+    with pytest.raises(ValueError, match=rf"^{named}\b.* must .*; {checks.DEGREES}$"):
+        DEGREES[name]()
+
+
 CROSSED = "mu_min must be at most mu_max, got 0.2 and 0.1"
 WIDE = "lateral must be at most a quarter of the surface's width, 0.5 m, got 0.6"
 ASIDE = sg.Randomisation(lateral=0.6)
@@ -293,6 +344,30 @@ LARGE = "rows times columns must be at most 1_000_000"
         (lambda: Line(columns=10**9), LARGE),
         (lambda: flow_line(lead_in=10**9), "lead_in must be a whole number of at most 1000000"),
         (lambda: sg.tasks.Sort(speeds=(0.3, 1e308)), "speeds must be two rising numbers between 0"),
+        (
+            lambda: sg.SmartSurfaceEnv(sensors="camera"),
+            r"sensors must be .*Presence\(\) of .*'camera'",
+        ),
+        (lambda: sg.SmartSurfaceEnv(sensors=Camera), r"sensors must .*; call it: Camera\(\)$"),
+        (lambda: sg.SmartSurfaceEnv(line=Line), r"line must be a BaseLine, .*; call it: Line\(\)$"),
+        (lambda: sg.SmartSurfaceEnv(sg.tasks.Sort), r"task must be .*; call it: Sort\(\)$"),
+        (
+            lambda: flow(stream="fast"),
+            "stream must be a Stream .*Steady, Spread, Poisson, Schedule",
+        ),
+        (lambda: flow(stream=Stream), r"stream must be .*; call it: Stream\(\)$"),
+        (lambda: Stream(Poisson), r"arrivals must be .*; call it: Poisson\(\.\.\.\)$"),
+        (lambda: Case(ON_IT[1], Turn), r"purpose must be .*; call it: Turn\(\)$"),
+        (
+            lambda: sg.SmartSurfaceEnv(zone=(20, 3)),
+            r"zone must be its first column and then its last, got \(20, 3\): the first, 20, is",
+        ),
+        (lambda: flow(entry_gap=1000), "entry_gap must be at most the line's length, 2.6 m, got"),
+        (
+            lambda: flow(exits=(Exit("left", 1, 0.0, 1.0), Exit("far", 1, 100.0, 200.0))),
+            "exits must lie beside the rotors, from 0 to 2 m, got 'far' from 100 to 200 m",
+        ),
+        (lambda: sg.SmartSurfaceVectorEnv(2, threads=100_000), "threads must be at most 32 for"),
         (lambda: sg.Actuators(axis_speed=1e-308), "axis_speed must be between 1e-06 and"),
     ],
 )

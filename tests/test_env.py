@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env as check_by_gymnasium
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
+import surface_gym as sg
 from tests import environments as te
 
 
@@ -62,6 +63,29 @@ class TestEpisodes:
     def test_time_counts_the_control_periods(self):
         for number, step in enumerate(te.steps(te.bare(control_period=0.03), seed=0), start=1):
             assert step[2] or step[4]["time"] == pytest.approx(0.03 * number)
+
+    @pytest.mark.parametrize(
+        ("arguments", "wrong", "message"),
+        [
+            ({}, [0, 1], r"shape \(64,\), got \(2,\)"),
+            ({}, np.full(64, 4), r"between 0 and 3, got array\(\[4"),
+            ({"actions": "halves"}, 16, "between 0 and 15, got 16"),
+            ({"actions": "halves"}, [3], r"shape \(\), got \(1,\)"),
+            ({"actions": "halves"}, "up", "whole numbers, got <U2: 'up'"),
+            ({"orientations": "any", "actions": "halves"}, [0.0, 45.0], r"got \[0.0, 45.0\]; deg"),
+            ({"task": "flow", "actions": "parcels"}, [0], r"shape \(48,\), got \(1,\)"),
+            ({"task": "flow", "actions": "parcels", "gate": True}, 0, r"shape \(49,\), got \(\)"),
+            (
+                {"task": "flow", "actions": "parcels", "gate": True}, [0] * 48 + [9],
+                "between 0 and 8 of the gate, got 9$",
+            ),
+        ],
+    )  # fmt: skip
+    def test_an_action_that_is_refused_is_spoken_of_as_one(self, arguments, wrong, message):
+        env = sg.SmartSurfaceEnv(**arguments)
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match=f"action must .*{message}"):
+            env.step(wrong)
 
     def test_steps_out_of_turn_are_refused(self):
         env = te.bare(actions="halves")
@@ -162,7 +186,8 @@ class TestDrawing:
     def test_there_is_none_without_a_mode_or_before_the_first_reset(self, make):
         env = make()
         env.reset(seed=0)
-        assert env.render() is None
+        with pytest.warns(UserWarning, match="without specifying any render mode"):
+            assert env.render() is None
         env.close()
         env.close()  # twice is fine
         with pytest.raises(gym.error.ResetNeeded):

@@ -247,8 +247,8 @@ class TestExits:
         on = exit_marks(settings)[-1]
         assert (on.first, on.last) == pytest.approx((1.9, 2.0))
         exits = Exits((Exit("beyond", 1, 2.5, 3.0),))
-        with pytest.raises(ValueError, match=r"last must be greater than first, 2\.5"):
-            exit_marks(EnvConfig("flow", line=SHORT, exits=exits))
+        with pytest.raises(ValueError, match="exits must lie beside the rotors, from 0 to 2 m"):
+            EnvConfig("flow", line=SHORT, exits=exits)
 
 
 class TestReadings:

@@ -65,7 +65,6 @@ class EvaluateConfig:
             find_task(self.task)
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
-        checks.integer("workers", self.workers, least=1)
         parallel.choose_workers(self.cluster, self.workers)
 
 

@@ -472,17 +472,21 @@ class ActionKind:
             return spaces.Discrete(self.choices**2)
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
-    def commands(self, actions: Any, num_envs: int) -> np.ndarray:
-        """Turn the actions of all environments into commands (num_envs, size)."""
+    def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
+        """Turn the actions of all environments into commands (num_envs, size).
+
+        With None, `actions` is the action of the only one.
+        """
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
-        shape = (num_envs,) if self._single else (num_envs, self.size)
-        if given.shape != shape:
-            raise ValueError(
-                f"action must have the shape {shape[1:]} an environment, got {given.shape}"
-            )
+        own = () if self._single else (self.size,)
+        if given.shape != (own if num_envs is None else (num_envs, *own)):
+            each = "" if num_envs is None else " an environment"
+            raise ValueError(f"action must have the shape {own}{each}, got {given.shape}")
+        if num_envs is None:
+            given = given[np.newaxis]
         if self.continuous:
             return _angles(given, actions)
         most = self.choices**2 if self._single else self.choices
@@ -494,7 +498,7 @@ class ActionKind:
         ):  # as which negative ones are the largest
             raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
         if self._single:
-            halves = np.empty((num_envs, 2), dtype=np.int64)
+            halves = np.empty((len(chosen), 2), dtype=np.int64)
             np.divmod(chosen, self.choices, out=(halves[:, 0], halves[:, 1]))
             return halves
         return chosen
@@ -517,5 +521,7 @@ def _angles(given: np.ndarray, actions: Any) -> Array:
         raise ValueError(f"action must be angles, got {given.dtype}: {actions!r}")
     angles = given.astype(np.float64)
     if not (np.abs(angles) <= RIGHT_ANGLE).all():
-        raise ValueError(f"action must be between -pi/2 and pi/2, got {actions!r}")
+        raise ValueError(
+            f"action must be between -pi/2 and pi/2, got {actions!r}; {checks.DEGREES}"
+        )
     return angles

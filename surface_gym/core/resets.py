@@ -226,6 +226,7 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
     _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
     velocity = _columns(task, "velocity", start.velocity, 3, count)
     _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
+    checks.angles(f"tilt of {type(task).__name__}.start", np.asarray(start.tilt), math.pi / 4)
     conditions = np.ones((count, 5))
     conditions[:, st.GRAVITY_ALONG] = GRAVITY * map_floats(math.sin, start.tilt)
     conditions[:, st.GRAVITY_NORMAL] = GRAVITY * map_floats(math.cos, start.tilt)

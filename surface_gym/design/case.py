@@ -283,9 +283,9 @@ class Turn(Purpose):
     leaves_zone = True
 
     def __post_init__(self) -> None:
-        if checks.within("angle", self.angle, -checks.TURNED, checks.TURNED) == 0.0:
+        if checks.angle("angle", self.angle) == 0.0:
             raise ValueError(f"angle must not be 0, got {self.angle!r}")
-        checks.positive("tolerance", self.tolerance, most=checks.LENGTH[1])
+        checks.positive("tolerance", checks.angle("tolerance", self.tolerance))
 
     @property
     def detail(self) -> str:
@@ -361,7 +361,7 @@ class Unknown(Randomisation):
         if self.size:
             raise ValueError(f"size must be 0, got {self.size!r}: a map goes over sizes")
         checks.not_negative("speed", self.speed, 20.0)
-        checks.not_negative("tilt", self.tilt, math.pi / 4)
+        checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
         """Return the spreads of one group of `GROUPS`, or of all of them for `TOGETHER`."""
@@ -404,13 +404,13 @@ class Case:
     def __post_init__(self) -> None:
         if not isinstance(self.parcel, Parcel):
             raise ValueError(f"parcel must be a Parcel, got {self.parcel!r}")
-        if not isinstance(self.purpose, Purpose):
-            raise ValueError(f"purpose must be a Purpose, got {self.purpose!r}")
-        if not isinstance(self.unknown, Unknown):
-            raise ValueError(f"unknown must be an Unknown, got {self.unknown!r}")
+        checks.instance("purpose", self.purpose, Purpose, "a Purpose")
+        checks.instance("unknown", self.unknown, Unknown, "an Unknown")
         checks.within("speed", self.speed, 0.0, 20.0)
         if not 0.0 <= checks.number("tilt", self.tilt) < math.pi / 4:
-            raise ValueError(f"tilt must be from 0 to below pi/4 (45 deg), got {self.tilt!r}")
+            raise ValueError(
+                f"tilt must be from 0 to below pi/4 (45 deg), got {self.tilt!r}; {checks.DEGREES}"
+            )
         if self.speed == 0.0 and self.tilt == 0.0:
             raise ValueError("speed must be greater than 0 on a level surface, got 0.0")
         checks.integer("draws", self.draws, least=1, most=MOST_DRAWS)

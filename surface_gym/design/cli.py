@@ -26,6 +26,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 STOPPED = 130  # status of a command that Ctrl-C ends
 ZONE = 16  # default columns of a searched layout
+SPEED = design.Case.speed  # [m/s] at entry, where none is given
 MASS = (
     "Mass cancels out of the motion: these answers hold for any mass. Only the inertia over the "
     "mass counts, and by itself it goes with the base."
@@ -73,8 +74,8 @@ class Question:
     tolerance: MaybeFloat = None
     """Allowed error of the ratio, the place [m] or the angle [deg]."""
 
-    speed: float = 1.0
-    """[m/s] at entry."""
+    speed: MaybeFloat = None
+    """[m/s] at entry; else 1 is assumed, and the answer says so."""
     tilt_deg: Degrees = 0.0
     """Of the surface, downhill along the line."""
     pitch: Annotated[str, tyro.conf.arg(metavar="P or PXxPY")] = "0.1"
@@ -123,6 +124,7 @@ class Question:
     """Folder for the tables and the figure."""
 
     file: ClassVar[str | None] = None
+    has_speed: ClassVar[bool] = True  # whether the entry speed counts
 
     @property
     def checkpoint(self) -> Path | None:
@@ -138,11 +140,11 @@ class Question:
         return parallel.choose_workers(self.cluster, self.workers)
 
     def case(self) -> design.Case:
-        checks.integer("workers", self.workers, least=1)
+        _ = self.shared_by
         return design.Case(
             parcel=self._parcel(),
             purpose=self._purpose(),
-            speed=self.speed,
+            speed=SPEED if self.speed is None else self.speed,
             tilt=math.radians(self.tilt_deg),
             unknown=Unknown(
                 friction=self.friction,
@@ -323,6 +325,7 @@ class AskLayout(Question):
     """Resume an interrupted search from its layout.npz in --out."""
 
     file = "layout.npz"
+    has_speed = False
 
     def answer(self, on_progress: runs.OnProgress) -> Answer:
         case = self.case()
@@ -402,6 +405,8 @@ def ask(question: Question) -> None:
     answer.draw().savefig(paths[-1], dpi=DPI)
     console = Console()
     sentence = answer.sentence.removesuffix(".") + "."
+    if question.speed is None and question.has_speed:
+        sentence += f" Without --speed, an entry speed of {SPEED:g} m/s is assumed."
     console.print(escape(sentence), highlight=False, soft_wrap=True)
     if question.mass is not None and question.inertia is None:
         console.print(escape(MASS), highlight=False, soft_wrap=True)

@@ -274,7 +274,7 @@ def least_tilt(
     if not max(case.tilt, TILT_STEP_DRAWN) <= checks.number("highest", top) < math.pi / 4:
         raise ValueError(
             f"highest must be from the case's tilt, {case.tilt:g}, to below pi/4 (45 deg), "
-            f"got {top!r}"
+            f"got {top!r}; {checks.DEGREES}"
         )
     steps = (TILT_STEP, TILT_STEP_DRAWN)
     return _sweep(case, TILT, steps, top, columns, rows, workers, on_progress)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from surface_gym import checks, state as st
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
-from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
+from surface_gym.parallel import Cluster, Workers, check_count, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.physics import step as stepping, types as ph
 from surface_gym.physics.collision import read_body
@@ -247,7 +247,8 @@ def run_all(
     if isinstance(workers, Cluster):
         _run_on_nodes(surfaces, bodies, arrays, dt, workers, on_progress)
     else:
-        _run_in_threads(surfaces, bodies, arrays, dt, workers, on_progress)
+        threads = check_count("workers", workers)
+        _run_in_threads(surfaces, bodies, arrays, dt, threads, on_progress)
     pose, velocity = arrays.state[:, :3].copy(), arrays.state[:, 3:6].copy()
     for k, parcel in enumerate(parcels):
         if parcel.centre_of_mass != (0.0, 0.0):

@@ -397,8 +397,9 @@ def success_map(
         on_progress: called with the runs done and their total.
 
     Raises:
-        ValueError: a speed that is not from 0 to 20, a size that is not positive or too large, a
-            checkpoint of another map or none at all, or no columns are enough.
+        ValueError: speeds or sizes that do not rise, a speed that is not from 0 to 20, a size that
+            is not positive or too large, a checkpoint of another map or none at all, or no columns
+            are enough.
     """
     wanted_speeds = np.linspace(0.1, max(3.0, 1.5 * case.speed), 40) if speeds is None else speeds
     wanted_sizes = np.linspace(0.5, 1.5, 40) if sizes is None else sizes
@@ -407,6 +408,8 @@ def success_map(
     for name, values in (("speeds", over), ("sizes", factors)):
         if len(values) == 0:
             raise ValueError(f"{name} must be at least one, got none")
+        if (np.diff(values) <= 0.0).any():
+            raise ValueError(f"{name} must rise, got {values[0]:g} to {values[-1]:g}")
     for speed in over.tolist():
         checks.within("speeds", speed, 0.0, 20.0)
     for size in factors.tolist():

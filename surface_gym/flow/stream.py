@@ -17,6 +17,7 @@ from surface_gym.tasks.start import parcel_option
 
 Of = TypeVar("Of")
 
+LAWS = "Steady, Spread, Poisson, Schedule or a Trace"
 EVERY_THREE_SECONDS = Steady(rate=1200.0)
 
 
@@ -49,11 +50,7 @@ class Stream:
     speeds: Any = 1.5  # [m/s] of every parcel, or the bounds of a uniform draw
 
     def __post_init__(self) -> None:
-        if not isinstance(self.arrivals, (Law, Trace)):
-            raise ValueError(
-                f"arrivals must be Steady, Spread, Poisson, Schedule or a Trace, "
-                f"got {self.arrivals!r}"
-            )
+        checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
         set_field = object.__setattr__
         set_field(self, "parcels", _parcels(self.parcels))
         if self.destinations is not None:

@@ -13,7 +13,7 @@ from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.exits import flow_line
-from surface_gym.flow.stream import Stream
+from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.jit import inlined
@@ -48,31 +48,35 @@ class StreamActions(ActionKind):
             return self.parts.space()
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
-    def commands(self, actions: Any, parcels: int) -> NDArray[Any]:
-        """Turn the actions of so many surfaces into commands (surfaces, size)."""
+    def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
+        """Turn the actions of so many surfaces, or the one of one, into commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
-        if given.shape != (parcels, self.size):
-            raise ValueError(
-                f"action must have the shape {(self.size,)} in each environment, got {given.shape}"
-            )
-        gate = given[:, -1]
-        choices = self.parts.commands(given[:, :-1], parcels)
+        each = "" if parcels is None else " in each environment"
+        if given.shape != ((self.size,) if parcels is None else (parcels, self.size)):
+            raise ValueError(f"action must have the shape {(self.size,)}{each}, got {given.shape}")
+        gate = given[..., -1]
+        choices = self.parts.commands(given[..., :-1], parcels)
         if ((gate < 0) | (gate >= self.gates)).any():
             raise ValueError(
                 f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"
             )
-        return np.concatenate([choices, gate[:, np.newaxis]], axis=1)
+        return np.concatenate([choices, gate.reshape(-1, 1)], axis=1)
 
 
 ACTIONS = ("modules", "parcels")
 MOST_PARCELS = 256
 LEVELLING = 0.01  # [rad] a slope that makes up for what rolling costs: tan(tilt) = mu_min
 STEEPEST = math.radians(15.0)
+
+STREAM = (
+    "a Stream of surface_gym.flow.stream, as Stream(Poisson(rate=900.0), speeds=1.5), whose "
+    f"arrivals are {LAWS}"
+)
 
 SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole earns
 
@@ -125,8 +129,7 @@ class StreamTask(Task):
     memories = 1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.stream, Stream):
-            raise ValueError(f"stream must be a Stream, got {self.stream!r}")
+        checks.instance("stream", self.stream, Stream, STREAM)
         set_field = object.__setattr__
         set_field(self, "parcels", self.stream.kinds)
         super().__post_init__()
@@ -138,7 +141,7 @@ class StreamTask(Task):
             ("ahead", checks.AHEAD),
         ):
             set_field(self, name, checks.not_negative(name, getattr(self, name), most))
-        set_field(self, "tilt", checks.within("tilt", self.tilt, -STEEPEST, STEEPEST))
+        set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
         set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
         checks.one_of("gate", self.gate, (False, True))
         if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
@@ -186,12 +189,24 @@ class StreamTask(Task):
             raise ValueError("gate must be False where orientations are 'any', got True")
         if not config.site.rotor.any():
             raise ValueError("line must have a rotor, got none")
+        if self.entry_gap > config.chosen_line.length:
+            raise ValueError(
+                f"entry_gap must be at most the line's length, {config.chosen_line.length:g} m, "
+                f"got {self.entry_gap!r}"
+            )
+        for each in () if isinstance(self.exits, str) else config.exits:
+            on_line = each.first < config.rotors_end and each.last > config.entry_x
+            if each.side and not on_line:
+                raise ValueError(
+                    f"exits must lie beside the rotors, from {config.entry_x:g} to "
+                    f"{config.rotors_end:g} m, got {each.name!r} from {each.first:g} to "
+                    f"{each.last:g} m"
+                )
         self.check_stream(self.stream, config)
 
     def check_stream(self, stream: Any, config: Any) -> None:
         """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
-        if not isinstance(stream, Stream):
-            raise ValueError(f"stream must be a Stream, got {stream!r}")
+        checks.instance("stream", stream, Stream, STREAM)
         stream.check(config.exits)
         line: BaseLine = config.chosen_line
         for parcel in stream.kinds:

@@ -94,11 +94,11 @@ class Entry:
     def __post_init__(self) -> None:
         for name, most in (
             ("position", checks.POSITION_ERROR),
-            ("angle", checks.ANGLE_ERROR),
             ("speed", checks.SPEED),
             ("turning", checks.SPIN),
         ):
             checks.not_negative(name, getattr(self, name), most)
+        checks.angle("angle", self.angle, 0.0, checks.ANGLE_ERROR)
 
     @property
     def params(self) -> tuple[float, float, float, float]:

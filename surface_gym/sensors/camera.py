@@ -67,7 +67,7 @@ class Camera(kalman.Observer):
         super().__post_init__()
         checks.positive("frame_rate", self.frame_rate, *checks.FRAME_RATE)
         checks.not_negative("position_noise", self.position_noise, checks.POSITION_ERROR)
-        checks.not_negative("angle_noise", self.angle_noise, checks.ANGLE_ERROR)
+        checks.angle("angle_noise", self.angle_noise, 0.0, checks.ANGLE_ERROR)
         if self.latency is not None:
             checks.within("latency", self.latency, 0.0, MOST_LATE / self.frame_rate)
 

@@ -88,7 +88,7 @@ class Task:
                 )
         object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
         checks.number("entry_offset", self.entry_offset)
-        checks.number("entry_turn", self.entry_turn)
+        checks.angle("entry_turn", self.entry_turn)
         if self.time_limit is not None:
             limit = checks.integer("time_limit", self.time_limit, least=1)
             object.__setattr__(self, "periods", limit)
@@ -178,12 +178,13 @@ def draws_default_parcels(task: Task) -> bool:
     return bool(task.parcels == parcels_to_draw(default))
 
 
-def rising(name: str, value: Any, low: float, high: float) -> tuple[float, float]:
+def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
     """Return two finite numbers in [low, high], the first not above the second, or raise an error."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
             f"{name} must be two rising numbers between {low:g} and {high:g}, got {value!r}"
+            + (f"; {hint}" if hint else "")
         )
     return first, last
 

@@ -118,14 +118,16 @@ class Orient(base.Task):
         super().__post_init__()
         set_field = object.__setattr__
         set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "angles", base.rising("angles", self.angles, -math.pi, math.pi))
+        set_field(
+            self, "angles", base.rising("angles", self.angles, -math.pi, math.pi, checks.DEGREES)
+        )
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and asked angle, each uniform."""
         pace, size, turn = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
-        angle = draw.within("angle", between(*self.angles, turn), -math.pi, math.pi)
+        angle = draw.angle("angle", between(*self.angles, turn), -math.pi, math.pi)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (angle,))
 
     def check_goal(self, goal: planning.Numbers) -> None:

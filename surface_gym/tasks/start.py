@@ -81,6 +81,10 @@ class Draw:
         """Return `option` for a number in [low, high]."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
+    def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
+        """Return `option` for an angle [rad] in [low, high]."""
+        return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
+
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
         """Return `option` for one of some numbers."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))

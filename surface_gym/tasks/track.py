@@ -165,7 +165,7 @@ asked one |
         super().__post_init__()
         set_field = object.__setattr__
         set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "tilts", rising("tilts", self.tilts, 0.0, HIGHEST_TILT))
+        set_field(self, "tilts", rising("tilts", self.tilts, 0.0, HIGHEST_TILT, checks.DEGREES))
         if not self.kinds:
             raise ValueError(f"kinds must be at least one, got {self.kinds!r}")
         for kind in self.kinds:
@@ -177,7 +177,7 @@ asked one |
         """
         pace, slant, size, which = draw.numbers[:4]
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
-        tilt = draw.within("tilt", between(*self.tilts, slant), 0.0, HIGHEST_TILT)
+        tilt = draw.angle("tilt", between(*self.tilts, slant), 0.0, HIGHEST_TILT)
         parcel = draw.parcel(self.parcels, size)
         x, y = self._paths(draw, which)
         first, step = x[:, 0], (x[:, -1] - x[:, 0]) / (PATH_POINTS - 1)

@@ -66,7 +66,7 @@ def compare(options: Options) -> None:
     from surface_gym.validation.simulation import load_mujoco
     from surface_gym.validation.study import run_study
 
-    workers = choose_workers(options.cluster, checks.integer("workers", options.workers, least=1))
+    workers = choose_workers(options.cluster, options.workers)
     checks.integer("seed", options.seed, least=0)
     if not options.tilts:
         raise ValueError("tilts must be at least one, got none")

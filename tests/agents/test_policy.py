@@ -88,6 +88,10 @@ def test_a_round_trip_predicts_what_an_environment_takes(name, tmp_path) -> None
     actions, _ = after.predict(random)
     np.testing.assert_array_equal(actions, before.predict(random)[0])
     assert len(np.unique(actions)) > 1
+    random[7, 0] = np.nan
+    for wrong in (random, None, "left"):
+        with pytest.raises(ValueError, match=r"observation must be .*, got (nan|None|'left')"):
+            after.predict(wrong)
     for one, action in zip(random[:5], actions, strict=False):
         np.testing.assert_array_equal(after.predict(one)[0], action)
 
@@ -355,3 +359,9 @@ def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
     many, _ = policy.predict(tables)
     assert many.shape == (3, 49)
     assert np.array_equal(policy.predict(tables[1])[0], many[1])
+    for wrong, message in (
+        (np.nan * tables, "be finite, got nan"),
+        (tables[0, 0], "have the shape"),
+    ):
+        with pytest.raises(ValueError, match=f"observation must {message}"):
+            policy.predict(wrong)

@@ -82,6 +82,25 @@ def test_an_error_names_the_flag():
             asked(*flags).case()
 
 
+def test_an_assumed_entry_speed_is_said(tmp_path, capsys):
+    flags = ["columns", "--parcel", "S", "--rows", "2", "--draws", "1", "--out", str(tmp_path)]
+    for given in ([], ["--speed", "1.0"]):
+        cli.main([*flags, *given])
+        first = capsys.readouterr().out.splitlines()[0]
+        assert first.endswith("an entry speed of 1 m/s is assumed.") == (not given)
+    assert asked("--parcel", "S").case().speed == 1.0
+
+
+def test_speeds_of_a_map_must_rise(tmp_path, capsys):
+    out = ("--parcel", "S", "--draws", "1", "--out", str(tmp_path))
+    assert refused(capsys, "map", *out, "--speeds", "1", "0.5") == "speeds must rise, got 1 to 0.5"
+
+
+def test_more_workers_than_any_machine_has_are_refused(capsys):
+    said = refused(capsys, "columns", "--parcel", "S", "--workers", "100000")
+    assert said.startswith("workers must be at most 32 for each usable core")
+
+
 OWN = ("--parcel", "0.3x0.4", "--speed", "1.2", "--draws", "4", "--workers", "1")
 QUICK = {
     "speed": ("--highest", "1.5"),

@@ -106,6 +106,8 @@ def test_errors_name_what_came():
         ([-1.0], [1.0], r"speeds must be between 0 and 20, got -1\.0"),
         ([1.0], [0.0], r"sizes must be greater than 0, got 0\.0"),
         ([], [1.0], "speeds must be at least one, got none"),
+        ([1.0, 0.5], [1.0], r"speeds must rise, got 1 to 0\.5"),
+        ([1.0], [0.8, 0.8], r"sizes must rise, got 0\.8 to 0\.8"),
         ([1.0], [1.0, 40.0], "base must cover at most 4096 elements"),
     ):
         with pytest.raises(ValueError, match=error):

@@ -244,5 +244,6 @@ def test_it_draws_as_the_single_env_does_and_without_a_mode_not_at_all() -> None
     env.close()
     env = agents_of()
     env.reset(seed=0)
-    assert env.render() is None
+    with pytest.warns(UserWarning, match="without specifying any render mode"):
+        assert env.render() is None
     env.close()

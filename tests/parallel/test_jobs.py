@@ -19,7 +19,7 @@ import ray
 from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
 
-from surface_gym import parallel, ray_executor
+from surface_gym import checks, parallel, ray_executor
 from surface_gym.agents.evaluation.benchmark import compute_results
 from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
 from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
@@ -300,6 +300,15 @@ class TestProcesses:
         for workers in (0, -1, 1.5, True):
             with pytest.raises(ValueError, match="workers must be a whole number of at least 1"):
                 parallel.check_workers(workers)
+
+    def test_workers_are_bounded_by_the_cores(self):
+        most = checks.PER_CORE * parallel.usable_cores()
+        assert parallel.choose_workers(None, most) == most
+        for call in (parallel.check_workers, lambda n: list(map_jobs([], n))):
+            with pytest.raises(
+                ValueError, match=f"^workers must be .* core, {most} here, got 1000"
+            ):
+                call(100_000)
 
     def test_the_next_job_is_taken_when_a_worker_is_free(self):
         """So that a job may be made by results of those before."""
