@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from surface_gym import checks, files, parallel
-from surface_gym.cli import TRAIN, command_line
-from surface_gym.tasks import TASKS
+from surface_gym.cli import TRAIN, command_line, typed
 
 from ..learning.config import RENAMED, TrainConfig, defaults
-from ..learning.runs import CURVE_EVERY
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -101,6 +99,8 @@ class Sweep:
             checks.integer(name, getattr(self, name), least=1)
         for name in ("seed", "startup_trials"):
             checks.integer(name, getattr(self, name), least=0)
+        from ..learning.runs import CURVE_EVERY
+
         least = (self.evaluations + 1) * CURVE_EVERY  # each evaluation has a row of the curve
         checks.integer(f"steps, with {self.evaluations} evaluations,", self.steps, least)
         if not self.space:
@@ -164,6 +164,8 @@ def differences(sweep: Sweep, other: Sweep) -> list[str]:
 
 
 def _read(plain: Any, task: str | None) -> Sweep:
+    from surface_gym.tasks import TASKS
+
     if not isinstance(plain, dict):
         raise ValueError(f"it must hold names and values, got {plain!r}")
     known = [each.name for each in fields(Sweep)]
@@ -203,7 +205,7 @@ FILE = "sweep.yml"  # in a search's folder
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Search hyper-parameters; an error ends it with one line."""
-    parser = argparse.ArgumentParser(prog="surface-gym tune", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog=typed("tune"), description=main.__doc__)
     parser.add_argument("file", type=Path, help="what to search, as docs/search.md says")
     parser.add_argument("--task", help="custom task of the search, as path/to/file.py:Class")
     parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for searches")

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as ScreenTable
 
 from surface_gym import checks, design, layouts, lines, parallel
+from surface_gym.cli import typed
 from surface_gym.design import runs, search
 from surface_gym.design.columns import columns_report
 from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
@@ -376,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line and status 2."""
     question = tyro.extras.subcommand_cli_from_dict(
         QUESTIONS,
-        prog="python -m surface_gym.design",
+        prog=typed("design"),
         description="Which surface does a parcel of your own need?",
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
