@@ -1,4 +1,4 @@
-"""A surface to play with: `python -m surface_gym.play`.
+"""A surface to play with: `surface-gym play`.
 
 The keys 1 2 3 4 stand for axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
 
@@ -14,21 +14,26 @@ many parcels come.
 
 import argparse
 import math
+import os
+import subprocess
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from surface_gym.cli import typed
 from surface_gym.config import ENV_TASKS, EnvConfig
 from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import StreamTask
-from surface_gym.rendering import Painter, Scene, Window
+from surface_gym.rendering import Painter, Scene, Window, ink
+from surface_gym.rendering.painter import UNSEEN
 from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Draw, parcel_option
@@ -49,13 +54,21 @@ FIRST_BRUSH = 2  # -45 deg: to the left
 MORE = (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS)
 FEWER = (pygame.K_MINUS, pygame.K_KP_MINUS)
 
+KEY_SIZE, KEY_LINE = 20, 26  # [px] of the font that names the keys, and from line to line
+ALWAYS = "Space: pause    R: again    Esc: end"
+ANSWER = 10.0  # [s] that a display is given to answer
+PROBE = "import pygame; pygame.display.init(); print(pygame.display.get_driver())"
+
 
 class Game(ABC):
     """A surface that a player commands by keys and mouse."""
 
+    keys: tuple[str, ...]  # and what they do, in lines
+
     def __init__(self, batch: BaseBatch) -> None:
         self._renderer = Renderer(batch)
         self._painter = Painter()
+        self._help: NDArray[np.uint8] | None = None
         self._paused = False
         self.over = False  # the player has left
 
@@ -80,8 +93,11 @@ class Game(ABC):
             self._take_key(event.key, event.mod)
 
     def draw(self) -> NDArray[np.uint8]:
-        """Draw the picture (height, width, 3) of now."""
-        return self._painter.draw(self._scene())
+        """Draw the picture (height, width, 3) of now, above the keys."""
+        picture = self._painter.draw(self._scene())
+        if self._help is None:
+            self._help = _draw_lines(self.keys, picture.shape[1])
+        return np.concatenate([picture, self._help])
 
     def _restart(self) -> None:
         """Begin again."""
@@ -115,6 +131,12 @@ class Game(ABC):
 
 class TaskGame(Game):
     """One parcel on the surface of a task."""
+
+    keys = (
+        "press: put the parcel there    drag: push it    Tab: turn its start    S, B: choose it",
+        "1 2 3 4: axes at 0, 45, -45, 90°    Shift: ahead of the parcel    Ctrl: behind it",
+        ALWAYS,
+    )
 
     def __init__(self, task: str) -> None:
         config = EnvConfig(task, actions="halves")
@@ -169,9 +191,21 @@ class TaskGame(Game):
         self._batch.place(ONLY, self._start)
         self._batch.begin(ONLY)
 
+    def _scene(self) -> Scene:
+        scene, parcels = super()._scene(), self._batch.parcels
+        if parcels.outcome[0] == RUNNING or parcels.on_rotors[0] or parcels.steps[0] > 1:
+            return scene
+        return replace(scene, readings=(*scene.readings[:-1], ("no start", "off the line")))
+
 
 class StreamGame(Game):
     """A stream of parcels on a line with chutes, whose modules the player turns."""
+
+    keys = (
+        "1 2 3 4: choose 0, 45, -45, 90°    press and draw: turn modules to it    "
+        "with Shift: turn all    + -: more or fewer parcels",
+        ALWAYS,
+    )
 
     def __init__(self, task: str = "flow") -> None:
         # More than ever come: their times are set by the rate that the player asks for.
@@ -244,19 +278,50 @@ class StreamGame(Game):
         return replace(scene, axis=axis, readings=readings)
 
 
+def check_display() -> None:
+    """Raise a RuntimeError unless there is a display to open a window on.
+
+    Without one SDL shows nothing to nobody, and one that does not answer holds it up for ever: it
+    is tried in a process of its own.
+    """
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    given = ", ".join(f"{name}={os.environ[name]}" for name in names if os.environ.get(name))
+    wanted = f"play needs a display to open its window on, got {given or 'no DISPLAY'}"
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=ANSWER
+        )
+    except subprocess.TimeoutExpired:
+        raise RuntimeError(f"{wanted}, which does not answer within {ANSWER:g} s") from None
+    if probe.returncode or probe.stdout.split()[-1:] in [[driver] for driver in UNSEEN]:
+        raise RuntimeError(wanted)
+
+
+def _draw_lines(lines: Sequence[str], width: int) -> NDArray[np.uint8]:
+    """Draw lines of text as a strip of a width [px]."""
+    canvas = pygame.Surface((width, KEY_LINE * len(lines) + 8))
+    canvas.fill(ink.PAPER)
+    for k, line in enumerate(lines):
+        middle = (24, KEY_LINE * k + KEY_LINE // 2)
+        ink.write(canvas, line, KEY_SIZE, ink.FAINT_INK, width - 48, midleft=middle)
+    return np.asarray(pygame.surfarray.array3d(canvas).swapaxes(0, 1))
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Play until the player leaves."""
     parser = argparse.ArgumentParser(
-        prog="python -m surface_gym.play",
+        prog=typed("play"),
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--task", choices=ENV_TASKS, default="sort", help="surface and goal")
     task = parser.parse_args(arguments).task
     stream = issubclass(ENV_TASKS[task], StreamTask)
-    game: Game = StreamGame(task) if stream else TaskGame(task)
     window = Window("Smart surface", FRAME_RATE)
     try:
+        check_display()
+        print("opening a window; Escape ends")
+        game: Game = StreamGame(task) if stream else TaskGame(task)
         window.show(game.draw())
         while not (game.over or window.closed):
             for event in pygame.event.get():
