@@ -11,7 +11,16 @@ import pytest
 
 from surface_gym import play
 from surface_gym.flow.state import JAM
-from surface_gym.play import FASTEST, FIRST_RATE, RATE_STEP, SLOWEST, Game, StreamGame, TaskGame
+from surface_gym.game import (
+    FASTEST,
+    FIRST_RATE,
+    KEY_SIZE,
+    RATE_STEP,
+    SLOWEST,
+    Game,
+    StreamGame,
+    TaskGame,
+)
 from surface_gym.rendering import ink
 from surface_gym.state import RUNNING
 
@@ -220,7 +229,7 @@ def test_the_keys_stand_on_the_screen(make):
     keys = picture[len(surface) :]
     lines = [keys[26 * k : 26 * (k + 1)] for k in range(len(game.keys))]
     assert all((line[:, 24:] != keys[0, 0]).any() for line in lines)
-    assert all(ink.text_width(line, play.KEY_SIZE) <= keys.shape[1] - 48 for line in game.keys)
+    assert all(ink.text_width(line, KEY_SIZE) <= keys.shape[1] - 48 for line in game.keys)
     assert "Esc" in game.keys[-1]
 
 
