@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import tyro
 
-from surface_gym.cli import TRAIN, command_line
+from surface_gym.cli import TRAIN, command_line, typed
 from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 from surface_gym.registration import FLOW_TASK
 
@@ -145,7 +145,7 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
         default=command(default, Options()),
         config=(tyro.conf.OmitArgPrefixes,),
         args=arguments,
-        prog=command_line(TRAIN),
+        prog=typed("train"),
         description="Train an agent, resume a run, or search hyper-parameters.",
     )
     return parsed.training

@@ -50,7 +50,7 @@ class BenchmarkConfig:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `python -m benchmarks` with some arguments; None: the process's own."""
-    config = tyro.cli(BenchmarkConfig, args=arguments)
+    config = tyro.cli(BenchmarkConfig, prog="python -m benchmarks", args=arguments)
     console = Console()
     if config.device == "cuda":
         try:

@@ -349,7 +349,7 @@ def _results_table(results: list[tuple[Target, str, float]]) -> Table:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `python -m benchmarks.mutation` with some arguments; None: the process's own."""
-    config = tyro.cli(MutationConfig, args=arguments)
+    config = tyro.cli(MutationConfig, prog="python -m benchmarks.mutation", args=arguments)
     console = Console()
     try:
         targets = _choose_targets(config.modules)

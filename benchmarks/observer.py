@@ -339,7 +339,7 @@ def errors_table(found: dict[tuple[str, str], Errors]) -> Table:
 
 def main() -> None:
     """Run `python -m benchmarks.observer`."""
-    config = tyro.cli(ObserverConfig)
+    config = tyro.cli(ObserverConfig, prog="python -m benchmarks.observer")
     console = Console(width=200)
     console.print(errors_table(measure(config, console)))
 

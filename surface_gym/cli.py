@@ -12,7 +12,6 @@ NAME = "surface-gym"
 # A file of the checkout, or the command of the installed package.
 _IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
 TRAIN = ("python", "train.py") if _IN_CHECKOUT else (NAME, "train")
-EVALUATE = ("python", "evaluate.py") if _IN_CHECKOUT else (NAME, "evaluate")
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
 OPTIONAL = ("matplotlib", "moviepy", "mujoco", "rich", "stable_baselines3", "torch", "tyro", "yaml")
@@ -31,11 +30,11 @@ COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
     "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.sweep"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
-    "design": Command("choose a surface for your own parcel", "surface_gym.design.cli"),
+    "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
-    "play": Command("push a parcel with the mouse, turn axes by keys", "surface_gym.play"),
-    "paper": Command("compare the study's tables with ours", "surface_gym.paper.command"),
+    "play": Command("push a parcel with the mouse, turn axes by keys", "surface_gym.play", "tools"),
+    "paper": Command("compare the study's tables with ours", "surface_gym.paper.command", "tools"),
     "validation": Command(
         "compare the model with MuJoCo", "surface_gym.validation.command", "validation"
     ),
@@ -45,6 +44,15 @@ COMMANDS = {
 def command_line(program: Sequence[str], *arguments: str) -> str:
     """Join a program, such as `TRAIN`, and its arguments into a line for a shell."""
     return shlex.join([*program, *arguments])
+
+
+def typed(name: str) -> str:
+    """Return a command as it was typed: `surface-gym design`, `python -m surface_gym.design`."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    if spec is not None and spec.name.startswith("surface_gym."):
+        return f"python -m {spec.name.removesuffix('.__main__')}"
+    file = Path(sys.argv[0]).name
+    return f"python {file}" if file == f"{name}.py" else f"{NAME} {name}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

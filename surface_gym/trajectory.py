@@ -204,7 +204,7 @@ class Trajectory:
             from surface_gym.trajectory_plot import draw_trajectory
         except ModuleNotFoundError as error:
             raise ImportError(
-                f"a plot needs matplotlib ({error}): pip install 'surface_gym[agents]'"
+                f"a plot needs matplotlib ({error}): pip install 'surface_gym[tools]'"
             ) from None
         figure = draw_trajectory(self)
         if path is not None:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,7 @@ MISSING = [
 ]  # fmt: skip
 
 
+ROOT = Path(__file__).parents[1]
 Printed = pytest.CaptureFixture[str]
 
 
@@ -27,9 +29,58 @@ def ended(*arguments: str) -> int:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help(name, capsys):
+def test_every_command_has_help_that_names_it(name, capsys):
     assert ended(name, "--help") == 0
-    assert "usage:" in capsys.readouterr().out
+    assert f"usage: surface-gym {name} [" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "train.py", "evaluate.py", "-m surface_gym.design", "-m surface_gym.design columns",
+        "-m surface_gym.paper", "-m surface_gym.play", "-m surface_gym.validation", "-m benchmarks",
+        "-m benchmarks.mutation",
+    ],
+)  # fmt: skip
+def test_a_usage_line_names_the_command_that_was_typed(typed):
+    done = subprocess.run(
+        [sys.executable, *typed.split(), "--help"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert f"usage: python {typed} [" in " ".join(done.stdout.split()), done.stderr
+
+
+# What comes with the extra `agents` and not with `tools`.
+ABSENT = ("torch", "stable_baselines3", "pandas", "moviepy", "tqdm", "tensorboard")
+# As where they are not installed: tyro imports those whose names are in `sys.modules`.
+WITHOUT = f"""
+import importlib, pkgutil, sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {ABSENT!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+from surface_gym.cli import main
+"""
+
+
+def test_design_answers_without_torch(tmp_path):
+    arguments = ["design", "columns", "--parcel", "S", "--draws", "2", "--out", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-c", f"{WITHOUT}main({arguments!r})"], capture_output=True, text=True
+    )
+    assert (tmp_path / "columns.png").is_file(), done.stderr
+
+
+@pytest.mark.parametrize("name", ["design", "paper", "play"])
+def test_no_module_of_a_tool_needs_torch(name):
+    program = (
+        f"{WITHOUT}top = importlib.import_module('surface_gym.{name}')\n"
+        "for each in pkgutil.walk_packages(getattr(top, '__path__', []), top.__name__ + '.'):\n"
+        "    importlib.import_module(each.name)\n"
+        f"main(['{name}', '--help'])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert f"usage: surface-gym {name} [" in done.stdout, done.stderr
 
 
 def test_help_lists_all_commands_and_there_is_a_version(capsys):

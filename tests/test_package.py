@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.cli import COMMANDS
 from surface_gym.config import ENV_TASKS
 from surface_gym.registration import PERIODS
 from surface_gym.tasks import TASKS
@@ -17,20 +18,23 @@ from tests.environments import IDS, TWINS, every_id
 
 HEAVY = {
     "torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro", "pandas", "ray",
+    "onnx", "optuna", "osqp", "scipy.optimize",
 }  # fmt: skip
 SIMULATE = (
     "import surface_gym as sg\n"
     "sg.simulate(sg.layouts.sorting(), sg.layouts.box('S'), (1.0, 1.0, 0.0), duration=0.1)"
 )
-HELP = (
-    "from surface_gym.agents.train_cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
-)
+HELP = "from surface_gym.cli import main\ntry: main([{!r}, '--help'])\nexcept SystemExit: pass"
 
 
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
-    [("import surface_gym", 3, set()), (SIMULATE, 65, set()), (HELP, 20, {"tyro", "rich"})],
-    ids=["import", "simulate", "train --help"],
+    [
+        ("import surface_gym", 3, set()),
+        (SIMULATE, 65, set()),
+        *((HELP.format(name), 16, {"tyro", "rich"}) for name in COMMANDS),
+    ],
+    ids=["import", "simulate", *COMMANDS],
 )
 def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
     done = subprocess.run(
@@ -41,6 +45,7 @@ def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, neede
     )
     loaded = done.stdout.splitlines()[-1].split()
     assert set(loaded) & HEAVY <= needed
+    assert program == SIMULATE or "numba" not in loaded
     assert sum(name.startswith("surface_gym") for name in loaded) <= most
 
 

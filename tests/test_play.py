@@ -1,12 +1,28 @@
 """Playing: what keys and mouse do, without a screen."""
 
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pygame
 import pytest
 
 from surface_gym import play
 from surface_gym.flow.state import JAM
-from surface_gym.play import FASTEST, FIRST_RATE, RATE_STEP, SLOWEST, Game, StreamGame, TaskGame
+from surface_gym.game import (
+    FASTEST,
+    FIRST_RATE,
+    KEY_SIZE,
+    RATE_STEP,
+    SLOWEST,
+    Game,
+    StreamGame,
+    TaskGame,
+)
+from surface_gym.rendering import ink
+from surface_gym.state import RUNNING
 
 MIDDLE = (480, 355)  # [px] about the line's middle, of one parcel
 RIGHT_TURN, ROLL = 1, 3  # choices: 45 and 90 deg
@@ -50,6 +66,19 @@ class TestOneParcel:
         x, y, _, vx, vy, omega = self.truth(game)
         assert (x, y) == pytest.approx((1.5, 1.0), abs=0.06)
         assert (vx, vy, omega) == pytest.approx((0.2, 0.2, 0.0))
+
+    @pytest.mark.parametrize("y", [0.4, 1.28, 1.6])
+    def test_a_parcel_dropped_beside_the_line_is_no_success(self, game, y):
+        game._move_start((2.0, y), (2.0, y))
+        game.advance()
+        assert game._scene().readings[-1] == ("no start", "off the line")
+        assert "end" not in dict(game._scene().readings)
+
+    def test_one_that_leaves_the_line_has_an_end(self, game):
+        game._move_start((1.0, 1.0), (1.0, 2.0))
+        while game._batch.parcels.outcome[0] == RUNNING:
+            game.advance()
+        assert dict(game._scene().readings)["end"] == "success"
 
     def test_it_waits_while_the_mouse_is_pressed(self, game):
         game.take(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=MIDDLE, button=1))
@@ -189,9 +218,64 @@ class TestStream:
         assert game._batch.streams.clock[0] > 0.0
 
 
+@pytest.mark.parametrize("make", [lambda: TaskGame("sort"), StreamGame], ids=["parcel", "stream"])
+def test_the_keys_stand_on_the_screen(make):
+    game = make()
+    surface, picture = game._painter.draw(game._scene()), game.draw()
+    assert (picture[: len(surface)] == surface).all()  # so the mouse finds the same places
+    keys = picture[len(surface) :]
+    lines = [keys[26 * k : 26 * (k + 1)] for k in range(len(game.keys))]
+    assert all((line[:, 24:] != keys[0, 0]).any() for line in lines)
+    assert all(ink.text_width(line, KEY_SIZE) <= keys.shape[1] - 48 for line in game.keys)
+    assert "Esc" in game.keys[-1]
+
+
+@pytest.mark.parametrize("driver", ["offscreen", "dummy", "no such driver"])
+def test_without_a_display_it_ends_with_one_line(driver):
+    program = "import sys; from surface_gym.cli import main; main(['play'])"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "SDL_VIDEODRIVER": driver},
+        timeout=120,
+    )
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr == (
+        f"error: play needs a display to open its window on, got SDL_VIDEODRIVER={driver}\n"
+    )
+
+
+def test_a_display_that_sdl_replaces_unasked_is_none(monkeypatch):
+    """Where DISPLAY is not set, or names no server, SDL draws where nobody sees it."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    given = SimpleNamespace(returncode=0, stdout="pygame-ce 2.5\noffscreen\n")
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: given)
+    with pytest.raises(SystemExit, match=r"^error: play needs a display .*, got no DISPLAY$"):
+        play.main([])
+    given.stdout = "x11\n"
+    play.check_display()
+
+
+def test_a_display_that_does_not_answer_is_given_up(monkeypatch):
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(play, "PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(play, "ANSWER", 0.2)
+    monkeypatch.setenv("DISPLAY", "localhost:7")
+    with pytest.raises(
+        RuntimeError, match=r"DISPLAY=localhost:7, which does not answer within 0.2"
+    ):
+        play.check_display()
+
+
 @pytest.mark.usefixtures("screen")
 @pytest.mark.parametrize("arguments", [[], ["--task", "flow"]], ids=["one parcel", "stream"])
 def test_escape_ends(arguments, monkeypatch):
+    monkeypatch.setattr(play, "check_display", lambda: None)
     escape = pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE, mod=0)
     monkeypatch.setattr(pygame.event, "get", lambda *_: [escape] if not _ else [])
     play.main(arguments)

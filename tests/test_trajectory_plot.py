@@ -133,7 +133,5 @@ def test_without_matplotlib_the_error_says_what_to_install(monkeypatch):
     monkeypatch.delitem(sys.modules, "surface_gym.trajectory_plot", raising=False)
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(
-        ImportError, match=r"needs matplotlib .* pip install 'surface_gym\[agents]'"
-    ):
+    with pytest.raises(ImportError, match=r"needs matplotlib .* pip install 'surface_gym\[tools]'"):
         sort().plot()

@@ -10,17 +10,14 @@ import tyro
 from rich.console import Console
 
 from surface_gym import checks, parallel
-from surface_gym.cli import EVALUATE, command_line
-from surface_gym.registration import FLOW_TASK
-from surface_gym.tasks import TASKS
-
-from ..library import find_task, task_files
+from surface_gym.cli import typed
+from surface_gym.registration import FLOW_TASK, PERIODS
 
 if TYPE_CHECKING:
     from .methods import Method
     from .report import Section
 
-TASK_NAMES = (FLOW_TASK, *TASKS)
+TASK_NAMES = (FLOW_TASK, *(name for name in PERIODS if name != FLOW_TASK))
 LOADING = "loading what compares"
 STARTS = 240  # of the sweep, at each level
 
@@ -62,6 +59,8 @@ class EvaluateConfig:
         for task in self.tasks:
             checks.one_of("tasks", task, TASK_NAMES)
         if self.task is not None:
+            from ..library import find_task
+
             find_task(self.task)
         if not self.tasks:
             raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
@@ -70,6 +69,8 @@ class EvaluateConfig:
 
 def evaluate(config: EvaluateConfig, console: Console) -> None:
     """Compare, and leave a folder with tables, plots, videos and a page."""
+    from ..library import task_files
+
     workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
         with console.status(LOADING):
@@ -142,7 +143,7 @@ def _forget(config: EvaluateConfig, *files: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare; an error ends it with one line."""
-    config = tyro.cli(EvaluateConfig, prog=command_line(EVALUATE), args=arguments)
+    config = tyro.cli(EvaluateConfig, prog=typed("evaluate"), args=arguments)
     try:
         evaluate(config, Console())
     except (ValueError, parallel.WorkFailed) as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from surface_gym import checks
+from surface_gym.cli import typed
 from surface_gym.files import replacing
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def make_metadata(source: "Source") -> dict[str, str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Export; an error ends it with one line."""
-    config = tyro.cli(ExportConfig, prog="surface-gym export", args=arguments)
+    config = tyro.cli(ExportConfig, prog=typed("export"), args=arguments)
     try:
         exported = export(config.source(), config.out, config.observations, config.formats)
     except ModuleNotFoundError:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from surface_gym.cli import typed
+
 from ..learning.config import current_option
 from .config import RuntimeConfig, find_token, parse_address
 from .report import Run, make_report, show_report, write_report
@@ -192,7 +194,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line."""
     given = map(current_option, sys.argv[1:] if arguments is None else arguments)
-    config = tyro.cli(RuntimeConfig, prog="surface-gym runtime", args=list(given))
+    config = tyro.cli(RuntimeConfig, prog=typed("runtime"), args=list(given))
     from rich.console import Console
 
     try:

@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surface_gym import checks, files, parallel
-from surface_gym.cli import TRAIN, command_line
+from surface_gym.cli import TRAIN, command_line, typed
 from surface_gym.files import DAMAGE, describe_damage
-from surface_gym.tasks import TASKS
 
 from ..learning.config import RENAMED, TrainConfig, defaults
-from ..learning.runs import CURVE_EVERY
 from ..yaml_file import read_yaml
 
 if TYPE_CHECKING:
@@ -102,6 +100,8 @@ class Sweep:
             checks.integer(name, getattr(self, name), least=1)
         for name in ("seed", "startup_trials"):
             checks.integer(name, getattr(self, name), least=0)
+        from ..learning.runs import CURVE_EVERY
+
         least = (self.evaluations + 1) * CURVE_EVERY  # each evaluation has a row of the curve
         checks.integer(f"steps, with {self.evaluations} evaluations,", self.steps, least)
         if not self.space:
@@ -165,6 +165,8 @@ def differences(sweep: Sweep, other: Sweep) -> list[str]:
 
 
 def _read(plain: dict[str, Any], task: str | None) -> Sweep:
+    from surface_gym.tasks import TASKS
+
     known = [each.name for each in fields(Sweep)]
     for name in plain:
         checks.one_of("a name", name, known)
@@ -202,7 +204,7 @@ FILE = "sweep.yml"  # in a search's folder
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Search hyper-parameters; an error ends it with one line."""
-    parser = argparse.ArgumentParser(prog="surface-gym tune", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog=typed("tune"), description=main.__doc__)
     parser.add_argument("file", type=Path, help="what to search, as docs/search.md says")
     parser.add_argument("--task", help="custom task of the search, as path/to/file.py:Class")
     parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for searches")

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import numpy as np
 import tyro
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -18,15 +17,17 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table as ScreenTable
 
-from surface_gym import checks, design, files, layouts, lines, parallel
-from surface_gym.design import runs, search
-from surface_gym.design.columns import columns_report
-from surface_gym.design.report import DPI, Answer, Table, format_cell, write_csv
-from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+import surface_gym as sg
+from surface_gym import checks, design, files, parallel
+from surface_gym.cli import typed
+
+if TYPE_CHECKING:
+    from surface_gym.design.report import Answer, Table
+    from surface_gym.design.runs import OnProgress
+    from surface_gym.parcel import Base
 
 STOPPED = 130  # status of a command that Ctrl-C ends
 ZONE = 16  # default columns of a searched layout
-SPEED = design.Case.speed  # [m/s] at entry, where none is given
 MASS = (
     "Mass cancels out of the motion: these answers hold for any mass. Only the inertia over the "
     "mass counts, and by itself it goes with the base."
@@ -36,14 +37,14 @@ Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
 MaybeDegrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
 MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
-Unknown = design.Unknown
-
-PURPOSES: tuple[Any, ...] = (design.Sort, design.Slow, design.Stop, design.Turn)
 
 
 @dataclass(frozen=True)
 class Question:
-    """A question about a parcel, its entry, its purpose and the unknown quantities."""
+    """A question about a parcel, its entry, its purpose and the unknown quantities.
+
+    Defaults are those of `Unknown`, `STEP` and `Effort`, written down here too: so help is quick.
+    """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
     """A rectangular base, length along the line by width, in m: 0.3x0.4. S and B are the study's
@@ -91,21 +92,21 @@ class Question:
     rows: MaybeInt = None
     """Rows of rotors; else as many as lie under the parcel."""
 
-    friction: float = Unknown.friction
+    friction: float = 0.2
     """Unknown: mu_max by up to this share."""
-    rolling: float = Unknown.rolling
+    rolling: float = 0.2
     """Unknown: mu_min and mu_support by up to this share."""
-    com_spread: float = Unknown.com_offset
+    com_spread: float = 0.1
     """Unknown: the centre of mass by up to this share of half the base."""
-    mass_spread: float = Unknown.mass
+    mass_spread: float = 0.0
     """Unknown: the mass at its inertia by up to this share."""
-    unevenness: float = Unknown.stiffness
+    unevenness: float = 0.35
     """Unknown: log-normal spread of the elements' stiffness; 0.35 is about 1 micrometre."""
-    lateral: float = Unknown.lateral
+    lateral: float = 0.0
     """Unknown: normal spread of the place across the line [m]."""
     heading_deg: Degrees = 0.0
     """Unknown: normal spread of the heading."""
-    speed_spread: float = Unknown.speed
+    speed_spread: float = 0.0
     """Unknown: normal spread of the entry speed [m/s]."""
     tilt_spread_deg: Degrees = 0.0
     """Unknown: normal spread of the tilt."""
@@ -113,7 +114,7 @@ class Question:
     """Of the unknown quantities."""
     seed: int = 0
     """Of the draws."""
-    step: float = runs.STEP
+    step: float = 0.005
     """[s] of the simulation."""
 
     workers: int = field(default_factory=parallel.usable_cores)
@@ -132,21 +133,21 @@ class Question:
         return None if self.file is None else self.out / self.file
 
     @abstractmethod
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         """Find the answer."""
 
     @property
     def shared_by(self) -> parallel.Workers:
         return parallel.choose_workers(self.cluster, self.workers)
 
-    def case(self) -> design.Case:
+    def case(self) -> "design.Case":
         _ = self.shared_by
         return design.Case(
             parcel=self._parcel(),
             purpose=self._purpose(),
-            speed=SPEED if self.speed is None else self.speed,
+            speed=design.Case.speed if self.speed is None else self.speed,
             tilt=math.radians(self.tilt_deg),
-            unknown=Unknown(
+            unknown=design.Unknown(
                 friction=self.friction,
                 rolling=self.rolling,
                 com_offset=self.com_spread,
@@ -166,12 +167,12 @@ class Question:
             step=self.step,
         )
 
-    def _parcel(self) -> Parcel:
+    def _parcel(self) -> "sg.Parcel":
         given = [name for name in ("parcel", "disc", "polygon") if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(f"--{name}" for name in given) or "none"
             raise ValueError(f"parcel must be one of --parcel, --disc and --polygon, got {found}")
-        return Parcel(
+        return sg.Parcel(
             base=self._base(),
             mass=10.0 if self.mass is None else self.mass,
             com_height=self.com_height,
@@ -179,29 +180,30 @@ class Question:
             com_offset=self.com_offset,
         )
 
-    def _base(self) -> Base:
+    def _base(self) -> "Base":
         if self.disc is not None:
-            return Disc(self.disc)
+            return sg.Disc(self.disc)
         if self.polygon is not None:
             corners = [corner.split(",") for corner in self.polygon.split()]
             if any(len(corner) != 2 for corner in corners):
                 raise ValueError(f"polygon must be 'X,Y X,Y X,Y', got {self.polygon!r}")
-            return Polygon(np.array([_numbers("polygon", corner) for corner in corners]))
+            return sg.Polygon([_numbers("polygon", corner) for corner in corners])
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
-            return layouts.box(self.parcel).base
+            return sg.layouts.box(self.parcel).base
         sides = self.parcel.split("x")
         if len(sides) != 2:
             raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
-        return Rectangle(*_numbers("parcel", sides))
+        return sg.Rectangle(*_numbers("parcel", sides))
 
-    def _purpose(self) -> design.Purpose:
+    def _purpose(self) -> "design.Purpose":
         given: dict[str, Any] = {
             name: getattr(self, name)
             for name in ("ratio", "place", "angle_deg", "tolerance")
             if getattr(self, name) is not None
         }
-        kind = next(kind for kind in PURPOSES if kind.name == self.purpose)
+        kinds: tuple[Any, ...] = (design.Sort, design.Slow, design.Stop, design.Turn)
+        kind = next(kind for kind in kinds if kind.name == self.purpose)
         own = {each.name for each in fields(kind)}
         for name in given:
             if name.removesuffix("_deg") not in own:
@@ -230,9 +232,11 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 class AskColumns(Question):
     """Find the fewest columns and rows for the purpose."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         if self.columns is not None:
             raise ValueError("columns must not be given: they are what is asked for")
+        from surface_gym.design.columns import columns_report
+
         return columns_report(self.case(), self.rows, self.shared_by, on_progress)
 
 
@@ -243,7 +247,7 @@ class AskSpeed(Question):
     highest: MaybeFloat = None
     """[m/s] entry speed to try; else 3, or half as much again as --speed."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.least_speed(
             self.case(), self.columns, self.rows, self.highest, self.shared_by, on_progress
         )
@@ -256,7 +260,7 @@ class AskTilt(Question):
     highest_deg: MaybeDegrees = None
     """Tilt to try; else 15, or half as much again as --tilt-deg."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
         return design.least_tilt(
             self.case(), self.columns, self.rows, highest, self.shared_by, on_progress
@@ -267,7 +271,7 @@ class AskTilt(Question):
 class AskFriction(Question):
     """Find the limits of friction along and across the axes."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.friction_range(
             self.case(), self.columns, self.rows, self.shared_by, on_progress
         )
@@ -288,7 +292,9 @@ class AskMap(Question):
 
     file = "map.npz"
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        import numpy as np
+
         case = self.case()
         checks.integer("cells", self.cells, least=1)
         ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
@@ -303,7 +309,7 @@ class AskMap(Question):
 class AskSensitivity(Question):
     """Find the effect of each unknown quantity alone."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
 
 
@@ -317,9 +323,9 @@ class AskLayout(Question):
     """[m/s] between them."""
     any_angle: bool = False
     """Search any axes, not 0, 45, -45 and 90 deg only."""
-    members: int = search.Effort.members
+    members: int = 40
     """Layouts in the search's population."""
-    epochs: int = search.Effort.epochs
+    epochs: int = 12
     """Of the search, of ten generations each."""
     resume: bool = False
     """Resume an interrupted search from its layout.npz in --out."""
@@ -327,7 +333,11 @@ class AskLayout(Question):
     file = "layout.npz"
     has_speed = False
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        import numpy as np
+
+        from surface_gym.design.search import Effort
+
         case = self.case()
         least, most = self.speeds
         step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
@@ -336,8 +346,8 @@ class AskLayout(Question):
         speeds = least + step * np.arange(math.floor((most - least) / step + 1e-6) + 1)
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
-            self.rows, None if self.any_angle else lines.ORIENTATIONS,
-            search.Effort(members=self.members, epochs=self.epochs), self.shared_by,
+            self.rows, None if self.any_angle else sg.lines.ORIENTATIONS,
+            Effort(members=self.members, epochs=self.epochs), self.shared_by,
             self.checkpoint, on_progress,
         )  # fmt: skip
 
@@ -346,7 +356,7 @@ class AskLayout(Question):
 class AskControl(Question):
     """Compare axes that follow the parcel with fixed layouts; needs the package `agents`."""
 
-    def answer(self, on_progress: runs.OnProgress) -> Answer:
+    def answer(self, on_progress: "OnProgress") -> "Answer":
         if self.rows is not None:
             raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
         if self.cluster is not None:
@@ -373,7 +383,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line and status 2."""
     question = tyro.extras.subcommand_cli_from_dict(
         QUESTIONS,
-        prog="python -m surface_gym.design",
+        prog=typed("design"),
         description="Which surface does a parcel of your own need?",
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
@@ -392,6 +402,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def ask(question: Question) -> None:
     """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
+    from surface_gym.design.report import DPI, write_csv
+
     question.case()  # errors come before the folder is made
     question.out.mkdir(parents=True, exist_ok=True)
     if question.checkpoint is not None and not getattr(question, "resume", False):
@@ -406,7 +418,7 @@ def ask(question: Question) -> None:
     console = Console()
     sentence = answer.sentence.removesuffix(".") + "."
     if question.speed is None and question.has_speed:
-        sentence += f" Without --speed, an entry speed of {SPEED:g} m/s is assumed."
+        sentence += f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
     console.print(escape(sentence), highlight=False, soft_wrap=True)
     if question.mass is not None and question.inertia is None:
         console.print(escape(MASS), highlight=False, soft_wrap=True)
@@ -419,7 +431,7 @@ def ask(question: Question) -> None:
     )
 
 
-def _find_answer(question: Question) -> Answer:
+def _find_answer(question: Question) -> "Answer":
     """Find the answer, with a progress bar in a terminal."""
     console = Console(stderr=True)
     bars = (TextColumn("working it out"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
@@ -432,7 +444,9 @@ def _find_answer(question: Question) -> Answer:
         )
 
 
-def _screen_table(table: Table) -> ScreenTable:
+def _screen_table(table: "Table") -> ScreenTable:
+    from surface_gym.design.report import format_cell
+
     screen = ScreenTable(
         title=escape(table.title),
         title_justify="left",

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from surface_gym import checks, files, lines, parallel
 from surface_gym.design import runs, search
-from surface_gym.design.best_layout import BestLayout, best_layout
 from surface_gym.design.case import Case, Sort
+from surface_gym.design.fixed_layout import BestLayout, best_layout
 from surface_gym.layouts import box
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can

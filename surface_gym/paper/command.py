@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from surface_gym.cli import typed
+
 
 @dataclass(frozen=True)
 class Options:
@@ -29,7 +31,7 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command. A file or folder that cannot be written ends it with one line."""
-    options = tyro.cli(Options, prog="python -m surface_gym.paper", args=arguments)
+    options = tyro.cli(Options, prog=typed("paper"), args=arguments)
     try:
         reproduce_and_report(options)
     except OSError as error:

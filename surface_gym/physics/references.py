@@ -8,9 +8,6 @@ forces (n,) [m/s^2] and whether the set is degenerate (see `dual_normal_forces`)
 from collections.abc import Callable
 
 import numpy as np
-import osqp
-from scipy import sparse
-from scipy.optimize import nnls
 
 from surface_gym.physics import contacts, friction, normal_forces, step, types as ph
 from surface_gym.physics.jit import compiled
@@ -51,6 +48,8 @@ def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
     """Solve by SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
+    from scipy.optimize import nnls  # with osqp a third of the package's import time
+
     matrix, target, _ = _balance(arms, load)
     heavy = np.array([1e9, 1e6, 1e6])[:, np.newaxis]
     root = np.ones(len(arms)) if stiffness is None else np.sqrt(stiffness)
@@ -67,15 +66,15 @@ def osqp_normal_forces(
     """Solve Eq. (1) by OSQP; where it is infeasible, with moments as near as they come."""
     matrix, target, _ = _balance(arms, load)
     n = len(arms)
-    rows = sparse.csc_matrix(np.vstack([matrix, np.eye(n)]))
+    rows = np.vstack([matrix, np.eye(n)])
     low = np.concatenate([target, np.zeros(n)])
     high = np.concatenate([target, np.ones(n)])
     cost = np.eye(n) if stiffness is None else np.diag(stiffness.mean() / stiffness)
-    share = _osqp(sparse.csc_matrix(cost), np.zeros(n), rows, low, high)
+    share = _osqp(cost, np.zeros(n), rows, low, high)
     if share is None or np.abs(matrix @ share - target).max() > _MISS:
         moments = matrix[1:]
-        stiff = sparse.csc_matrix(np.triu(1e8 * moments.T @ moments + cost))
-        rows = sparse.csc_matrix(np.vstack([matrix[:1], np.eye(n)]))
+        stiff = np.triu(1e8 * moments.T @ moments + cost)
+        rows = np.vstack([matrix[:1], np.eye(n)])
         share = _osqp(
             stiff,
             -1e8 * moments.T @ target[1:],
@@ -89,14 +88,15 @@ def osqp_normal_forces(
     return weight * share / share.sum(), _is_degenerate(matrix, target, share)
 
 
-def _osqp(
-    cost: sparse.csc_matrix, linear: Array, rows: sparse.csc_matrix, low: Array, high: Array
-) -> Array | None:
+def _osqp(cost: Array, linear: Array, rows: Array, low: Array, high: Array) -> Array | None:
+    import osqp
+    from scipy import sparse
+
     problem = osqp.OSQP()
     problem.setup(
-        cost,
+        sparse.csc_matrix(cost),
         linear,
-        rows,
+        sparse.csc_matrix(rows),
         low,
         high,
         verbose=False,

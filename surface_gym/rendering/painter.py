@@ -1,6 +1,7 @@
 """Pictures of scenes with their strips of text, and the window that shows them."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -410,6 +411,9 @@ def _pixels(canvas: pygame.Surface) -> Picture:
     return pixels
 
 
+UNSEEN = ("dummy", "offscreen")  # drivers of SDL that show nothing; it takes one where it must
+
+
 class Window:
     """Shows pictures at a frame rate, until the user or `close` closes it.
 
@@ -455,6 +459,9 @@ class Window:
     def _opened(self, size: tuple[int, int]) -> pygame.Surface:
         try:
             pygame.display.init()
+            if pygame.display.get_driver() in UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
+                pygame.display.quit()
+                raise pygame.error("SDL found none")
             screen = pygame.display.set_mode(size)
         except pygame.error as error:
             raise RuntimeError(f"a window needs a display: {error}") from error

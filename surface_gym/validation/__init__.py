@@ -4,6 +4,18 @@
 checked; `python -m surface_gym.validation` repeats the paper's comparison.
 """
 
-from surface_gym.validation.simulation import Recipe, Scene, build, reachable, simulate
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from surface_gym.validation.simulation import Recipe, Scene, build, reachable, simulate
 
 __all__ = ["Recipe", "Scene", "build", "reachable", "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is asked for; the command's help needs none."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from surface_gym.validation import simulation
+
+    return getattr(simulation, name)

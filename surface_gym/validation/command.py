@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from surface_gym.cli import typed
 from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 
 
@@ -42,14 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line and status 2."""
     options = tyro.cli(
         Options,
-        prog="python -m surface_gym.validation",
+        prog=typed("validation"),
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     try:
         compare(options)
     except ModuleNotFoundError:
-        raise  # `surface_gym.commands` says what to install
+        raise  # `surface_gym.cli` says what to install
     except (ValueError, RuntimeError, OSError, ImportError, WorkFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -13,8 +13,10 @@ import tyro
 
 import surface_gym as sg
 from surface_gym.design import cli
-from surface_gym.design.case import Slow, Sort, Stop, Turn
+from surface_gym.design.case import Slow, Sort, Stop, Turn, Unknown
 from surface_gym.design.cli import AskFriction
+from surface_gym.design.runs import STEP
+from surface_gym.design.search import Effort
 from surface_gym.parallel import usable_cores
 
 
@@ -205,6 +207,15 @@ def test_a_refused_question_makes_no_folder_and_one_that_cannot_be_made_is_named
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+
+
+def test_flags_have_the_defaults_of_what_they_set():
+    """They are written down again, so that help imports little."""
+    question = AskFriction(parcel="S")
+    assert question.case().unknown == Unknown()
+    assert question.step == STEP
+    layout = cli.AskLayout()
+    assert (layout.members, layout.epochs) == (Effort.members, Effort.epochs)
 
 
 def test_neither_the_package_nor_its_help_imports_what_is_heavy():

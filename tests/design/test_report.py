@@ -9,9 +9,9 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.best_layout import best_layout
 from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, describe_base
 from surface_gym.design.columns import ColumnsReport, columns_by_rows, columns_by_speed
+from surface_gym.design.fixed_layout import best_layout
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
 from surface_gym.design.search import Effort

@@ -357,3 +357,8 @@ class TestWindow:
         monkeypatch.setenv("SDL_VIDEODRIVER", "no such driver")
         with pytest.raises(RuntimeError, match="a window needs a display"):
             Window().show(picture)
+        monkeypatch.delenv("SDL_VIDEODRIVER")  # so SDL shows nothing to nobody, unasked
+        monkeypatch.setattr(pygame.display, "init", lambda: None)
+        monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
+        with pytest.raises(RuntimeError, match="a window needs a display: SDL found none"):
+            Window().show(picture)

@@ -12,8 +12,8 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import sorting_layouts as shipped
-from surface_gym.design.best_layout import best_layout, evaluate_layout, every_layout
 from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn, Unknown
+from surface_gym.design.fixed_layout import best_layout, evaluate_layout, every_layout
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.design.search import Effort
 from surface_gym.lines import ORIENTATIONS
