@@ -187,7 +187,9 @@ class Question:
             corners = [corner.split(",") for corner in self.polygon.split()]
             if any(len(corner) != 2 for corner in corners):
                 raise ValueError(f"polygon must be 'X,Y X,Y X,Y', got {self.polygon!r}")
-            return sg.Polygon([_numbers("polygon", corner) for corner in corners])
+            import numpy as np
+
+            return sg.Polygon(np.array([_numbers("polygon", corner) for corner in corners]))
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
             return sg.layouts.box(self.parcel).base

@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-import sys
 from functools import partial
 
 import numpy as np
@@ -235,9 +234,7 @@ def test_the_command_writes_what_it_finds(tmp_path, monkeypatch, capsys):
     quick = partial(shipped.find_sorting_layouts, sizes=("S",), effort=small)
     monkeypatch.setattr(shipped, "find_sorting_layouts", quick)
     file, kept = tmp_path / "found.json", tmp_path / "kept"
-    flags = ["--file", str(file), "--offers", "four", "--checkpoints", str(kept)]
-    monkeypatch.setattr(sys, "argv", ["ship", *flags])
-    shipped.main()
+    shipped.main(file, ("four",), kept)
     (row,) = json.loads(file.read_text())
     assert (row["box"], row["offer"], row["least_speed"]) == ("S", "four", 0.72)
     assert (kept / "S-four.npz").is_file()
