@@ -7,7 +7,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +38,8 @@ ROWS = [
     for k in range(3)
 ]
 STATE = {"steps": 64, "weights": torch.arange(6.0), "recent": [1.0, 2.0]}
-RUN = sg.simulate(
-    sg.layouts.sorting(), sg.layouts.box("S"), (0.5, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.05
-)
+LOW = replace(sg.layouts.box("S"), com_height=0.0)  # which never tips
+RUN = sg.simulate(sg.layouts.sorting(), LOW, (0.5, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.05)
 
 
 @dataclass(frozen=True)
