@@ -29,6 +29,7 @@ from rich.progress import (
 )
 
 from surface_gym.cli import TRAIN, command_line
+from surface_gym.config import REWARD
 from surface_gym.files import SUFFIX, replacing
 from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
 from surface_gym.registration import FLOW_TASK
@@ -43,7 +44,6 @@ CHECKPOINT = "checkpoint.pt"
 CURVE = "curve.csv"
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
-REWARD = "reward_"  # before the name of a reward term, which may be "success" as well
 RECENT_EPISODES = 1000
 
 Restored = TypeVar("Restored")
