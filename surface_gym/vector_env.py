@@ -158,6 +158,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         self._action_kind = self.config.action_kind
         self.outcomes = make_outcomes(self.batch.outcomes)
         self._outcomes = np.array(self.outcomes, dtype=object)
+        self._masks: list[str] = []  # names of those that come with the infos
         self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._renderer: Any = None
 
@@ -235,7 +236,11 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         infos = batch.infos()
         infos["outcome"] = self._outcomes[batch.outcome]
         infos.update(zip(batch.term_names, batch.terms.T.copy(), strict=True))
-        infos.update({f"_{name}": mask.copy() for name in infos})
+        if not self._masks:
+            self._masks = [f"_{name}" for name in infos]
+        masks = np.empty((len(infos), self.num_envs), dtype=np.bool_)
+        masks[:] = mask
+        infos.update(zip(self._masks, masks, strict=True))
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:

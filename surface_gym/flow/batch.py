@@ -188,11 +188,11 @@ class StreamBatch(BaseBatch):
         streams = self.streams
         slots = self.task.max_parcels
         return {
+            **self._figures(),
             "time": streams.clock.copy(),
             "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
             **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
             "waiting": streams.due - streams.coming,
-            **self._figures(),
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
@@ -203,11 +203,11 @@ class StreamBatch(BaseBatch):
         present, number = streams.present[env_index], streams.number[env_index]
         runs = streams.outcome.item(env_index) == st.RUNNING
         return {
-            "time": streams.clock[env_index].item(),
+            **(NO_FIGURES if runs else self._end(env_index)),
+            "time": streams.clock.item(env_index),
             "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
             **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
-            "waiting": int(streams.due[env_index] - streams.coming[env_index]),
-            **(NO_FIGURES if runs else self._end(env_index)),
+            "waiting": streams.due.item(env_index) - streams.coming.item(env_index),
         }
 
     def _figures(self) -> Infos:
