@@ -40,8 +40,8 @@ class Outcome(int):
         self.name = name
         return self
 
-    def __getnewargs__(self) -> tuple[int, str]:  # of copies
-        return int(self), self.name
+    def __reduce__(self) -> tuple[Any, tuple[int, str]]:
+        return Outcome, (int(self), self.name)
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, Outcome):
