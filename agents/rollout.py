@@ -83,7 +83,7 @@ def run_episodes(
     env.close()
     return Episodes(
         success=kept["is_success"],
-        outcome=tuple(kept["outcome"].tolist()),
+        outcome=tuple(map(str, kept["outcome"])),
         time=kept["time"],
         metrics={name: kept[name] for name in metrics},
         pose=np.array(poses),

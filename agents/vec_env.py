@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.config import REWARD
 
 from .base import SIDE, ActionMirror
 
@@ -60,7 +61,7 @@ class EpisodeRecorder:
                 "terminal_observation": observations[i],
                 "TimeLimit.truncated": bool(truncated[i]),
                 "is_success": bool(success[i]),
-                "outcome": outcome[i],
+                "outcome": str(outcome[i]),
                 "reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=True)),
                 "episode": {
                     "r": float(self._returns[i]),
@@ -144,8 +145,7 @@ class SurfaceVecEnv(BatchVecEnv):
         dones = terminated | truncated
         final = infos["final_info"] if dones.any() else infos
         terms = [
-            np.where(dones, final["reward_terms"][name], infos["reward_terms"][name])
-            for name in self._terms
+            np.where(dones, final[REWARD + name], infos[REWARD + name]) for name in self._terms
         ]
         self._recorder.add(rewards, np.stack(terms, axis=1))
         step_infos = self._recorder.finish(

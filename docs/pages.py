@@ -131,7 +131,8 @@ def page(name: str) -> str:
         _feature_table(task.features),
         'With `actions="window"` 25 more follow: the occupancy of the window.',
         "## Reward terms",
-        ", ".join(f"`{term}`" for term in task.terms) + ', as dict in `info["reward_terms"]`.',
+        ", ".join(f"`{term}`" for term in task.terms)
+        + ", each in `info` as `reward_` and its name.",
         "## Options of `reset`",
         ", ".join(f"`{option}`" for option in task.options),
         "## Arguments of the task",

@@ -100,6 +100,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
+REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
 ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
 
 
@@ -424,7 +425,7 @@ def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
     for name in arguments:
         if name not in known:
             raise TypeError(
-                f"unknown argument {name!r}: an environment has "
+                f"unexpected keyword argument {name!r}: an environment has "
                 f"{', '.join(each.name for each in fields(EnvConfig))} and preset, "
                 f"and its task {kind.__name__} has {', '.join(known)}"
             )

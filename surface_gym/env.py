@@ -30,6 +30,45 @@ def make_batch(
     return kind(config, num_envs, threads, max_episode_steps)
 
 
+class Outcome(int):
+    """How an episode stands: a number, to be stacked, that prints as its name and equals it."""
+
+    name: str
+
+    def __new__(cls, number: int, name: str) -> "Outcome":
+        self = super().__new__(cls, number)
+        self.name = name
+        return self
+
+    def __reduce__(self) -> tuple[Any, tuple[int, str]]:
+        return Outcome, (int(self), self.name)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Outcome):
+            other = other.name
+        return self.name == other if isinstance(other, str) else int(self) == other
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __repr__(self) -> str:
+        return repr(self.name)
+
+    def __format__(self, form: str) -> str:
+        return format(self.name, form)
+
+
+def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
+    """Make the outcomes of a task, by their numbers."""
+    return tuple(Outcome(number, name) for number, name in enumerate(names))
+
+
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
     """Warn as Gymnasium's own environments do where `render` has no mode to draw in."""
     env_id = "SmartSurface/Sort-v0" if spec is None else spec.id
@@ -79,10 +118,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Info
 
-    `is_success`, `outcome` (why the episode ended, or "running"), `time` [s], the true `pose`
+    `is_success`, `outcome` (why the episode ended, or "running": a number that prints as its name and
+    equals it; the env's `outcomes` has the names by the numbers), `time` [s], the true `pose`
     (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m],
-    mass [kg] and height of the centre of mass [m]), `reward_terms` (named terms whose sum is the
-    reward), and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
+    mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
+    `reward_` and its name, and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
     angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
 
     ## End
@@ -128,6 +168,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         self.render_mode = checks.one_of("render_mode", render_mode, modes)
         self.config = EnvConfig(task, **config)
         self.batch = make_batch(self.config, 1)
+        self.outcomes = make_outcomes(self.batch.outcomes)
         self.observation_space = self.config.observation_space()
         self.action_space = self.config.action_space()
         self._action_kind = self.config.action_kind
@@ -214,11 +255,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     def _info(self, outcome: int) -> dict[str, Any]:
         batch = self.batch
         info = batch.info(0)
-        info["outcome"] = batch.outcomes[outcome]
-        info["reward_terms"] = dict(zip(batch.task.terms, batch.terms[0].tolist(), strict=True))
-        if batch.has_metrics and outcome != RUNNING:
-            metrics = batch.metrics(np.ones(1, dtype=np.bool_))
-            info["episode_figures"] = {name: each[0].item() for name, each in metrics.items()}
+        info["outcome"] = self.outcomes[outcome]
+        info.update(zip(batch.term_names, batch.terms[0].tolist(), strict=True))
         return info
 
     def _record(self, begins: bool) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.env import RENDER_FPS, make_batch, warn_of_no_render_mode
+from surface_gym.env import RENDER_FPS, make_batch, make_outcomes, warn_of_no_render_mode
 from surface_gym.parallel import check_count
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.state import OUT_OF_TIME, RUNNING
@@ -157,7 +157,9 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         self.batch = make_batch(self.config, self.num_envs, threads, max_episode_steps)
         self._set_spaces(self.config.observation_space(), self.config.action_space())
         self._action_kind = self.config.action_kind
-        self._outcomes = np.array(self.batch.outcomes, dtype=object)
+        self.outcomes = make_outcomes(self.batch.outcomes)
+        self._outcomes = np.array(self.outcomes, dtype=object)
+        self._masks: list[str] = []  # names of those that come with the infos
         self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._renderer: Any = None
 
@@ -233,17 +235,14 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def _infos(self, mask: Booleans) -> dict[str, Any]:
         """Collect the infos of the environments in the mask: arrays with their masks."""
         batch = self.batch
-        outcome = batch.outcome
-        terms = dict(zip(batch.task.terms, batch.terms.T.copy(), strict=True))
-        infos: dict[str, Any] = {
-            **batch.infos(),
-            "outcome": self._outcomes[outcome],
-            "reward_terms": with_masks(terms, mask),
-        }
-        infos = with_masks(infos, mask)
-        if batch.has_metrics and (ended := mask & (outcome != RUNNING)).any():
-            metrics = with_masks(batch.metrics(ended), ended)
-            infos.update(with_masks({"episode_figures": metrics}, ended))
+        infos = batch.infos()
+        infos["outcome"] = self._outcomes[batch.outcome]
+        infos.update(zip(batch.term_names, batch.terms.T.copy(), strict=True))
+        if not self._masks:
+            self._masks = [f"_{name}" for name in infos]
+        masks = np.empty((len(infos), self.num_envs), dtype=np.bool_)
+        masks[:] = mask
+        infos.update(zip(self._masks, masks, strict=True))
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:
@@ -256,8 +255,3 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             self._renderer = Renderer(self.batch)
         for i in chosen.tolist():
             self._renderer.record(i, begins)
-
-
-def with_masks(values: dict[str, Any], mask: Booleans) -> dict[str, Any]:
-    """Add to arrays by name the mask of the environments that they are of, as Gymnasium has it."""
-    return {**values, **{f"_{name}": mask.copy() for name in values}}

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 import surface_gym as sg
 from surface_gym import registration, sensors
-from surface_gym.config import EnvConfig
+from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.batch import Batch
 from surface_gym.randomisation import Actuators, Randomisation
@@ -90,6 +90,11 @@ def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
     """The action that sets every module it reaches to one orientation."""
     kind = env.config.action_kind
     return kind.encode(np.full((1, kind.size), choice))[0]
+
+
+def terms(info: dict[str, Any]) -> dict[str, Any]:
+    """The terms of a reward by their names, of one environment or of many."""
+    return {n.removeprefix(REWARD): value for n, value in info.items() if n.startswith(REWARD)}
 
 
 Step = tuple[np.ndarray, float, bool, bool, dict[str, Any]]

@@ -1,5 +1,6 @@
 """The single environment: Gymnasium's contract, seeds, twins, memory and drawing."""
 
+import copy
 import math
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ from gymnasium.utils.env_checker import check_env as check_by_gymnasium
 from stable_baselines3.common.env_checker import check_env as check_by_stable_baselines3
 
 import surface_gym as sg
+from surface_gym.state import RUNNING, SUCCESS
 from tests import environments as te
 
 
@@ -41,8 +43,8 @@ class TestEpisodes:
             assert type(reward) is float
             assert type(terminated) is bool
             assert truncated is False
-            assert all(type(term) is float for term in info["reward_terms"].values())
-            assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
+            assert all(type(term) is float for term in te.terms(info).values())
+            assert reward == pytest.approx(math.fsum(te.terms(info).values()), abs=1e-12)
             assert type(info["is_success"]) is bool
             assert terminated == (info["outcome"] != "running")
             assert info["is_success"] == (info["outcome"] == "success")
@@ -55,10 +57,26 @@ class TestEpisodes:
             observation[:] = np.nan
             info["pose"][:] = np.nan
             info["velocity"][:] = np.nan
-            info["reward_terms"].clear()
             observation, reward, _, _, info = env.step(env.action_space.sample())
             te.assert_same(observation, (same := twin.step(twin.action_space.sample()))[0])
             te.assert_same((reward, info), (same[1], same[4]))
+
+    @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, te.by_pickle])
+    def test_an_outcome_is_a_number_and_its_name(self, copied):
+        env = te.bare(actions="halves")
+        ended = te.played_out(env, 10, side=1, speed=1.5)[-1][4]["outcome"]
+        outcome = copied(ended)
+        for same in ("success", SUCCESS, ended, env.outcomes[SUCCESS]):
+            assert outcome == same
+            assert same == outcome
+            assert (outcome != same) is False
+        for other in ("running", RUNNING, env.outcomes[RUNNING]):
+            assert outcome != other
+        assert str(outcome) == f"{outcome}" == "success"
+        assert len({outcome, "success"}) == 1
+        both = np.array([outcome, env.outcomes[RUNNING]])
+        assert both.dtype == np.int64
+        assert both.tolist() == [SUCCESS, RUNNING]
 
     def test_time_counts_the_control_periods(self):
         for number, step in enumerate(te.steps(te.bare(control_period=0.03), seed=0), start=1):

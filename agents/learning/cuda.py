@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from surface_gym.config import EnvConfig
+from surface_gym.config import REWARD, EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.tasks import Sort
 
@@ -22,7 +22,7 @@ from ..library import find_task
 from ..policy import EqualCategoricals, EqualChoicesPolicy, check_like, load_optimizer, make_network
 from . import ppo
 from .config import PPOConfig, is_registered, make_card
-from .runs import RECENT_EPISODES, REWARD, Curve, OnProgress, TrainResult
+from .runs import RECENT_EPISODES, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ class EpisodeTotals:
     """
 
     def __init__(self, terms: tuple[str, ...], num_envs: int, device: torch.device) -> None:
-        self._terms = terms
-        self._names = (EPISODES, "success", "return", "length", *(REWARD + term for term in terms))
+        self._terms = tuple(REWARD + term for term in terms)
+        self._names = (EPISODES, "success", "return", "length", *self._terms)
         self._running = torch.zeros((2 + len(terms), num_envs), dtype=torch.float64, device=device)
         self._ended = torch.zeros(len(self._names), dtype=torch.float64, device=device)
 
@@ -101,8 +101,8 @@ class EpisodeTotals:
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
         """Add a control period: rewards (num_envs,) and which episodes ended (num_envs,)."""
-        final, now = infos["final_info"], infos["reward_terms"]
-        terms = [torch.where(ended, final["reward_terms"][name], now[name]) for name in self._terms]
+        final = infos["final_info"]
+        terms = [torch.where(ended, final[name], infos[name]) for name in self._terms]
         self._running += torch.stack([rewards, torch.ones_like(rewards), *terms])
         sums = torch.where(ended, self._running, 0.0).sum(dim=1)
         counts = torch.stack([ended.sum(), (ended & final["is_success"]).sum()])

@@ -31,6 +31,7 @@ from rich.progress import (
 
 from surface_gym import checks
 from surface_gym.cli import TRAIN, command_line
+from surface_gym.config import REWARD
 from surface_gym.files import (
     ARCHIVE,
     DAMAGE,
@@ -57,7 +58,6 @@ CURVE = "curve.csv"
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods from row to row of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
-REWARD = "reward_"  # before the name of a reward term, which may be "success" as well
 RECENT_EPISODES = 1000
 
 Restored = TypeVar("Restored")

@@ -10,7 +10,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from surface_gym import state as st
-from surface_gym.config import EnvConfig
+from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
@@ -62,6 +62,7 @@ class BaseBatch(ABC):
         self.task = config.task
         self.num_envs = num_envs
         self.outcomes = st.COMMON_OUTCOMES + config.task.outcomes  # by the numbers of `outcome`
+        self.term_names = tuple(REWARD + term for term in config.task.terms)  # in infos
         self._draws = config.draws
         self._threads = min(threads, max(1, num_envs // FEWEST))
         self._all = np.arange(num_envs)
@@ -163,13 +164,6 @@ class BaseBatch(ABC):
             name: values[env_index].copy() if values.ndim > 1 else values[env_index].item()
             for name, values in self.infos().items()
         }
-
-    has_metrics = False  # whether ended episodes have any
-
-    def metrics(self, ended: Booleans) -> Infos:
-        """Collect metrics of the episodes that have ended (num_envs,), by name."""
-        del ended
-        return {}
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:

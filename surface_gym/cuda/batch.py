@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from surface_gym.config import EnvConfig
+from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import make_env_params
 from surface_gym.cuda import kernels
@@ -73,8 +73,8 @@ class BaseCudaBatch(ABC):
         """Return the observations (num_envs, ...)."""
 
     @abstractmethod
-    def infos(self) -> tuple[Tensors, Tensors]:
-        """Return copies of the infos (num_envs, ...) and of the reward's terms, by name."""
+    def infos(self) -> Tensors:
+        """Return copies of the infos (num_envs, ...), by name."""
 
     @abstractmethod
     def is_seeded(self, env_index: int) -> bool:
@@ -150,7 +150,7 @@ class CudaBatch(BaseCudaBatch):
     def observation(self) -> torch.Tensor:
         return self._parcels.observation
 
-    def infos(self) -> tuple[Tensors, Tensors]:
+    def infos(self) -> Tensors:
         parcels, task = self._parcels, self._task
         infos = {
             "is_success": parcels.outcome == SUCCESS,
@@ -161,7 +161,7 @@ class CudaBatch(BaseCudaBatch):
             "parcel": self._sizes[parcels.body],
             **{name: parcels.metrics[:, k].clone() for k, name in enumerate(task.metrics)},
         }
-        return infos, {name: parcels.terms[:, k].clone() for k, name in enumerate(task.terms)}
+        return infos | {REWARD + n: parcels.terms[:, k].clone() for k, n in enumerate(task.terms)}
 
     def is_seeded(self, env_index: int) -> bool:
         return self.prefetch.is_seeded(env_index)
@@ -265,7 +265,7 @@ class CudaStreamBatch(BaseCudaBatch):
         observation: torch.Tensor = self._parcels.observation
         return observation.reshape(len(self._mask), self._task.rows, -1)
 
-    def infos(self) -> tuple[Tensors, Tensors]:
+    def infos(self) -> Tensors:
         streams, task = self._episodes, self._task
         numbers = torch.where(streams.present, streams.number, -1)
         infos = {
@@ -275,7 +275,7 @@ class CudaStreamBatch(BaseCudaBatch):
             **{name: streams.tally[:, column].clone() for name, column in TALLIED.items()},
             "waiting": streams.due - streams.coming,
         }
-        return infos, {name: streams.terms[:, k].clone() for k, name in enumerate(task.terms)}
+        return infos | {REWARD + n: streams.terms[:, k].clone() for k, n in enumerate(task.terms)}
 
     def is_seeded(self, env_index: int) -> bool:
         return self._host.is_seeded(env_index)

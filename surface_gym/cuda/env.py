@@ -116,7 +116,7 @@ class CudaVectorEnv(BaseVectorEnv):
     the host, and `step` does not wait for the device. Returned tensors are copies.
     Differences from `SmartSurfaceVectorEnv`:
 
-    - infos are tensors (num_envs, ...); "outcome" is a number, an index into `outcomes`;
+    - infos are tensors (num_envs, ...); "outcome" is only a number, an index into `outcomes`;
     - in SAME_STEP mode "final_obs" and "final_info" are there at every step, and hold for the
       environments in "_final_obs";
     - an action out of range, or a number of a custom task that is not finite, is an error within
@@ -124,7 +124,7 @@ class CudaVectorEnv(BaseVectorEnv):
       the CPU first;
     - there are no pictures, noise, randomisation or infos on request; parcels are the task's;
     - episodes of a stream are drawn by the host as environments begin, so that `step` waits for the
-      device to say which do; they may vary, and give no "episode_figures".
+      device to say which do; they may vary, and give no figures at the end.
 
     Args:
         num_envs: number of environments; 30 000 and more fill a data-centre card.
@@ -236,9 +236,8 @@ class CudaVectorEnv(BaseVectorEnv):
 
     def _infos(self, mask: torch.Tensor) -> dict[str, Any]:
         """Return the infos of the environments in the mask: tensors, and Gymnasium's masks."""
-        infos, terms = self.batch.infos()
-        with_terms = {**infos, "reward_terms": {**terms, **{f"_{name}": mask for name in terms}}}
-        return {**with_terms, **{f"_{name}": mask for name in with_terms}}
+        infos = self.batch.infos()
+        return {**infos, **{f"_{name}": mask for name in infos}}
 
     def _errors(self) -> DelayedCopy:
         """Return two flags: an action was out of range, a compiled function made an error."""

@@ -20,7 +20,7 @@ from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import com_states
-from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
+from surface_gym.physics.types import GRAVITY, Array, Integers
 from surface_gym.sensors.base import Sensor
 
 _FIRST_ROOM = 16
@@ -114,6 +114,8 @@ def _rear(parcel: Parcel, theta: float) -> float:
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
+FIGURES = tuple(f"episode_{name}" for name in fs.NAMES)  # in infos
+NO_FIGURES = dict.fromkeys(FIGURES, 0.0)  # of an episode that runs
 COUNTS = ("entered", "right", "wrong", "touches", "turns")  # as the columns of the tally
 
 
@@ -186,6 +188,7 @@ class StreamBatch(BaseBatch):
         streams = self.streams
         slots = self.task.max_parcels
         return {
+            **self._figures(),
             "time": streams.clock.copy(),
             "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
             **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
@@ -198,25 +201,29 @@ class StreamBatch(BaseBatch):
             return super().info(env_index)
         streams = self.streams  # the same without arrays of all: a single environment is fast by it
         present, number = streams.present[env_index], streams.number[env_index]
+        runs = streams.outcome.item(env_index) == st.RUNNING
         return {
-            "time": streams.clock[env_index].item(),
+            **(NO_FIGURES if runs else self._end(env_index)),
+            "time": streams.clock.item(env_index),
             "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
             **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
-            "waiting": int(streams.due[env_index] - streams.coming[env_index]),
+            "waiting": streams.due.item(env_index) - streams.coming.item(env_index),
         }
 
-    has_metrics = True
+    def _figures(self) -> Infos:
+        """Collect the figures of the episodes that have ended, by name; 0 in the others."""
+        figures = np.zeros((len(FIGURES), self.num_envs))
+        for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
+            figures[:, i] = list(self._end(i).values())
+        return dict(zip(FIGURES, figures, strict=True))
 
-    def metrics(self, ended: Booleans) -> Infos:
-        found: dict[str, Array] = {}
+    def _end(self, i: int) -> dict[str, float]:
+        """Compute the figures of an episode that has ended, by name."""
         obeys = self.streams.obeys
-        for i in np.nonzero(ended)[0].tolist():
-            obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
-            jammed = bool(self.streams.outcome[i] == fs.JAM)
-            statistics = fs.compute_statistics(self.streams, i, jammed, obeying)
-            for name, value in vars(statistics).items():
-                found.setdefault(name, np.full(len(ended), np.nan))[i] = value
-        return found
+        obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
+        jammed = bool(self.streams.outcome[i] == fs.JAM)
+        found = vars(fs.compute_statistics(self.streams, i, jammed, obeying)).values()
+        return dict(zip(FIGURES, map(float, found), strict=True))
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
         return self._pool.parcel(int(self.parcels.body[env_index * self.rows + row]))

@@ -403,10 +403,10 @@ class Flow(StreamTask):
 
     `outcome`, `time` [s], `parcels` (max_parcels,) the numbers of the parcels in each row in the
     order they came, -1 for a free one; `entered`, `right`, `wrong`, `touches`, `turns` so far and
-    how many are `waiting`; `reward_terms`. As an episode ends `episode_figures` come with it, the
-    fields of `surface_gym.flow.state.FlowStatistics`: parcels an hour, share missorted,
-    touches and jams per 1000 parcels, gaps, times on the surface and at the entry, turns of a
-    module an hour.
+    how many are `waiting`; the terms of the reward, each as `reward_` and its name. As an episode
+    ends its figures come, 0 before: the fields of `surface_gym.flow.state.FlowStatistics`, each as
+    `episode_` and its name: parcels an hour, share missorted, touches and jams per 1000 parcels,
+    gaps, times on the surface and at the entry, turns of a module an hour.
 
     `reset(options={"stream": ...})` gives an episode a stream of its own, and
     `surface_gym.flow.parallel_env.FlowParallelEnv` makes each parcel an agent. Sensors and
@@ -420,7 +420,7 @@ class Flow(StreamTask):
         >>> truncated = False
         >>> while not truncated:  # every parcel straight on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 48)
-        >>> info["entered"], info["episode_figures"]["touches_per_1000"]
+        >>> info["entered"], info["episode_touches_per_1000"]
         (2, 0.0)
 
     ### Version history

@@ -20,7 +20,7 @@ import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.resets import place_parcel
 from surface_gym.flow.arrivals import Schedule
-from surface_gym.flow.batch import BodyPool
+from surface_gym.flow.batch import FIGURES, BodyPool
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES
 from surface_gym.randomisation import Randomisation
@@ -58,11 +58,14 @@ class TestEpisodes:
             assert observation.dtype == np.float32
             assert type(reward) is float
             assert type(terminated) is type(truncated) is bool
-            assert all(type(term) is float for term in info["reward_terms"].values())
-            assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
+            assert all(type(term) is float for term in te.terms(info).values())
+            assert reward == pytest.approx(math.fsum(te.terms(info).values()), abs=1e-12)
             assert terminated == (info["outcome"] == "jam")
             assert truncated == (info["outcome"] == "out of time")
-            assert ("episode_figures" in info) == (terminated or truncated)
+            ended = terminated or truncated
+            assert ended or not any(info[name] for name in FIGURES)
+        assert ended
+        assert info["episode_turns_per_hour"] > 0.0
 
     def test_action_spaces(self) -> None:
         three = {"actions": "parcels", "max_parcels": 3}

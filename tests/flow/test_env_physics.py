@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import REWARD
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.state import ENTERED
@@ -15,6 +16,7 @@ from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import ON_THE_WAY, PARCEL_TERMS
 from surface_gym.physics.types import VX, X, Y
 from surface_gym.randomisation import Actuators, Randomisation
+from tests.environments import terms
 from tests.flow import flows
 
 DT = 0.005  # [s]
@@ -115,7 +117,7 @@ class TestEnds:
             assert (terminated, truncated) == (0.04 * still >= 0.5, False)
         assert set(before) == set(now)
         assert info["outcome"] == "jam"
-        assert info["reward_terms"]["jam"] == -10.0
+        assert info["reward_jam"] == -10.0
         assert reward < -9.0
         assert info["waiting"] > 0
 
@@ -139,10 +141,10 @@ class TestRewards:
             actions="modules", duration=4.0, randomisation=Randomisation(lateral=lateral)
         )
         for _, reward, _, _, info in out_and_halt(env):
-            parcels, terms = env.batch.parcels, info["reward_terms"]
-            shared = math.fsum(terms[name] for name in PARCEL_TERMS)
+            parcels, found = env.batch.parcels, terms(info)
+            shared = math.fsum(found[name] for name in PARCEL_TERMS)
             assert parcels.reward.sum() == pytest.approx(shared, abs=1e-9)
-            assert reward == pytest.approx(parcels.reward.sum() + terms["waiting"] + terms["jam"])
+            assert reward == pytest.approx(parcels.reward.sum() + found["waiting"] + found["jam"])
         assert info["touches"] > 0
         assert info["right"] + info["wrong"] > 0
 
@@ -152,7 +154,7 @@ class TestRewards:
         totals = dict.fromkeys((*PARCEL_TERMS, "waiting"), 0.0)
         for *_, info in out_and_halt(env):
             for name in totals:
-                totals[name] += info["reward_terms"][name]
+                totals[name] += info[REWARD + name]
         streams = env.batch.streams
         assert totals["right"] == info["right"]
         assert totals["wrong"] == -info["wrong"]
@@ -169,9 +171,9 @@ class TestRewards:
         varies = Randomisation(lateral=0.05)
         env = flows.bare(stream=stream, actions="parcels", randomisation=varies, duration=1.2)
         _, info = env.reset(seed=0)
-        assert set(info["reward_terms"].values()) == {0.0}
+        assert set(terms(info).values()) == {0.0}
         played = flows.play(env, flows.ROLL)
-        earned = sum(step[4]["reward_terms"]["reach"] for step in played)
+        earned = sum(step[4]["reward_reach"] for step in played)
         assert played[-1][4]["right"] == 0
         wanted = 0.0
         for number, truth in flows.truths(env.batch).items():

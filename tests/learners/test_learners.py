@@ -7,7 +7,9 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 import surface_gym as sg
+from surface_gym.registration import PERIODS, env_id
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "learners"
 HYPERPARAMS = EXAMPLES.parents[1] / "agents" / "hyperparams"
@@ -226,6 +229,78 @@ def test_the_zoos_command_takes_the_yaml(algo: str, tmp_path: Path) -> None:
     assert (folder / "SmartSurface-Sort-v0.zip").is_file()
     used = yaml.unsafe_load((folder / "SmartSurface-Sort-v0" / "config.yml").read_text())
     assert dict(used) == yaml.safe_load(file.read_text())["SmartSurface/Sort-v0"]
+
+
+def by_gymnasium(env_id: str) -> Any:
+    envs = AsyncVectorEnv([partial(gym.make, env_id)] * 2, context="spawn")
+    envs.reset(seed=0)
+    infos = envs.step(envs.action_space.sample())[4]
+    envs.close()
+    return {**infos, "outcome": np.stack(infos["outcome"])}
+
+
+def by_torchrl(env_id: str) -> Any:
+    from torchrl.envs import GymEnv
+
+    env = GymEnv(env_id, num_envs=2)
+    env.set_seed(0)
+    rollout = env.rollout(3, break_when_any_done=False)["next"]
+    env.close()
+    return {name: value.numpy() for name, value in rollout.items()}
+
+
+def by_minari(env_id: str) -> Any:
+    from minari import DataCollector
+
+    env = DataCollector(gym.make(env_id), record_infos=True)
+    env.reset(seed=0)
+    while not any(env.step(env.action_space.sample())[2:4]):
+        pass
+    (episode,) = env.create_dataset("sort-v0").iterate_episodes()
+    env._tmp_dir.cleanup()
+    return episode.infos
+
+
+def by_rllib(env_id: str) -> Any:
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.connectors.env_to_module import FlattenObservations
+    from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+
+    config = PPOConfig().environment(env_id)
+    config.env_runners(
+        num_envs_per_env_runner=2,
+        gym_env_vectorize_mode="sync",
+        env_to_module_connector=lambda *_, **__: FlattenObservations(),
+    )
+    runner = SingleAgentEnvRunner(config=config)
+    infos = runner.sample(num_timesteps=6, random_actions=True)[0].get_infos()
+    runner.stop()
+    return {name: np.stack([info[name] for info in infos]) for name in infos[-1]}
+
+
+# Minari asks for an author, and leaves folders to be cleaned up.
+@pytest.mark.filterwarnings("ignore:.* is set to None", "ignore:Implicitly cleaning")
+@pytest.mark.parametrize("env_id", [env_id(name) for name in PERIODS])
+@pytest.mark.parametrize(
+    ("library", "way"),
+    [
+        ("gymnasium", by_gymnasium), ("torchrl", by_torchrl), ("minari", by_minari),
+        ("ray.rllib", by_rllib),
+    ],
+)  # fmt: skip
+def test_a_library_stacks_infos_in_its_own_way(
+    library: str, way: Callable[[str], Any], env_id: str, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Numbers of every environment or step, whose shape is that of a single one's."""
+    needs(library)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    _, single = gym.make(env_id).reset(seed=0)
+    stacked = way(f"surface_gym:{env_id}")
+    for name, value in single.items():
+        array = np.asarray(stacked[name])
+        assert array.dtype.kind in "bif", name
+        assert len(array) > 1
+        assert array.shape[array.ndim - np.ndim(value) :] == np.shape(value), name
 
 
 @pytest.mark.parametrize("example", [*SORT, "rllib_flow"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import REWARD
 from surface_gym.tasks import Task
 from surface_gym.tasks.start import Draw, Start
 from tests.environments import Step, batch_with, same_choice
@@ -36,7 +37,7 @@ class Episode:
 
     def total(self, term: str) -> float:
         """Sum of a reward term."""
-        return math.fsum(info["reward_terms"][term] for info in self.infos)
+        return math.fsum(info[REWARD + term] for info in self.infos)
 
 
 def play(

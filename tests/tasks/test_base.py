@@ -14,7 +14,7 @@ from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import rising
 from surface_gym.tasks.paths import Sine
 from surface_gym.tasks.start import Draw, check_options, parcel_option
-from tests.environments import ROLL, TRIANGLE, assert_same, bare
+from tests.environments import ROLL, TRIANGLE, assert_same, bare, terms
 from tests.tasks import draws, nth, play
 
 # For each task: options that fix a start, and the goal that they make.
@@ -126,8 +126,8 @@ class TestEpisodes:
             episode = play(env, {}, ROLL if seed % 2 else None, seed=seed)
             for observation, reward, terminated, truncated, info in episode.steps:
                 assert observation in env.observation_space
-                assert reward == pytest.approx(math.fsum(info["reward_terms"].values()), abs=1e-12)
-                assert list(info["reward_terms"]) == list(TASKS[name].terms)
+                assert reward == pytest.approx(math.fsum(terms(info).values()), abs=1e-12)
+                assert list(terms(info)) == list(TASKS[name].terms)
                 assert all(math.isfinite(info[metric]) for metric in TASKS[name].metrics)
                 assert info["outcome"] in outcomes
                 assert terminated == (info["outcome"] != "running")

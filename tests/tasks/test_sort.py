@@ -84,7 +84,7 @@ class TestReward:
         episode = tasks.play(bare(), {"side": side, "speed": speed}, choice)
         assert episode.end["outcome"] == outcome
         paid = 4.0 / episode.end["time"] if outcome == "success" else 0.0
-        assert all(info["reward_terms"]["haste"] == 0.0 for info in episode.infos[:-1])
+        assert all(info["reward_haste"] == 0.0 for info in episode.infos[:-1])
         assert episode.total("haste") == pytest.approx(paid, abs=1e-12)
         assert episode.total("time") == pytest.approx(-0.3 * episode.end["time"], abs=1e-12)
 

@@ -10,7 +10,7 @@ from surface_gym.tasks import Track
 from surface_gym.tasks.paths import LaneChange, Polyline, Sine
 from surface_gym.tasks.start import Start
 from tests import tasks
-from tests.environments import MINUS_45, ROLL, TRIANGLE, bare
+from tests.environments import MINUS_45, ROLL, TRIANGLE, bare, terms
 
 TRACK = "SmartSurface/Track-v0"
 BOX = sg.layouts.box("S")
@@ -125,13 +125,13 @@ class TestReward:
             x, y, _ = info["pose"]
             cross = abs(y - 1.0 - SLOPE * (x - 0.5)) / length
             speed = (info["velocity"][0] + SLOPE * info["velocity"][1]) / length
-            terms = info["reward_terms"]
-            assert terms["distance"] == pytest.approx(0.3 * gained, abs=1e-12)
+            found = terms(info)
+            assert found["distance"] == pytest.approx(0.3 * gained, abs=1e-12)
             precision = gained * math.exp(-cross / 0.005)
-            assert terms["precision"] == pytest.approx(precision, abs=1e-12)
-            assert terms["cross_error"] == pytest.approx(-8.0 * gained * cross, abs=1e-12)
+            assert found["precision"] == pytest.approx(precision, abs=1e-12)
+            assert found["cross_error"] == pytest.approx(-8.0 * gained * cross, abs=1e-12)
             off = -2.0 * gained * abs(speed - 1.0)
-            assert terms["speed_error"] == pytest.approx(off, abs=1e-12)
+            assert found["speed_error"] == pytest.approx(off, abs=1e-12)
 
 
 class TestSeen:

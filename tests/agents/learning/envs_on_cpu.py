@@ -7,6 +7,7 @@ import torch
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.learning.config import PPOConfig
 from surface_gym.agents.library import find_task
+from surface_gym.config import REWARD
 
 
 class EnvsOnCpu:
@@ -52,11 +53,8 @@ class EnvsOnCpu:
         self._env.close()
 
     def _tensors(self, infos: dict[str, Any]) -> dict[str, Any]:
-        terms = {
-            name: torch.from_numpy(infos["reward_terms"][name]) for name in self.config.task.terms
-        }
-        found = {name: torch.from_numpy(infos[name]) for name in ("is_success", "time")}
-        return {**found, "reward_terms": terms}
+        names = ("is_success", "time", *(REWARD + term for term in self.config.task.terms))
+        return {name: torch.from_numpy(infos[name]) for name in names}
 
 
 def envs_on_cpu(config: PPOConfig, num_envs: int) -> EnvsOnCpu:
