@@ -22,7 +22,7 @@ BOX = sg.layouts.box("S")
 
 NUMBER = np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS)
 SURFACE = sg.Surface(
-    axis=NUMBER, rotor=NUMBER % 3 > 0, mu_max=0.1 + 0.001 * NUMBER, stiffness=1.0 + NUMBER
+    axis=NUMBER % 7, rotor=NUMBER % 3 > 0, mu_max=0.1 + 0.001 * NUMBER, stiffness=1.0 + NUMBER
 )
 OBLONG = replace(SURFACE, pitch=(0.13, 0.07), origin=(0.02, 0.3))
 
