@@ -26,7 +26,11 @@ def run(file: Path) -> list[Any]:
     with tempfile.TemporaryDirectory() as folder:
         resources = {"metadata": {"path": folder}}
         client = nbclient.NotebookClient(
-            notebook, kernel_name="python3", timeout=LONGEST, resources=resources
+            notebook,
+            kernel_name="python3",
+            timeout=LONGEST,
+            resources=resources,
+            coalesce_streams=True,  # what a cell prints may come in pieces
         )
         client.execute()
     return list(notebook.cells)
