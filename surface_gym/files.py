@@ -60,6 +60,12 @@ def describe_damage(error: Exception) -> str:
     return text if len(text) <= REASON else f"{text[:REASON]}..."
 
 
+def describe_at_line(error: Exception, number: int) -> str:
+    """Describe what is wrong with a text, after the number of a line unless that is named."""
+    reason = describe_damage(error)
+    return reason if reason.startswith("line ") else f"line {number}: {reason}"
+
+
 def check_plain(file: Path, most: int) -> None:
     """Raise a ValueError unless a file is one on a disk and of bounded size [bytes].
 

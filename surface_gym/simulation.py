@@ -88,10 +88,8 @@ def simulate(
     >>> trajectory.pose[-1].round(2)  # sorted to y < 0
     array([ 0.97,  0.49, -0.23])
     """
-    if not isinstance(surface, Surface):
-        raise ValueError(f"surface must be a Surface, got {surface!r}")
-    if not isinstance(parcel, Parcel):
-        raise ValueError(f"parcel must be a Parcel, got {parcel!r}")
+    checks.instance("surface", surface, Surface, "a Surface")
+    checks.instance("parcel", parcel, Parcel, "a Parcel")
     start = start_state(
         parcel, checks.pose("pose", pose, (3,)), checks.velocity("velocity", velocity, (3,))
     )
@@ -332,8 +330,7 @@ def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
     """Return the world at the start, of arguments that are checked but for the places they give."""
-    if not isinstance(surface, Surface):
-        raise ValueError(f"surface must be a Surface, got {surface!r}")
+    checks.instance("surface", surface, Surface, "a Surface")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
     if len(parcels) == 0:

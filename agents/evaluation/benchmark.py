@@ -18,7 +18,7 @@ from scipy import stats
 import surface_gym as sg
 from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
-from surface_gym.files import DAMAGE, describe_damage, read_lines, replacing
+from surface_gym.files import DAMAGE, describe_at_line, read_lines, replacing
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.tasks.benchmark import Benchmark, Column
 
@@ -338,11 +338,10 @@ def read_kept(file: Path, make: Callable[..., AnyRow]) -> list[AnyRow]:
     except FileNotFoundError:
         return []
     except DAMAGE as error:
-        reason = describe_damage(error)
-        where = "" if reason.startswith("line ") else f"line {len(found) + 1}: "
+        reason = describe_at_line(error, len(found) + 1)
         raise ValueError(
-            f"{file} holds something else than results: {where}{reason}; where the line, or the "
-            "file, is removed, they are computed again"
+            f"{file} holds something else than results: {reason}; where the line, or the file, is "
+            "removed, they are computed again"
         ) from None
     return found
 

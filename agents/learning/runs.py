@@ -37,6 +37,7 @@ from surface_gym.files import (
     DAMAGE,
     SUFFIX,
     check_plain,
+    describe_at_line,
     describe_damage,
     parse_number,
     read_lines,
@@ -315,10 +316,9 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     except FileNotFoundError:
         return []
     except (ValueError, csv.Error) as error:
-        reason = describe_damage(error)
-        where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
+        reason = describe_at_line(error, max(1, lines.line_num))
         raise ValueError(
-            f"{file} holds no learning curve: {where}{reason}; without it a new one begins"
+            f"{file} holds no learning curve: {reason}; without it a new one begins"
         ) from None
     return rows
 

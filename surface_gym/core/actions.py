@@ -493,9 +493,8 @@ class ActionKind:
         if given.dtype.kind not in "iu":
             raise ValueError(f"action must be whole numbers, got {given.dtype}: {actions!r}")
         chosen = given.astype(np.int64)
-        if (
-            np.maximum.reduce(chosen.view(np.uint64), axis=None) >= most
-        ):  # as which negative ones are the largest
+        # As unsigned numbers negative ones are the largest.
+        if np.maximum.reduce(chosen.view(np.uint64), axis=None) >= most:
             raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
         if self._single:
             halves = np.empty((len(chosen), 2), dtype=np.int64)

@@ -402,8 +402,7 @@ class Case:
     step: float = running.STEP  # [s] of the simulation
 
     def __post_init__(self) -> None:
-        if not isinstance(self.parcel, Parcel):
-            raise ValueError(f"parcel must be a Parcel, got {self.parcel!r}")
+        checks.instance("parcel", self.parcel, Parcel, "a Parcel")
         checks.instance("purpose", self.purpose, Purpose, "a Purpose")
         checks.instance("unknown", self.unknown, Unknown, "an Unknown")
         checks.within("speed", self.speed, 0.0, 20.0)

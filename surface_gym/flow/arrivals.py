@@ -192,8 +192,7 @@ class Arrival:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
-        if not isinstance(self.parcel, Parcel):
-            raise ValueError(f"parcel must be a Parcel, got {self.parcel!r}")
+        checks.instance("parcel", self.parcel, Parcel, "a Parcel")
         object.__setattr__(self, "speed", check_speed("speed", self.speed))
         check_name("exit", self.exit)
 
@@ -288,9 +287,8 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
         if not arrivals:
             raise ValueError("a parcel must follow, got the end of the file")
     except (ValueError, csv.Error) as error:
-        reason = files.describe_damage(error)
-        where = "" if reason.startswith("line ") else f"line {max(1, lines.line_num)}: "
-        raise ValueError(f"{path} holds no trace: {where}{reason}") from None
+        reason = files.describe_at_line(error, max(1, lines.line_num))
+        raise ValueError(f"{path} holds no trace: {reason}") from None
     return Trace(tuple(arrivals))
 
 

@@ -57,8 +57,7 @@ class Observer(Sensor):
             checks.rolling(sensor.mu_max, sensor.mu_min)
         if checks.within("drop", sensor.drop, 0.0, 1.0) == 1.0:
             raise ValueError(f"drop must be less than 1, got {sensor.drop!r}")
-        if not isinstance(sensor.entry, Entry):
-            raise ValueError(f"entry must be an Entry, got {sensor.entry!r}")
+        checks.instance("entry", sensor.entry, Entry, "an Entry")
 
     def frame_steps(self, dt: float) -> int:
         """Return the physics steps of `dt` [s] from one frame or sample to the next."""
