@@ -172,6 +172,7 @@ class TestMemory:
     @te.every_sensor
     def test_does_not_grow(self, sensor):
         env = te.bare(sensors=sensor(), **te.PARCELS_VARY)
+        env.action_space.seed(0)
         action = env.action_space.sample()
 
         def step() -> None:
