@@ -8,17 +8,23 @@ import pytest
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.env import make_batch
+from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.stream import Stream
 from surface_gym.sensors import Camera
 from tests.environments import EVERYTHING_VARIES
 from tests.flow.flows import DENSE, SHORT
 
 ENVS, BEFORE, AFTER = 3, 10, 20  # control periods
+CROWD = Stream(Poisson(15000.0), parcels=("S", "B"), speeds=(1.0, 2.0))
 VARIED: dict[str, Any] = {"sensors": Camera(), **EVERYTHING_VARIES}
 CONFIGS = {
     "one parcel": EnvConfig("sort", actions="halves"),
     "one parcel, all varies": EnvConfig("sort", actions="quadrants", **VARIED),
     "a stream, all varies": EnvConfig(
         "flow", actions="parcels", stream=DENSE, line=SHORT, duration=3.0, **VARIED
+    ),
+    "a queue at a gate, all varies": EnvConfig(
+        "flow", actions="parcels", stream=CROWD, line=SHORT, gate=True, queue=3, **VARIED
     ),
 }
 every_config = pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)

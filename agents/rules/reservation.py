@@ -142,7 +142,7 @@ def run_alone(
         opens: (runs,) physics step at which each gate opens; None: as the controller says.
     """
     streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
-    alone = config.replace(max_parcels=1, gate=True, stream=streams[0])
+    alone = config.replace(max_parcels=1, gate=True, queue=1, stream=streams[0])
     count = len(asked)
     batch = StreamBatch(alone, count)
     for i, seed in enumerate(seeds):
@@ -245,6 +245,7 @@ class Booking:
         self._period = config.control_period
         self._dt = config.timing.dt
         self._steps = config.timing.steps
+        self._head = config.stream_task.max_parcels  # row of the parcel that enters next
         self._signature = signature
         self._gaps = gaps
 
@@ -262,14 +263,15 @@ class Booking:
         clock = np.where(fresh, 0.0, book.clock)
         way = np.where(fresh[:, np.newaxis], 0, book.way)
         time = np.where(fresh[:, np.newaxis], LONG_AGO, book.time)
-        waits = tables[:, -1, task.PRESENT] > 0.5
-        due = clock + HORIZON * tables[:, -1, TIME].astype(np.float64)
+        head = tables[:, self._head]
+        waits = head[:, task.PRESENT] > 0.5
+        due = clock + HORIZON * head[:, TIME].astype(np.float64)
         # Let in, but there still: there was no room.
         stayed = book.pending & ~fresh & waits & (np.abs(due - book.due) < 1e-3)
         way[stayed] = np.roll(way[stayed], -1, axis=1)
         time[stayed] = np.roll(time[stayed], -1, axis=1)
         time[stayed, -1] = LONG_AGO
-        own = self._recognise(tables[:, -1])
+        own = self._recognise(head)
         earliest = (time + self._gaps[way, own[:, np.newaxis]]).max(axis=1)
         step = np.maximum(1, np.ceil((earliest - clock) / self._dt - 1e-6)).astype(np.int64)
         opens = np.where(waits & (step <= self._steps), step, SHUT)

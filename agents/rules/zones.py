@@ -46,6 +46,7 @@ class WholeZone(BatchController):
                 "gate must be True for a zone that one parcel has at a time, got False"
             )
         _, self._rows, _, self._obeying = config.site.zone
+        self._shown = config.stream_task.max_parcels + 1  # rows up to that of the next parcel
         if not 1 <= columns <= self._obeying:
             raise ValueError(f"columns must be between 1 and {self._obeying}, got {columns!r}")
         span = zone_span(config, columns)
@@ -73,7 +74,7 @@ class WholeZone(BatchController):
         num_envs = len(batch)
         fresh = is_fresh(num_envs, state, episode_start)
         before = np.zeros(num_envs) if state is None else np.where(fresh, 0.0, state.side)
-        side = self._side(batch, before)
+        side = self._side(batch[:, : self._shown], before)
         choice = self._axes.towards(side)
         grid = np.full((num_envs, self._rows, self._obeying), self._axes.roll)
         grid[:, :, : self._columns] = choice[:, np.newaxis, np.newaxis]

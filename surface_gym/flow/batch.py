@@ -103,8 +103,9 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
     task = config.stream_task
     return fs.StreamParams(
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
-        ahead=task.ahead, duration=task.duration, patience=task.patience, gated=task.gate,
-        touching=task.touching, waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
+        ahead=task.ahead, duration=task.duration, patience=task.patience,
+        queue=task.rows - task.max_parcels, touching=task.touching,
+        waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
 
@@ -248,7 +249,8 @@ class StreamBatch(BaseBatch):
                 working = rng.random(self.streams.commanded.shape[1:]) >= share
                 self.streams.obeys[i] = self.bodies.obeys[0] & working
             if self._draws:
-                for row in range(self.rows):
+                # No row behind the next parcel's, so that the queue's length changes no number.
+                for row in range(self.rows - self.task.queue + 1):
                     draw_noise(self.parcels, i * self.rows + row, rng)
 
     def _draw_surface(self, i: int, rng: np.random.Generator) -> None:

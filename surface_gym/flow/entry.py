@@ -1,7 +1,7 @@
 """Entry and exit of the parcels of a stream, compiled: who comes when there is room, and who left.
 
 A surface has a fixed number of slots, each a row of the batch's arrays that one parcel at a time
-has. With a gate one row more shows the parcel that waits.
+has. With a gate more rows show the parcels that wait.
 """
 
 from surface_gym import state as st
@@ -25,7 +25,7 @@ def count_due(streams: StreamState, i: int) -> None:
 @inlined
 def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
     """Count the rows of a surface that parcels on it may have."""
-    return streams.number.shape[1] - (1 if stream_params.gated else 0)
+    return streams.number.shape[1] - stream_params.queue
 
 
 @inlined
@@ -78,7 +78,7 @@ def _put(
 
 
 @inlined
-def show_next(
+def show_waiting(
     params: EnvParams,
     stream_params: StreamParams,
     surfaces: SurfaceState,
@@ -87,20 +87,22 @@ def show_next(
     streams: StreamState,
     i: int,
 ) -> None:
-    """Write the parcel that waits to enter, if any, into the last row, as it will enter."""
-    last = streams.number.shape[1] - 1
-    arrival = streams.coming[i]
-    if arrival == streams.due[i]:
-        streams.number[i, last] = fs.NOBODY
-        return
-    _put(stream_params, streams, parcels, i, last, arrival)
-    row = i * streams.number.shape[1] + last
-    streams.number[i, last] = arrival
-    parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
-    state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
-    st.read_truth(state)
-    for k in range(state.truth.shape[0]):
-        state.sensed[k] = state.truth[k]
+    """Write the parcels that wait into the rows behind the slots, in order, as they will enter."""
+    slots = count_slots(stream_params, streams)
+    for place in range(stream_params.queue):
+        slot = slots + place
+        arrival = streams.coming[i] + place
+        if arrival >= streams.due[i]:
+            streams.number[i, slot] = fs.NOBODY
+            continue
+        _put(stream_params, streams, parcels, i, slot, arrival)
+        row = i * streams.number.shape[1] + slot
+        streams.number[i, slot] = arrival
+        parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
+        state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+        st.read_truth(state)
+        for k in range(state.truth.shape[0]):
+            state.sensed[k] = state.truth[k]
 
 
 @inlined

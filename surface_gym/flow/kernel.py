@@ -14,7 +14,7 @@ from surface_gym import state as st
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow import state as fs
-from surface_gym.flow.entry import count_due, count_slots, leave, let_in, show_next
+from surface_gym.flow.entry import count_due, count_slots, leave, let_in, show_waiting
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
@@ -334,6 +334,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         rows = streams.number.shape[1]
         slots = count_slots(stream_params, streams)
         gate = surfaces.command.shape[1] - 1
+        gated = stream_params.queue > 0
         jam_term = streams.terms.shape[1] - 1
         waiting_term = jam_term - 1
         physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
@@ -370,7 +371,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                 shapes,
             )
             zone = bodies.zone[0]
-            opens = int(surfaces.command[i, gate]) if stream_params.gated else 1
+            opens = int(surfaces.command[i, gate]) if gated else 1
             entered = False
             # Parcels may enter at a start, which is step 0 alone, and after every step.
             for step in range(0 if begins else 1, 1 if begins else params.timing.steps + 1):
@@ -405,7 +406,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                     streams.terms[i, waiting_term] += stream_params.waiting_reward * dt * waiting
                 count_due(streams, i)
                 # A gate opens at a physics step of the period, for one parcel; or not at all.
-                if stream_params.gated and (entered or opens == 0 or step < opens):
+                if gated and (entered or opens == 0 or step < opens):
                     continue
                 slot = let_in(params, stream_params, surfaces, parcels, bodies, streams, i)
                 if slot != fs.NOBODY:
@@ -449,8 +450,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             streams.reward[i] = reward
             if not math.isfinite(reward):
                 streams.fault[i] = st.BAD_REWARD
-            if stream_params.gated:
-                show_next(params, stream_params, surfaces, parcels, bodies, streams, i)
+            if gated:
+                show_waiting(params, stream_params, surfaces, parcels, bodies, streams, i)
                 parcels.reward[first + slots] = streams.terms[i, waiting_term]
             observe_parcels(params, stream_params, surfaces, parcels, bodies, streams, i)
             for k in range(rows):

@@ -47,7 +47,7 @@ class FlowParallelEnv(ParallelEnv):
     `possible_agents` are all that come or may still come in this episode; before the first reset,
     as many as one draw of the stream has.
 
-    Arguments are those of `SmartSurfaceEnv` and of Flow, but `actions` and `gate`.
+    Arguments are those of `SmartSurfaceEnv` and of Flow, but `actions`, `gate` and `queue`.
     `reset(options={"stream": ...})` gives an episode a stream of its own; other options are
     ignored, as PettingZoo's tests have it.
 

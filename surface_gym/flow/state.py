@@ -40,8 +40,8 @@ class StreamState(NamedTuple):
     left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
     taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
-    # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last row is that of
-    # the parcel that waits to enter
+    # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
+    # parcels that wait to enter
     number: Integers
     present: Booleans  # (surfaces, rows) whether a parcel is there and has not left
     touched_at: Integers  # (surfaces, rows, rows) physics step in which two touched last
@@ -69,7 +69,7 @@ class StreamParams(NamedTuple):
     ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
     duration: float  # [s] of an episode
     patience: float  # [s] without any motion that make a jam
-    gated: bool  # whether actions say when the next parcel may enter
+    queue: int  # rows of parcels that wait at the gate; 0 without one
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more

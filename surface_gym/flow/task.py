@@ -70,6 +70,7 @@ class StreamActions(ActionKind):
 
 ACTIONS = ("modules", "parcels")
 MOST_PARCELS = 256
+MOST_WAITING = 64  # that are shown
 LEVELLING = 0.01  # [rad] a slope that makes up for what rolling costs: tan(tilt) = mu_min
 STEEPEST = math.radians(15.0)
 
@@ -115,6 +116,7 @@ class StreamTask(Task):
     restitution: float = 0.0  # [-] of sides that touch
     side_friction: float = 0.3  # [-] between them
     gate: bool = False  # whether an action says when the next parcel may enter
+    queue: int = 1  # parcels that wait, shown with a gate
     entry_gap: float = 0.02  # [m] clear ahead of a parcel that enters
     ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
     patience: float = 2.0  # [s] without motion that make a jam
@@ -144,13 +146,15 @@ class StreamTask(Task):
         set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
         set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
         checks.one_of("gate", self.gate, (False, True))
+        if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:
+            raise ValueError(f"queue must be 1 without a gate, got {self.queue}")
         if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
             raise ValueError(f"max_parcels must be at most {MOST_PARCELS}, got {self.max_parcels}")
 
     @property
     def rows(self) -> int:
-        """Rows of the observed table: one for each parcel, and with a gate one for the next."""
-        return self.max_parcels + (1 if self.gate else 0)
+        """Rows of the observed table: for parcels on the line, and with a gate for those waiting."""
+        return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
     def touching(self) -> ContactMaterial:
@@ -255,7 +259,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
     Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
     Feature("to the exit's end", -20.0, 20.0, "from its centre / 0.5 m; straight on: 20"),
-    Feature("waits", 0.0, 1.0, "1: at the gate, to enter next; 0: on the line"),
+    Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the line"),
     *(
         Feature(f"{name} {where}", low, high, meaning)
         for where in ("ahead", "behind")
@@ -376,11 +380,13 @@ class Flow(StreamTask):
     | 15 | 1 for a parcel, 0 for a free row |
     | 16 | half its width |
     | 17 | how far it is to the exit's end |
-    | 18 | 1 for the parcel that waits at the gate |
+    | 18 | 1 for a parcel that waits at the gate |
     | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
     | 24 to 28 | the next one behind |
 
-    With `gate` one row more, the last, shows the parcel that is to enter next, as it will enter.
+    With `gate` there are `queue` rows more, by default one. They show parcels that wait, whose time
+    has come, as they will enter: row `max_parcels` the one that enters next, then those behind it
+    in order; the others are all 0.
 
     ### Reward
 

@@ -34,6 +34,7 @@ DENSE_STREAM: dict[str, Any] = {
 STREAMS: dict[str, dict[str, Any]] = {
     "a stream of modules": {**DENSE_STREAM, "actions": "modules"},
     "a stream of parcels": {**DENSE_STREAM, "actions": "parcels"},
+    "a stream at a gate": {**DENSE_STREAM, "actions": "parcels", "gate": True, "queue": 3},
 }
 every_case = pytest.mark.parametrize("name", CASES)
 needs_numba_cuda = pytest.mark.skipif(

@@ -301,6 +301,7 @@ def singles_of(mode: AutoresetMode, **settings: Any) -> SyncVectorEnv:
 BESIDE: dict[str, tuple[dict[str, Any], int]] = {
     **{name: (kind, 40) for name, kind in flows.KINDS.items()},
     "a gate": ({"actions": "parcels", "gate": True}, 40),
+    "a queue at a gate, all varies": ({**VARIED, "gate": True, "queue": 3}, 40),
     "jams": (
         {"actions": "parcels", "orientations": (0.0, 0.1), "patience": 0.2, "duration": 3.0}, 100
     ),

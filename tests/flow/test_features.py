@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT
+from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
-from tests.flow.flows import ROLL, SHORT, bare, box_of
+from tests.flow.flows import KINDS, ROLL, SHORT, assert_alike, bare, box_of
 
 NAMES = [feature.name for feature in FEATURES]
 FIRST_OF_ZONE = 0.5  # [m] after a lead-in of 5 columns
@@ -108,3 +108,38 @@ def test_the_first_are_those_of_sort() -> None:
     assert NAMES[:13] == [feature.name for feature in SORT_FEATURES[:13]]
     assert NAMES[12] == "time"
     assert [NAMES[k] for k in (PRESENT, AHEAD, BEHIND)] == ["present", "gap ahead", "gap behind"]
+
+
+@pytest.mark.parametrize("name", ["parcels, exact", "parcels, camera, all varies"])
+def test_a_queue_shows_who_is_behind_the_next_and_changes_nothing_else(name: str) -> None:
+    stream = Stream(Poisson(15000.0), parcels=("S", "B"), speeds=(1.0, 2.0))
+    kind = {**KINDS[name], "stream": stream, "gate": True, "max_parcels": 4}
+    short, env = (bare(**kind, queue=queue) for queue in (1, 3))
+    assert env.observation_space.shape == (7, len(FEATURES))
+    assert env.action_space == short.action_space
+    short.action_space.seed(0)
+    counts = set()
+    entry = np.delete(np.arange(AHEAD), 12)  # how it enters: all but the time and the neighbours
+    for seed in (0, None):
+        seen, same = env.reset(seed=seed), short.reset(seed=seed)
+        streams = env.batch.streams
+        known: dict[int, Array] = {}
+        for _ in range(env.config.periods):
+            assert_alike((seen[0][:5], *seen[1:]), same)
+            assert seen[0] in env.observation_space
+            first = int(streams.coming[0])
+            waiting = list(range(first, min(first + 3, int(streams.due[0]))))
+            counts.add(len(waiting))
+            table = seen[0][4:]
+            assert not table[len(waiting) :].any()
+            for number, row in zip(waiting, table, strict=False):
+                assert row[PRESENT] == row[WAITS] == 1.0
+                since = streams.clock[0] - streams.time[0, number]
+                assert row[12] == pytest.approx(-since / 4.0, abs=1e-6)
+                np.testing.assert_array_equal(row[entry], known.setdefault(number, row[entry]))
+            action = short.action_space.sample()
+            seen, same = env.step(action), short.step(action)
+            # The surface's reward is that of the row of who enters next, once.
+            assert env.batch.parcels.reward[4:].tolist() == [seen[4]["reward_waiting"], 0.0, 0.0]
+    assert counts >= {1, 2, 3}
+    assert len(known) > 3

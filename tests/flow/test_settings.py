@@ -36,6 +36,7 @@ BAD: dict[str, list[Any]] = {
     "stuck of actuators": [Actuators(stuck=((99, 0),))],
     "restitution": [-0.1, 1.1, None],
     "gate": [1, None],
+    "queue": [0, 2, 2.0, True],
     "ahead": [-0.1, True],
 }
 
@@ -61,6 +62,8 @@ TINY = Stream(parcels=(sg.Parcel(sg.Rectangle(0.1, 0.1)),))  # a pitch long
 # What is allowed by itself, and not with something else.
 TOGETHER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "gate": ({"gate": True}, {"orientations": "any"}),  # it counts choices
+    "queue must be a whole number of at most 64": ({"gate": True, "queue": 64}, {"queue": 65}),
+    "queue must be 1 without a gate": ({"gate": True, "queue": 2}, {"gate": False}),
     # A line as wide as its parcel has other rotors for another one.
     "line must have the same rotors": (
         {"line": lines.Line()}, {"stream": Stream(parcels=("S", "B"))},

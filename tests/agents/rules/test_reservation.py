@@ -246,6 +246,14 @@ def test_more_than_a_line_takes_is_sorted_without_a_touch() -> None:
         Reservation(line())
 
 
+def test_it_enters_who_is_next_however_many_of_a_queue_are_shown() -> None:
+    found = []
+    for queue in (1, 3):
+        config = gated(CROWD, queue=queue)
+        found.append(counts(Reservation(config), config))
+    assert found[0] == found[1]
+
+
 def test_it_comes_near_the_packed_ways_and_not_above() -> None:
     config = gated(CROWD, duration=20.0)
     gaps = reservation.least_gaps(found(config).each, reservation.MARGIN)

@@ -120,12 +120,14 @@ def zone_table(
     config: EnvConfig, *parcels: tuple[float, float], waits: float | None = None
 ) -> np.ndarray:
     """S-boxes, by where the rear is past the zone's start [m] and the side of the exit; and the
-    side of the one at the gate, if there is one.
+    side of the one at the gate, if there is one; behind it are longer ones to the other side.
     """
     seen = table(config.stream_task.rows, *((rear / 0.5, side) for rear, side in parcels))
     seen[: len(parcels), 6] = -SIZE
     if waits is not None:
-        seen[-1, [PRESENT, WAITS, PAST_START, SIDE, 6]] = 1.0, 1.0, -1.0, waits, -SIZE
+        head, columns = config.stream_task.max_parcels, [PRESENT, WAITS, PAST_START, SIDE, 6]
+        seen[head, columns] = 1.0, 1.0, -1.0, waits, -SIZE
+        seen[head + 1 :, columns] = 1.0, 1.0, -1.0, -waits, SIZE
     return seen
 
 
@@ -156,7 +158,7 @@ def test_a_zone_that_turns_leads_the_parcel_that_is_wholly_in_it(parcels, choice
 
 def test_a_zone_is_arranged_while_it_is_free_and_stays_until_the_parcel_is_out() -> None:
     """Each environment remembers its own until an episode begins."""
-    config, state = zoned(SMALL), None
+    config, state = zoned(SMALL, queue=3), None
     zone = zones.ArrangedZone(config, COLUMNS, alone=True)
     for parcels, waits, choice in (
         ([], None, ROLL),
