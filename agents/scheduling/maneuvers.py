@@ -1,0 +1,367 @@
+"""Maneuvers that lead a parcel to its exit, and how close one can follow another.
+
+A maneuver is a place along the line and an angle: the parcel rolls until its rear is past the
+place, and from there on the axes under it stand at the angle. A parcel that turns off loses speed
+along the line; one behind it that turns off upstream never meets it. So a line carries the more,
+the more places there are to choose from, and the gentler the angle.
+
+Which columns have an actuator of their own limits the choice: two parcels that need the axes of one
+group to stand otherwise must not be over it at once.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.flow import task
+from surface_gym.physics.jit import compiled
+from surface_gym.sensors import Exact
+
+from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes
+from .trajectories import DT, Asked, Followed, LoneRuns, find_gaps, list_asked, run_alone
+
+MARGIN = 0.02  # [m] kept clear between two parcels
+PLACES = 9  # to turn off, evenly along an exit
+UPSTREAM = 2.0  # [m] before an exit begins, at most, that a parcel turns off towards it
+PHASES = 2  # of a control period in which a parcel enters
+TRIES = 4  # of each maneuver, where sensors err or anything is drawn; else one
+PAST_START, SPEED = 13, 3  # columns of a row: rear past the exit's start / 0.5 m, vx - 1 m/s
+LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
+UNIT = 0.5  # [m] in which a row says how far the rear is past the exit's start
+BEFORE = 0.5  # [m] by which a zone that is arranged beforehand is turned before a parcel is over it
+NO_GROUP = -1
+ROUNDS = 50  # of value iteration
+
+
+@dataclass(frozen=True)
+class ColumnGroups:
+    """Columns that obey, in groups one after the other; one actuator turns each group."""
+
+    columns: int = 1  # of a group
+    count: int | None = None  # of groups, from the first column that obeys on; None: as many as fit
+    # whether a parcel enters a group only once the one before has left it, wherever both go; else
+    # those that need its axes at the same angle may follow each other over it
+    exclusive: bool = False
+
+    def __post_init__(self) -> None:
+        checks.integer("columns", self.columns, least=1)
+        if self.count is not None:
+            checks.integer("count", self.count, least=1)
+        checks.one_of("exclusive", self.exclusive, (False, True))
+
+    def spans(self, obeying: int) -> Integers:
+        """Compute (groups, 2) the first column of each group and the one after its last."""
+        most = obeying // self.columns
+        if most == 0 or (self.count or 0) > most:
+            raise ValueError(
+                f"columns must fit on the {obeying} that obey, got {self.count or 1} groups of "
+                f"{self.columns}"
+            )
+        first = self.columns * np.arange(self.count or most)
+        return np.stack([first, first + self.columns], axis=1)
+
+
+class Maneuvers(NamedTuple):
+    """Maneuvers, an array entry for each."""
+
+    kind: Integers  # (maneuvers,) index of the parcel, speed and exit that it is for
+    place: Numbers  # (maneuvers,) [m] of the rear past the exit's start; infinite: it goes straight
+    choice: Integers  # (maneuvers,) orientation from there on
+    groups: Integers  # (maneuvers, 2) first and last group that it turns; NO_GROUP: it turns none
+
+    def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
+        """Return some of them."""
+        return Maneuvers(*(values[chosen] for values in self))
+
+
+class Lead:
+    """Leads parcels by their maneuvers: chooses what every module that obeys does.
+
+    Args:
+        config: of the environment; actions "parcels" without groups, "modules" with them.
+    """
+
+    def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
+        checks.one_of("actions", config.actions, ("parcels",) if groups is None else ("modules",))
+        if config.action_kind.continuous:
+            raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
+        self.axes: Axes = find_axes(config)
+        self.groups = groups
+        self.kinds = list_asked(config)
+        line = config.chosen_line
+        _, self._rows, first, self._columns = config.site.zone
+        self.zone_x = line.column_edge(first)
+        self._pitch = line.pitch_x
+        exits = config.exits
+        starts = [self.zone_x if each.side == 0 else max(self.zone_x, each.first) for each in exits]
+        # [m] x from which a row counts how far a parcel's rear is
+        self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
+        turning = 0.5 * math.pi / config.actuators.axis_speed  # [s] of an axis by 90 deg
+        self.ahead = config.control_period + turning  # [s] that a group is turned before it is used
+        self._angles = np.array(config.chosen_orientations)
+        if groups is not None:
+            self.spans = groups.spans(self._columns)
+            # [m] x of the centres of each group's first and last columns
+            self.first_x = line.column_edge(first + 0.5) + self._pitch * self.spans[:, 0]
+            self.last_x = line.column_edge(first - 0.5) + self._pitch * self.spans[:, 1]
+
+    def choose(
+        self, tables: Singles, maneuvers: Maneuvers, booked: Integers, before: Integers | None
+    ) -> tuple[Integers, Integers]:
+        """Choose actions (num_envs, size) without the gate, and what groups stand at
+        (num_envs, groups).
+
+        Args:
+            tables: (num_envs, rows, features).
+            booked: (num_envs, parcels) index of each parcel's maneuver; negative: there is none.
+            before: (num_envs, groups) what groups stood at; None: all at 90 deg.
+        """
+        num_envs, parcels = booked.shape
+        own = maneuvers.pick(booked.clip(0))
+        past = UNIT * tables[:, :parcels, PAST_START].astype(np.float64)
+        turns = (booked >= 0) & (past > own.place)
+        choice = np.where(turns, own.choice, self.axes.roll)
+        if self.groups is None:
+            return np.repeat(choice, 2, axis=1), np.empty((num_envs, 0), dtype=np.int64)
+        rear = past + self.origin[own.kind]
+        length = 2.0 * (HALF + FIFTH * tables[:, :parcels, LENGTH])
+        soon = rear + length + self.ahead * (1.0 + tables[:, :parcels, SPEED])
+        over = (booked >= 0)[..., np.newaxis] & (rear[..., np.newaxis] <= self.last_x)
+        over &= soon[..., np.newaxis] >= self.first_x
+        # Of several, the one that is farthest along decides.
+        nearest = np.where(over, rear[..., np.newaxis], -np.inf).argmax(axis=1)
+        group = np.arange(len(self.spans))
+        env = np.arange(num_envs)[:, np.newaxis]
+        mine = own.groups[env, nearest]
+        inside = (mine[..., 0] <= group) & (group <= mine[..., 1])
+        wanted = np.where(inside, choice[env, nearest], self.axes.roll)
+        if before is None:
+            before = np.full(wanted.shape, self.axes.roll)
+        stands = np.where(over.any(axis=1), wanted, before)
+        columns = np.full((num_envs, self._columns), self.axes.roll)
+        each = np.repeat(stands, self.spans[:, 1] - self.spans[:, 0], axis=1)
+        columns[:, : each.shape[1]] = each
+        return np.tile(columns, (1, self._rows)), stands
+
+    def candidates(self, config: EnvConfig, places: int) -> Maneuvers:
+        """List the maneuvers of every parcel, speed and exit."""
+        found: list[tuple[int, float, int, int, int]] = []
+        for kind, (parcel, _, name) in enumerate(self.kinds):
+            leaves = config.exits.exits[config.exits.place(name)]
+            length = float(np.ptp(parcel.base.outline[:, 0]))
+            if leaves.side == 0:
+                found.append((kind, np.inf, self.axes.roll, NO_GROUP, NO_GROUP))
+                continue
+            low = max(self.zone_x - length, leaves.first - UPSTREAM)
+            high = min(leaves.last, config.rotors_end) - length
+            every = self._turning_places(low, max(low, high), length, places)
+            found += [
+                (kind, x - self.origin[kind], choice, *turned)
+                for choice in self._choices_towards(leaves.side)
+                for x, turned in every
+            ]
+        kind, place, choice, first, last = map(np.array, zip(*found, strict=True))
+        return Maneuvers(kind, place, choice, np.stack([first, last], axis=1))
+
+    def _turning_places(
+        self, low: float, high: float, length: float, places: int
+    ) -> list[tuple[float, tuple[int, int]]]:
+        """List x [m] of the rear from which on a parcel is turned, and by which groups."""
+        if self.groups is None or self.groups.columns == 1:
+            last = NO_GROUP if self.groups is None else len(self.spans) - 1
+            return [(x, (min(0, last), last)) for x in np.linspace(low, high, places).tolist()]
+        # A zone is turned under the parcel, once it is wholly in, or arranged for it beforehand.
+        edge = self.first_x - 0.5 * self._pitch
+        return [
+            (x, (group, group))
+            for group, start in enumerate(edge.tolist())
+            for x in (start, start - length - BEFORE)
+        ]
+
+    def _choices_towards(self, side: int) -> list[int]:
+        """List the orientations that lead to a side, whose mirror images are on offer, too."""
+        angles = (self._angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+        leads = (-side * angles > 1e-6) & (np.abs(angles) < 0.5 * np.pi - 1e-6)
+        mirrored = (axes_apart(-angles[:, np.newaxis], angles) < 1e-6).any(axis=1)
+        return [int(k) for k in np.nonzero(leads & mirrored)[0]]
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Maneuvers that lead right, and the gaps between parcels that take them."""
+
+    lead: Lead
+    maneuvers: Maneuvers
+    signature: Numbers  # (kinds, features) by which each parcel, speed and exit is known
+    right: Booleans  # (kinds,) whether some maneuver led it right in every try
+    gaps: Numbers  # (maneuvers, maneuvers) [s] between entries, of each (column) behind each (row)
+
+    @cached_property
+    def options(self) -> Integers:
+        """(kinds, most) index of each kind's maneuvers, filled up with -1."""
+        each = [np.nonzero(self.maneuvers.kind == kind)[0] for kind in range(len(self.signature))]
+        found = np.full((len(each), max(map(len, each))), -1)
+        for kind, own in enumerate(each):
+            found[kind, : len(own)] = own
+        return found
+
+    @cached_property
+    def delay(self) -> Numbers:
+        """(maneuvers,) [s] by which all that come later are expected to enter later behind each,
+        over the mean, if the kinds that come are as likely as each other.
+
+        It is the bias of an average-cost Markov decision process, by relative value iteration, in
+        which a parcel's entry depends on the maneuver of the one ahead alone.
+        """
+        bias = np.zeros(len(self.gaps))
+        for _ in range(ROUNDS):
+            behind = [(self.gaps + bias)[:, own[own >= 0]].min(axis=1) for own in self.options]
+            found = np.mean(behind, axis=0)
+            bias = found - found.min()
+        return bias
+
+
+def make_library(
+    config: EnvConfig,
+    groups: ColumnGroups | None = None,
+    places: int = PLACES,
+    margin: float = MARGIN,
+    slack: float = 1.0,
+) -> Library:
+    """Try maneuvers on parcels that each have the line to themselves, and keep those that lead
+    right, as sensors see it and with all that varies.
+
+    Args:
+        config: of the environment, with a gate.
+        places: to turn off, of each parcel and exit.
+        margin: [m] kept clear between two parcels.
+        slack: [-] share of a control period, and of an axis's turn by 90 deg, for which no parcel
+            is over a module that the one before it held otherwise.
+    """
+    if not config.stream_task.gate:
+        raise ValueError("gate must be True for a schedule, got False")
+    checks.integer("places", places, least=1)
+    checks.not_negative("margin", margin)
+    checks.not_negative("slack", slack)
+    lead = Lead(config, groups)
+    tried = lead.candidates(config, places)
+    varies = config.randomisation.varies or config.actuators.stuck_share > 0.0
+    exact = not varies and isinstance(config.sensors, Exact)
+    tries = 1 if exact else TRIES
+    runs = [
+        [_try(config, lead, tried, seed, phase) for phase in range(PHASES)] for seed in range(tries)
+    ]
+    share = np.mean([run.right for same in runs for run in same], axis=0)
+    count = len(lead.kinds)
+    best = np.zeros(count)
+    np.maximum.at(best, tried.kind, share)
+    # A parcel that nothing leads right for certain takes what leads it right most often.
+    kept = share >= best[tried.kind]
+    maneuvers = tried.pick(kept)
+    gaps = np.zeros((len(maneuvers.kind), len(maneuvers.kind)))
+    for same in runs:  # on the same surface, whenever each of two enters
+        _raise_gaps(lead, maneuvers, [run.pick(kept) for run in same], margin, slack, gaps)
+    signature = np.empty((count, runs[0][0].signature.shape[1]))
+    signature[tried.kind] = runs[0][0].signature
+    return Library(lead, maneuvers, signature, best == 1.0, gaps)
+
+
+def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, phase: int) -> LoneRuns:
+    """Run every maneuver once, on the same surface, entering in a phase of a control period."""
+    count = len(tried.kind)
+    booked = np.arange(count)[:, np.newaxis]
+    stands: Integers | None = None
+
+    def act(tables: Singles) -> Integers:
+        nonlocal stands
+        here = np.where(tables[:, :1, task.PRESENT] > 0.5, booked, -1)
+        action, stands = lead.choose(tables, tried, here, stands)
+        return action
+
+    asked: list[Asked] = [lead.kinds[kind] for kind in tried.kind.tolist()]
+    opens = np.full(count, 1 + phase * config.timing.steps // PHASES)
+    return run_alone(act, config, asked, opens, [seed] * count)
+
+
+def _raise_gaps(
+    lead: Lead,
+    maneuvers: Maneuvers,
+    runs: list[LoneRuns],
+    margin: float,
+    slack: float,
+    gaps: Numbers,
+) -> None:
+    """Raise gaps to what runs ask for: parcels stay clear, and find their groups free."""
+    followed = [_choices(lead, maneuvers, run) for run in runs]
+    state = np.stack([np.full(len(gaps), lead.axes.roll), maneuvers.choice], axis=1)
+    needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
+    late = slack * lead.ahead
+    for i, ahead in enumerate(followed):
+        for j, behind in enumerate(followed):
+            if lead.groups is not None:
+                exclusive = lead.groups.exclusive
+                _raise_for_groups(needs[i][1], needs[j][0], state, late, exclusive, gaps)
+            find_gaps(ahead, behind, margin, 0.0 if needs else late, gaps)
+
+
+def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> Followed:
+    """Add to runs what the modules under each parcel stand at."""
+    outline, pose = run.outline, run.pose
+    theta = pose[..., np.newaxis, 2]
+    along = (
+        np.cos(theta) * outline[:, np.newaxis, :, 0] - np.sin(theta) * outline[:, np.newaxis, :, 1]
+    )
+    rear = pose[..., 0] + along.min(axis=2)
+    turns = rear > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
+    choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
+    reach = np.hypot(outline[..., 0], outline[..., 1]).max(axis=1)
+    return Followed(pose, run.moments, outline, reach, choice)
+
+
+def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
+    """Compute (maneuvers, groups, 2) [s] from when until when each needs each group at 90 deg, and
+    at its own angle; infinite and negative where it does not.
+    """
+    pose, moments, outline = run.pose, run.moments, run.outline
+    shape = len(moments), len(lead.first_x), 2
+    begins, ends = np.full(shape, np.inf), np.full(shape, -np.inf)
+    for i, count in enumerate(moments):
+        x, _, theta = pose[i, :count].T
+        turned = np.outer(np.cos(theta), outline[i, :, 0]) - np.outer(
+            np.sin(theta), outline[i, :, 1]
+        )
+        rear, front = x + turned.min(axis=1), x + turned.max(axis=1)
+        over = (front[:, np.newaxis] >= lead.first_x) & (rear[:, np.newaxis] <= lead.last_x)
+        turns = rear > maneuvers.place[i] + lead.origin[maneuvers.kind[i]]
+        first, last = maneuvers.groups[i]
+        own = np.zeros(shape[1], dtype=np.bool_)
+        if first != NO_GROUP:
+            own[first : last + 1] = True
+        angled = turns[:, np.newaxis] & own
+        for state, needs in enumerate((over & ~angled, over & angled)):
+            some = needs.any(axis=0)
+            begins[i, some, state] = DT * needs[:, some].argmax(axis=0)
+            ends[i, some, state] = DT * (count - needs[::-1][:, some].argmax(axis=0))
+    return begins, ends
+
+
+@compiled
+def _raise_for_groups(
+    ends: Numbers, begins: Numbers, state: Integers, late: float, exclusive: bool, gaps: Numbers
+) -> None:
+    """Raise gaps so that no parcel needs a group before the one ahead of it has left it, and it has
+    been turned; where both need it at the same angle, they may follow.
+    """
+    for i in range(gaps.shape[0]):
+        for j in range(gaps.shape[0]):
+            for group in range(begins.shape[1]):
+                for one in range(2):
+                    for other in range(2):
+                        if exclusive or state[i, one] != state[j, other]:
+                            wait = ends[i, group, one] + late - begins[j, group, other]
+                            gaps[i, j] = max(gaps[i, j], wait)

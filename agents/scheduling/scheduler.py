@@ -1,0 +1,281 @@
+"""Scheduler: books each parcel's maneuver and moment of entry together, and leads it so.
+
+Of the parcels that wait it chooses maneuvers by a beam search: those with which the last of them
+enters soonest, the mean gap of one more behind it included.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym.config import EnvConfig
+from surface_gym.flow import task
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import JAM, RIGHT, TOUCHES, WRONG
+from surface_gym.physics.jit import compiled
+from surface_gym.state import RUNNING
+from surface_gym.tasks.sort import HORIZON
+
+from ..base import BatchController, Booleans, Integers, Numbers, Singles, is_fresh
+from .bounds import entrance_bound
+from .maneuvers import MARGIN, ColumnGroups, Library, make_library
+from .trajectories import SIGNATURE
+
+BOOKED = 24  # the latest entries that a new one is held against
+WIDTH = 16  # sequences that the search keeps
+DEPTH = 8  # parcels that wait and are looked at, at most
+TIME = 12  # column of the time since a parcel entered; negative: since it came to the gate
+SHUT = 0
+LONG_AGO = -1e6  # [s]
+NOBODY = -1
+# What is kept clear, tried in turn: the share of a control period, and the margin [m].
+CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
+TRIED = 16  # episodes of a trial
+TRIAL = 20.0  # [s] of each
+TRIAL_SEED = 1_000_003
+
+
+class Workspace(NamedTuple):
+    """Sequences of maneuvers that a search keeps, by how many parcels they are for, best first."""
+
+    maneuver: Integers  # (DEPTH, WIDTH) of the last parcel
+    time: Numbers  # (DEPTH, WIDTH) [s] when it enters
+    before: Integers  # (DEPTH, WIDTH) the sequence that is one parcel shorter
+    cost: Numbers  # (DEPTH, WIDTH) [s] when one more behind it is to enter, in the mean
+
+
+def make_workspace() -> Workspace:
+    """Make the arrays of a search."""
+    shape = (DEPTH, WIDTH)
+    return Workspace(
+        np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros(shape, dtype=np.int64),
+        np.zeros(shape),
+    )  # fmt: skip
+
+
+@compiled
+def search(
+    gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
+    entered: Numbers, now: float, space: Workspace,
+) -> tuple[int, float]:  # fmt: skip
+    """Find the maneuver of the next parcel to enter, and when [s] it enters.
+
+    Args:
+        gaps: (maneuvers, maneuvers) [s], `delay` and `options` as `Library` has them.
+        queue: (parcels,) kind of each that waits, the next to enter first.
+        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
+        now: [s] before which none enters.
+    """
+    count = 1
+    for depth in range(queue.shape[0]):
+        maneuver, entry = space.maneuver[depth], space.time[depth]
+        before, cost = space.before[depth], space.cost[depth]
+        kept = 0
+        for sequence in range(count):
+            for column in range(options.shape[1]):
+                option = options[queue[depth], column]
+                if option < 0:
+                    break
+                time = now
+                for k in range(booked.shape[0]):
+                    time = max(time, entered[k] + gaps[booked[k], option])
+                at = sequence
+                for k in range(depth - 1, -1, -1):
+                    time = max(time, space.time[k, at] + gaps[space.maneuver[k, at], option])
+                    at = space.before[k, at]
+                place = kept
+                while place > 0 and time + delay[option] < cost[place - 1]:
+                    place -= 1
+                if place == WIDTH:
+                    continue
+                kept = min(WIDTH, kept + 1)
+                for k in range(kept - 1, place, -1):
+                    maneuver[k], entry[k] = maneuver[k - 1], entry[k - 1]
+                    before[k], cost[k] = before[k - 1], cost[k - 1]
+                maneuver[place], entry[place] = option, time
+                before[place], cost[place] = sequence, time + delay[option]
+        count = kept
+    at = 0
+    for k in range(queue.shape[0] - 1, 0, -1):
+        at = space.before[k, at]
+    return space.maneuver[0, at], space.time[0, at]
+
+
+def predict_rate(
+    library: Library, odds: Numbers, parcels: int = 2000, depth: int = DEPTH, seed: int = 0
+) -> float:
+    """Predict how many parcels an hour enter where some always wait, of kinds with odds (kinds,)
+    independent of each other.
+    """
+    rng = np.random.default_rng(seed)
+    kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
+    space = make_workspace()
+    booked, entered = np.zeros(BOOKED, dtype=np.int64), np.full(BOOKED, LONG_AGO)
+    now = 0.0
+    for k in range(parcels):
+        chosen, now = search(
+            library.gaps, library.delay, library.options, kinds[k : k + depth], booked, entered,
+            now, space,
+        )  # fmt: skip
+        booked, entered = np.roll(booked, 1), np.roll(entered, 1)
+        booked[0], entered[0] = chosen, now
+    return HOUR * (parcels - 1) / now
+
+
+class Book(NamedTuple):
+    """What a scheduler remembers, per environment."""
+
+    clock: Numbers  # (num_envs,) [s] since the episode began
+    booked: Integers  # (num_envs, BOOKED) maneuvers of the latest entries, the last first
+    entered: Numbers  # (num_envs, BOOKED) [s]
+    due: Numbers  # (num_envs,) [s] when the one that was let in last had come
+    pending: Booleans  # (num_envs,) whether that one has yet to be seen to have entered
+    rows: Integers  # (num_envs, parcels) maneuver of the parcel in each row, or NOBODY
+    stands: Integers  # (num_envs, groups) orientation of each group
+
+
+class Scheduler(BatchController):
+    """Books maneuvers and entries of the parcels that wait, and leads those on the line.
+
+    Args:
+        config: of the environment, with a gate. Its `queue` is how far the scheduler looks ahead.
+        library: of maneuvers; None: one is made, where every module obeys by itself.
+    """
+
+    _dims = 2
+
+    def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
+        self.library = make_library(config) if library is None else library
+        self._parcels = config.stream_task.max_parcels
+        self._period, self._dt = config.control_period, config.timing.dt
+        self._steps = config.timing.steps
+        self._space = make_workspace()
+
+    def _start(self, num_envs: int) -> Book:
+        groups = 0 if self.library.lead.groups is None else len(self.library.lead.spans)
+        return Book(
+            clock=np.zeros(num_envs),
+            booked=np.zeros((num_envs, BOOKED), dtype=np.int64),
+            entered=np.full((num_envs, BOOKED), LONG_AGO),
+            due=np.full(num_envs, np.nan),
+            pending=np.zeros(num_envs, dtype=np.bool_),
+            rows=np.full((num_envs, self._parcels), NOBODY),
+            stands=np.full((num_envs, groups), self.library.lead.axes.roll),
+        )
+
+    def _predict(
+        self, batch: Singles, state: Book | None, episode_start: Any, **_: bool
+    ) -> tuple[Integers, Book]:
+        num_envs = len(batch)
+        start = self._start(num_envs)
+        book = start
+        if state is not None:
+            fresh = is_fresh(num_envs, state, episode_start)
+            book = Book(
+                *(
+                    np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+                    for new, old in zip(start, state, strict=True)
+                )
+            )
+        book = self._follow(batch, book)
+        opens, book = self._open(batch, book)
+        actions, stands = self.library.lead.choose(
+            batch, self.library.maneuvers, book.rows, book.stands
+        )
+        book = book._replace(clock=book.clock + self._period, stands=stands)
+        return np.concatenate([actions, opens[:, np.newaxis]], axis=1), book
+
+    def _follow(self, tables: Singles, book: Book) -> Book:
+        """Find the row of the parcel that entered, or take back its entry where it still waits."""
+        here = tables[:, : self._parcels, task.PRESENT] > 0.5
+        rows = np.where(here, book.rows, NOBODY)
+        waits = tables[:, self._parcels, task.PRESENT] > 0.5
+        due = book.clock + HORIZON * tables[:, self._parcels, TIME].astype(np.float64)
+        stayed = book.pending & waits & (np.abs(due - book.due) < 1e-3)
+        entered, booked = book.entered.copy(), book.booked.copy()
+        entered[stayed] = np.roll(entered[stayed], -1, axis=1)
+        booked[stayed] = np.roll(booked[stayed], -1, axis=1)
+        entered[stayed, -1] = LONG_AGO
+        new = here & (rows == NOBODY)
+        came = book.pending & ~stayed
+        rows = np.where(new & came[:, np.newaxis], booked[:, :1], rows)
+        unknown = new & ~came[:, np.newaxis]
+        if unknown.any():  # on the line before the scheduler was
+            kinds = self._recognise(tables[:, : self._parcels][unknown])
+            rows[unknown] = self.library.options[kinds, 0]
+        return book._replace(rows=rows, entered=entered, booked=booked)
+
+    def _open(self, tables: Singles, book: Book) -> tuple[Integers, Book]:
+        """Choose when the gate opens (num_envs,), and book it."""
+        opens = np.full(len(tables), SHUT)
+        waiting = tables[:, self._parcels :]
+        waits = waiting[:, :DEPTH, task.PRESENT] > 0.5
+        booked, entered, due = book.booked.copy(), book.entered.copy(), book.due.copy()
+        library, space = self.library, self._space
+        for i in np.nonzero(waits[:, 0])[0].tolist():
+            clock = book.clock[i]
+            queue = self._recognise(waiting[i, : waits[i].sum()])
+            chosen, time = search(
+                library.gaps, library.delay, library.options, queue, booked[i], entered[i],
+                clock + self._dt, space,
+            )  # fmt: skip
+            step = int(np.ceil((time - clock) / self._dt - 1e-6))
+            if step > self._steps:
+                continue
+            opens[i] = step
+            booked[i], entered[i] = np.roll(booked[i], 1), np.roll(entered[i], 1)
+            booked[i, 0] = chosen
+            entered[i, 0] = clock + self._dt * step
+            due[i] = clock + HORIZON * float(waiting[i, 0, TIME])
+        return opens, book._replace(booked=booked, entered=entered, due=due, pending=opens != SHUT)
+
+    def _recognise(self, rows: Singles) -> Integers:
+        """Recognise (parcels,) the kind of each parcel, by what is seen of it."""
+        seen = rows[:, SIGNATURE].astype(np.float64)
+        apart = np.abs(seen[:, np.newaxis] - self.library.signature).max(axis=2)
+        return apart.argmin(axis=1)
+
+
+def make_scheduler(
+    config: EnvConfig, groups: ColumnGroups | None = None, least_right: float = 0.999
+) -> Scheduler | None:
+    """Make the scheduler that carries most, of those by which no two parcels touch.
+
+    Parcels are kept the less apart the better their trajectories are known: the closest schedule is
+    taken whose trial, always with a parcel at the gate, has no touch and no jam; the widest one if
+    none is.
+
+    Args:
+        config: of the environment; actions "parcels" without groups, "modules" with them.
+        least_right: [-] of deliveries in a trial; with fewer there is none, and None is returned.
+    """
+    for slack, margin in CLEARANCES:
+        library = make_library(config, groups, margin=margin, slack=slack)
+        if not np.isfinite(library.gaps).all():
+            continue
+        scheduler = Scheduler(config, library)
+        right, wrong, touches, jams = _try(config, scheduler)
+        if touches == 0 and jams == 0:
+            break
+    else:
+        return None
+    return scheduler if right >= least_right * max(1, right + wrong) else None
+
+
+def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
+    """Count parcels right and wrong, touches and jams of episodes with always one at the gate."""
+    task_ = config.stream_task
+    stream = task_.stream.with_rate(entrance_bound(config))
+    busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))
+    batch = StreamBatch(busy, TRIED)
+    for i in range(TRIED):
+        batch.seed(i, np.random.default_rng((TRIAL_SEED, i)))
+    batch.reset(np.arange(TRIED))
+    state = None
+    while (batch.outcome == RUNNING).any():
+        action, state = scheduler.predict(batch.observation, state)
+        batch.step(busy.action_kind.commands(action, TRIED))
+    tally = batch.streams.tally.sum(axis=0)
+    jams = int((batch.outcome == JAM).sum())
+    return int(tally[RIGHT]), int(tally[WRONG]), int(tally[TOUCHES]), jams

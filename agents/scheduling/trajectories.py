@@ -1,0 +1,219 @@
+"""Trajectories of parcels that each have the line to themselves, and how close they can follow."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.flow import arrivals
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.state import RIGHT
+from surface_gym.flow.stream import Stream
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.state import RUNNING
+
+from ..base import Booleans, Integers, Numbers, Singles
+
+DT = 0.005  # [s] between the moments at which bases are held against each other
+LONGEST = 20.0  # [s] gap that is tried
+SPEED_STEP = 0.1  # [m/s] between the trajectories of a stream whose speeds vary, at most
+SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that tell apart what waits at the gate
+
+Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
+
+
+def list_asked(config: EnvConfig) -> list[Asked]:
+    """List every parcel, speed and exit of a stream; of speeds that vary, some from the least to
+    the greatest.
+    """
+    stream = config.stream_task.stream
+    if isinstance(stream.arrivals, arrivals.Trace):
+        return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
+    if isinstance(stream.speeds, tuple):
+        low, high = stream.speeds
+        count = 1 + int(np.ceil((high - low) / SPEED_STEP - 1e-9))
+        speeds = np.linspace(low, high, max(2, count)).tolist()
+    else:
+        speeds = [stream.speeds]
+    named = stream.destinations or [(name, 1.0) for name in config.exits.names]
+    return [
+        (parcel, speed, name) for parcel in stream.kinds for speed in speeds for name, _ in named
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class LoneRuns:
+    """Runs of parcels that each have a line to themselves."""
+
+    pose: Numbers  # (runs, moments, 3) [m, m, rad] of the centroid, DT apart from its entry on
+    moments: Integers  # (runs,) until it leaves
+    outline: Numbers  # (runs, corners, 2) [m] of the base from its centroid, the last one repeated
+    right: Booleans  # (runs,) it left by its own exit
+    signature: Numbers  # (runs, features) by which each is known as it waits
+
+    def pick(self, chosen: Booleans) -> "LoneRuns":
+        """Return some of them (runs,)."""
+        return LoneRuns(*(values[chosen] for values in vars(self).values()))
+
+
+def run_alone(
+    act: Callable[[Singles], Integers],
+    config: EnvConfig,
+    asked: Sequence[Asked],
+    opens: Integers,
+    seeds: Sequence[int],
+) -> LoneRuns:
+    """Run parcels, each alone on a line with a gate.
+
+    Args:
+        act: chooses actions without the gate (runs, size) for tables (runs, rows, features).
+        opens: (runs,) physics step of the first period at which each enters.
+        seeds: (runs,) of all that is drawn.
+    """
+    streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
+    alone = config.replace(max_parcels=1, gate=True, queue=1, stream=streams[0])
+    count = len(asked)
+    batch = StreamBatch(alone, count)
+    for i, seed in enumerate(seeds):
+        batch.seed(i, np.random.default_rng(seed))
+    batch.reset(np.arange(count), [{"stream": stream} for stream in streams])
+    signature = batch.observation[:, -1, SIGNATURE].astype(np.float64)
+
+    def poses(row: int) -> Numbers:
+        return batch.parcels.truth.reshape(count, -1, 6)[:, row, :3].copy()
+
+    outlines = [batch.parcel(i, 1).base for i in range(count)]
+    times, found = [np.zeros(count)], [poses(1)]
+    while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.left[:, 0]).any():
+        action = np.concatenate([act(batch.observation), opens[:, np.newaxis]], axis=1)
+        batch.step(alone.action_kind.commands(action, count))
+        times.append(batch.streams.clock.copy())
+        found.append(poses(0))
+    state = batch.streams
+    entered, left = state.entered[:, 0], state.left[:, 0]
+    time, pose = np.array(times), np.array(found)
+    each = [_sample(time[:, i], pose[:, i], entered[i], left[i]) for i in range(count)]
+    corners = [base.outline - np.array(base.centroid) for base in outlines]
+    return LoneRuns(
+        _padded(each), np.array([len(one) for one in each]), _padded(corners),
+        state.tally[:, RIGHT] > 0, signature,
+    )  # fmt: skip
+
+
+def _sample(time: Numbers, pose: Numbers, entered: float, left: float) -> Numbers:
+    """Interpolate (moments, 3) the poses between entry and exit, DT apart."""
+    left = time[-1] if np.isnan(left) else left
+    inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < left)])
+    last = min(int(np.searchsorted(time, left)), len(time) - 1)
+    moment = np.concatenate([[0.0], time[inside][1:] - entered, [left - entered]])
+    corner = np.vstack([pose[inside], pose[last]])
+    wanted = DT * np.arange(math.floor((left - entered) / DT) + 1)
+    return np.stack([np.interp(wanted, moment, column) for column in corner.T], axis=1)
+
+
+def _padded(arrays: Sequence[Numbers]) -> Numbers:
+    """Put arrays (rows, columns) of different lengths into one, the last row of each repeated."""
+    most = max(map(len, arrays))
+    return np.stack([np.pad(one, ((0, most - len(one)), (0, 0)), "edge") for one in arrays])
+
+
+@inlined
+def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
+    """Find the least distance [m] of a base's corners from the origin along a direction."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    least = np.inf
+    for k in range(outline.shape[0]):
+        across = (cosine * outline[k, 0] - sine * outline[k, 1] + pose[0]) * x
+        least = min(least, across + (sine * outline[k, 0] + cosine * outline[k, 1] + pose[1]) * y)
+    return least
+
+
+@inlined
+def _separated(
+    one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
+) -> bool:
+    """Whether a side of the one base has all of the other at least a margin [m] beyond it."""
+    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(one.shape[0]):
+        after = k + 1 if k + 1 < one.shape[0] else 0
+        along, across = one[after, 0] - one[k, 0], one[after, 1] - one[k, 1]
+        length = math.hypot(along, across)
+        if length == 0.0:
+            continue
+        x = (cosine * across + sine * along) / length
+        y = (sine * across - cosine * along) / length
+        corner_x = cosine * one[k, 0] - sine * one[k, 1] + pose[0]
+        corner_y = sine * one[k, 0] + cosine * one[k, 1] + pose[1]
+        if _reach(other, other_pose, x, y) - corner_x * x - corner_y * y >= margin:
+            return True
+    return False
+
+
+class Followed(NamedTuple):
+    """Runs of parcels, ahead or behind, as `LoneRuns` has them."""
+
+    pose: Numbers  # (parcels, moments, 3)
+    moments: Integers  # (parcels,)
+    outline: Numbers  # (parcels, corners, 2)
+    reach: Numbers  # (parcels,) [m] from a base's centroid to its farthest corner
+    choice: Integers  # (parcels, moments) orientation of the modules under it
+
+
+@inlined
+def _is_clear(
+    ahead: Followed, i: int, behind: Followed, j: int, gap: int, margin: float, late: int
+) -> bool:
+    """Whether parcel j, so many moments behind i, keeps clear of it, and of modules that i held
+    otherwise so many moments ago.
+    """
+    far = ahead.reach[i] + behind.reach[j]
+    for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
+        for shift in range(0 if k >= gap else late, late + 1, max(1, late)):
+            other = k - gap + shift
+            if other >= behind.moments[j] or (
+                shift > 0 and ahead.choice[i, k] == behind.choice[j, other]
+            ):
+                continue
+            one_pose, other_pose = ahead.pose[i, k], behind.pose[j, other]
+            apart = margin if shift == 0 else 0.0
+            x, y = one_pose[0] - other_pose[0], one_pose[1] - other_pose[1]
+            if x * x + y * y < (far + apart) ** 2 and not (
+                _separated(ahead.outline[i], one_pose, behind.outline[j], other_pose, apart)
+                or _separated(behind.outline[j], other_pose, ahead.outline[i], one_pose, apart)
+            ):
+                return False
+    return True
+
+
+@compiled
+def find_gaps(ahead: Followed, behind: Followed, margin: float, late: float, gaps: Numbers) -> None:
+    """Raise each gap [s] (parcels, parcels), of one (column) behind another (row), to the least from
+    which on the two are never closer than a margin [m] while both are on the line; infinite where
+    there is none.
+
+    Bases are held against each other by separating axes at moments DT apart.
+
+    Args:
+        late: [s] that a module takes to leave the orientation that one parcel asked for, and stand
+            as the next asks.
+    """
+    shift = math.ceil(late / DT - 1e-6)
+    for i in range(gaps.shape[0]):
+        for j in range(gaps.shape[0]):
+            low, high = math.floor(gaps[i, j] / DT + 1e-6), round(LONGEST / DT)
+            if not math.isfinite(gaps[i, j]) or _is_clear(ahead, i, behind, j, low, margin, shift):
+                continue
+            if not _is_clear(ahead, i, behind, j, high, margin, shift):
+                gaps[i, j] = np.inf
+                continue
+            while high - low > 1:
+                middle = (low + high) // 2
+                if _is_clear(ahead, i, behind, j, middle, margin, shift):
+                    high = middle
+                else:
+                    low = middle
+            gaps[i, j] = DT * high
