@@ -1,1 +1,1 @@
-"""Schedules of streams: maneuvers of parcels, when each enters, and how many an hour a line carries."""
+"""Schedules of streams: maneuvers of parcels, moments of entry, bounds on what a line carries."""

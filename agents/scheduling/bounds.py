@@ -13,9 +13,9 @@ from .trajectories import list_asked
 def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
     """Compute the rate [parcels/h] that no controller can exceed, whatever it does on the line.
 
-    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then the one before it
-    rolls over the lead-in, whose axes stand at 90 deg, no faster than it came: so it takes at least
-    the one's clear length over the other's speed. This holds where the lead-in is as long as that
+    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then the one before
+    it rolls over the lead-in, whose axes stand at 90 deg, no faster than it came: so it takes at
+    least the one's clear length over the other's speed. This holds where the lead-in is as long as that
     length, the slope no steeper than makes up for rolling (`LEVELLING`), and nothing pushes.
 
     Args:

@@ -76,7 +76,9 @@ class Maneuvers(NamedTuple):
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
         """Return some of them."""
-        return Maneuvers(*(values[chosen] for values in self))
+        return Maneuvers(
+            self.kind[chosen], self.place[chosen], self.choice[chosen], self.groups[chosen]
+        )
 
 
 class Lead:
@@ -165,8 +167,9 @@ class Lead:
                 for choice in self._choices_towards(leaves.side)
                 for x, turned in every
             ]
-        kind, place, choice, first, last = map(np.array, zip(*found, strict=True))
-        return Maneuvers(kind, place, choice, np.stack([first, last], axis=1))
+        table = np.array(found)
+        whole = table[:, [0, 2, 3, 4]].astype(np.int64)
+        return Maneuvers(whole[:, 0], table[:, 1], whole[:, 1], whole[:, 2:])
 
     def _turning_places(
         self, low: float, high: float, length: float, places: int

@@ -191,9 +191,9 @@ def _is_clear(
 
 @compiled
 def find_gaps(ahead: Followed, behind: Followed, margin: float, late: float, gaps: Numbers) -> None:
-    """Raise each gap [s] (parcels, parcels), of one (column) behind another (row), to the least from
-    which on the two are never closer than a margin [m] while both are on the line; infinite where
-    there is none.
+    """Raise each gap [s] (parcels, parcels), of one (column) behind another (row), to the least
+    from which on the two are never closer than a margin [m] while both are on the line; infinite
+    where there is none.
 
     Bases are held against each other by separating axes at moments DT apart.
 
