@@ -15,8 +15,8 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 
     A parcel enters once its base and `entry_gap` ahead of it are clear. Until then the one before
     it rolls over the lead-in, whose axes stand at 90 deg, no faster than it came: so it takes at
-    least the one's clear length over the other's speed. This holds where the lead-in is as long as that
-    length, the slope no steeper than makes up for rolling (`LEVELLING`), and nothing pushes.
+    least the one's clear length over the other's speed. This holds where the lead-in is as long,
+    the slope no steeper than makes up for rolling (`LEVELLING`), and nothing pushes.
 
     Args:
         odds: (kinds,) of `list_asked`, independent of each other; None: all the same.
