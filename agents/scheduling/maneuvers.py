@@ -23,12 +23,22 @@ from surface_gym.physics.jit import compiled
 from surface_gym.sensors import Exact
 
 from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes
-from .trajectories import DT, Asked, Followed, LoneRuns, find_gaps, list_asked, run_alone
+from .trajectories import (
+    DT,
+    Asked,
+    Followed,
+    LoneRuns,
+    find_gaps,
+    list_asked,
+    list_speeds,
+    run_alone,
+)
 
 MARGIN = 0.02  # [m] kept clear between two parcels
 PLACES = 9  # to turn off, evenly along an exit
 UPSTREAM = 2.0  # [m] before an exit begins, at most, that a parcel turns off towards it
-PHASES = 2  # of a control period in which a parcel enters
+SLOW, FAST, EARLY, LATE = range(4)
+RESERVE = 0.05  # [-] by which a parcel's speed may differ, and a maneuver still leads it right
 TRIES = 4  # of each maneuver, where sensors err or anything is drawn; else one
 PAST_START, SPEED = 13, 3  # columns of a row: rear past the exit's start / 0.5 m, vx - 1 m/s
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
@@ -103,11 +113,13 @@ class Lead:
         starts = [self.zone_x if each.side == 0 else max(self.zone_x, each.first) for each in exits]
         # [m] x from which a row counts how far a parcel's rear is
         self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
-        turning = 0.5 * math.pi / config.actuators.axis_speed  # [s] of an axis by 90 deg
-        self.ahead = config.control_period + turning  # [s] that a group is turned before it is used
+        turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] of an axis by 90 deg
+        self.ahead = config.control_period + turn  # [s] that a group is turned before it is used
         self._angles = np.array(config.chosen_orientations)
         if groups is not None:
-            self.spans = groups.spans(self._columns)
+            # Behind the last rotors lie supports, which have no actuators.
+            rotors = config.site.rotor.any(axis=0)[first : first + self._columns]
+            self.spans = groups.spans(int(rotors.sum()))
             # [m] x of the centres of each group's first and last columns
             self.first_x = line.column_edge(first + 0.5) + self._pitch * self.spans[:, 0]
             self.last_x = line.column_edge(first - 0.5) + self._pitch * self.spans[:, 1]
@@ -257,9 +269,11 @@ def make_library(
     exact = not varies and isinstance(config.sensors, Exact)
     tries = 1 if exact else TRIES
     runs = [
-        [_try(config, lead, tried, seed, phase) for phase in range(PHASES)] for seed in range(tries)
+        [_try(config, lead, tried, seed, variant) for variant in (SLOW, FAST)]
+        for seed in range(tries)
     ]
-    share = np.mean([run.right for same in runs for run in same], axis=0)
+    beyond = [_try(config, lead, tried, 0, variant) for variant in (EARLY, LATE)]
+    share = np.mean([run.right for same in (*runs, beyond) for run in same], axis=0)
     count = len(lead.kinds)
     best = np.zeros(count)
     np.maximum.at(best, tried.kind, share)
@@ -267,15 +281,21 @@ def make_library(
     kept = share >= best[tried.kind]
     maneuvers = tried.pick(kept)
     gaps = np.zeros((len(maneuvers.kind), len(maneuvers.kind)))
-    for same in runs:  # on the same surface, whenever each of two enters
+    for same in runs:  # on the same surface, however each of two enters
         _raise_gaps(lead, maneuvers, [run.pick(kept) for run in same], margin, slack, gaps)
     signature = np.empty((count, runs[0][0].signature.shape[1]))
-    signature[tried.kind] = runs[0][0].signature
+    signature[tried.kind] = np.mean([run.signature for run in runs[0]], axis=0)
     return Library(lead, maneuvers, signature, best == 1.0, gaps)
 
 
-def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, phase: int) -> LoneRuns:
-    """Run every maneuver once, on the same surface, entering in a phase of a control period."""
+def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
+    """Run every maneuver once, on the same surface.
+
+    Args:
+        variant: SLOW: the parcels are as slow as those of their kind may be; FAST: as fast, and
+            enter in the other half of a control period. EARLY and LATE: slower and faster than
+            that, and they turn off so much too early or too late.
+    """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
     stands: Integers | None = None
@@ -286,8 +306,16 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, phase: int)
         action, stands = lead.choose(tables, tried, here, stands)
         return action
 
-    asked: list[Asked] = [lead.kinds[kind] for kind in tried.kind.tolist()]
-    opens = np.full(count, 1 + phase * config.timing.steps // PHASES)
+    _, off = list_speeds(config)
+    factor = 1.0 + (0.0, 0.0, -RESERVE, RESERVE)[variant]
+    off = off if variant in (FAST, LATE) else -off
+    kinds = [(parcel, factor * (speed + off), name) for parcel, speed, name in lead.kinds]
+    asked: list[Asked] = [kinds[kind] for kind in tried.kind.tolist()]
+    if variant in (EARLY, LATE):
+        period = config.control_period if variant == LATE else -config.control_period
+        speed = np.array([each for _, each, _ in asked])
+        tried = tried._replace(place=tried.place + period * speed)
+    opens = np.full(count, 1 + (variant % 2) * config.timing.steps // 2)
     return run_alone(act, config, asked, opens, [seed] * count)
 
 

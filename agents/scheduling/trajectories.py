@@ -20,25 +20,33 @@ from ..base import Booleans, Integers, Numbers, Singles
 
 DT = 0.005  # [s] between the moments at which bases are held against each other
 LONGEST = 20.0  # [s] gap that is tried
-SPEED_STEP = 0.1  # [m/s] between the trajectories of a stream whose speeds vary, at most
+SPEED_STEP = 0.1  # [m/s] between the speeds of a stream that varies them, at most
 SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that tell apart what waits at the gate
 
 Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
 
 
+def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
+    """List speeds [m/s] of a stream, and how far a parcel's may be from the nearest: 0, where they
+    do not vary.
+    """
+    speeds = config.stream_task.stream.speeds
+    if not isinstance(speeds, tuple):
+        return [speeds], 0.0
+    low, high = speeds
+    count = max(1, math.ceil((high - low) / SPEED_STEP - 1e-9))
+    half = 0.5 * (high - low) / count
+    return [round(low + half * (2 * k + 1), 9) for k in range(count)], half
+
+
 def list_asked(config: EnvConfig) -> list[Asked]:
-    """List every parcel, speed and exit of a stream; of speeds that vary, some from the least to
-    the greatest.
+    """List every parcel, speed and exit of a stream; of speeds that vary, some between the least
+    and the greatest.
     """
     stream = config.stream_task.stream
     if isinstance(stream.arrivals, arrivals.Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
-    if isinstance(stream.speeds, tuple):
-        low, high = stream.speeds
-        count = 1 + int(np.ceil((high - low) / SPEED_STEP - 1e-9))
-        speeds = np.linspace(low, high, max(2, count)).tolist()
-    else:
-        speeds = [stream.speeds]
+    speeds, _ = list_speeds(config)
     named = stream.destinations or [(name, 1.0) for name in config.exits.names]
     return [
         (parcel, speed, name) for parcel in stream.kinds for speed in speeds for name, _ in named
