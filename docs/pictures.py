@@ -38,6 +38,8 @@ PERIOD = 0.04  # [s] a picture of the films stays: as long as the control period
 OURS = ("--parcel", "0.3x0.4", "--mass", "12", "--speed", "1.2")
 SLIDING = "sliding mode"  # the rule that tracks, by the modules around the parcel
 ORIENTATIONS = (0.0, math.pi / 4.0, -math.pi / 4.0, math.pi / 2.0)  # [rad] in the legend
+GENTLE = (*ORIENTATIONS, math.radians(80.0), -math.radians(80.0))  # [rad] of streams
+ZONE = 8  # columns of a zone for S- and B-boxes
 LAST = 1.0  # [s] for which an episode's end stays before the next begins
 ROOM = 0.1  # [m] that is shown around all that moves
 WIDE, TEXT = 640, 1.4  # [px] of a film of one parcel, and the size of its texts
@@ -194,15 +196,21 @@ def _episode(
         begun, over = np.zeros(1, dtype=np.bool_), terminated or truncated
 
 
-def flow_by_chutes() -> list[Picture]:
-    """Film a reservation that leads a stream of S- and B-boxes to two chutes a side."""
-    from surface_gym.agents.rules.reservation import Reservation
+def _stream_env(rate: float, **arguments: Any) -> SmartSurfaceEnv:
+    """Make a flow of S- and B-boxes at 1.5 m/s, so many of them an hour; gentle turns on offer."""
+    stream = Stream(Steady(rate), ("S", "B"), speeds=1.5)
+    given = {"actions": "parcels", "gate": True, "duration": 16.0, "orientations": GENTLE}
+    return SmartSurfaceEnv("flow", stream=stream, **{**given, **arguments})
 
-    stream = Stream(Steady(7000.0), ("S", "B"), speeds=1.5)
-    env = SmartSurfaceEnv("flow", stream=stream, actions="parcels", gate=True, duration=12.0)
+
+def flow_by_chutes() -> list[Picture]:
+    """Film a scheduler that leads a stream of S- and B-boxes to two chutes a side."""
+    from surface_gym.agents.scheduling.scheduler import make_scheduler
+
+    env = _stream_env(11000.0)
     painter = Painter(BROAD)
-    scenes = _episode(env, Reservation(env.config))
-    return [painter.draw(scene) for scene in islice(scenes, 163, None, 2)]
+    scenes = _episode(env, make_scheduler(env.config))
+    return [painter.draw(scene) for scene in islice(scenes, 163, 301, 2)]
 
 
 def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
@@ -212,23 +220,18 @@ def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
         begin: [s] of the stream, where the film begins.
         end: [s] where it ends.
     """
-    from surface_gym.agents.evaluation.report import stream_player
-    from surface_gym.agents.evaluation.streams import ARRANGED, CURVE, LEARNED, stream_methods
+    from surface_gym.agents.scheduling.maneuvers import ColumnGroups
+    from surface_gym.agents.scheduling.scheduler import make_scheduler
 
-    titles = {
-        ARRANGED: "One zone for all",
-        LEARNED: "Each module by itself",
-    }
-    named = {each.name: each for each in stream_methods()}
+    zone = ColumnGroups(ZONE, 1, exclusive=True)
     rows = []
-    for name, title in titles.items():
-        method = named[name]
-        period = method.control_period
-        first, last, every = (round(time / period) for time in (begin, end, 0.08))
-        player, painter = stream_player(method, CURVE, rate=8500.0), Painter(BROAD)
-        env = SmartSurfaceEnv(**player.config.arguments())
-        env.np_random = player.rng
-        scenes = islice(_episode(env, player.controller, seed=None), first, last, every)
+    for title, actions, groups in (
+        ("One zone for all", "modules", zone),
+        ("Each module by itself", "parcels", None),
+    ):
+        env, painter = _stream_env(13000.0, exits="sides", actions=actions), Painter(BROAD)
+        first, last, every = (round(time / PERIOD) for time in (begin, end, 2.0 * PERIOD))
+        scenes = islice(_episode(env, make_scheduler(env.config, groups)), first, last, every)
         rows.append([painter.draw(replace(scene, title=title)) for scene in scenes])
     bar = np.full((BAR, rows[0][0].shape[1], 3), 255, dtype=np.uint8)
     return [np.concatenate([one, bar, other]) for one, other in zip(*rows, strict=True)]
@@ -241,12 +244,12 @@ def sort_still(file: Path) -> None:
 
 
 def flow_still(file: Path) -> None:
-    """Draw the stream under the reservation, 12 s after its start."""
-    from surface_gym.agents.evaluation.report import stream_picture
-    from surface_gym.agents.evaluation.streams import RESERVATION, stream_methods
+    """Draw the stream under the scheduler, 12 s after its start."""
+    from surface_gym.agents.scheduling.scheduler import make_scheduler
 
-    method = next(each for each in stream_methods() if each.name == RESERVATION)
-    write_still(stream_picture(method, rate=8550.0), file)
+    env = _stream_env(13000.0, exits="sides")
+    scene = next(islice(_episode(env, make_scheduler(env.config)), round(12.0 / PERIOD), None))
+    write_still(Painter(BROAD).draw(scene), file)
 
 
 def trajectories(file: Path) -> None:

@@ -118,8 +118,8 @@ class Lead:
         self._angles = np.array(config.chosen_orientations)
         if groups is not None:
             # Behind the last rotors lie supports, which have no actuators.
-            rotors = config.site.rotor.any(axis=0)[first : first + self._columns]
-            self.spans = groups.spans(int(rotors.sum()))
+            rotors = np.nonzero(config.site.rotor)[1]
+            self.spans = groups.spans(len(np.unique(rotors[rotors >= first])))
             # [m] x of the centres of each group's first and last columns
             self.first_x = line.column_edge(first + 0.5) + self._pitch * self.spans[:, 0]
             self.last_x = line.column_edge(first - 0.5) + self._pitch * self.spans[:, 1]
@@ -202,8 +202,8 @@ class Lead:
         """List the orientations that lead to a side, whose mirror images are on offer, too."""
         angles = (self._angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         leads = (-side * angles > 1e-6) & (np.abs(angles) < 0.5 * np.pi - 1e-6)
-        mirrored = (axes_apart(-angles[:, np.newaxis], angles) < 1e-6).any(axis=1)
-        return [int(k) for k in np.nonzero(leads & mirrored)[0]]
+        apart: Numbers = axes_apart(-angles[:, np.newaxis], angles).min(axis=1)
+        return [int(k) for k in np.nonzero(leads & (apart < 1e-6))[0]]
 
 
 @dataclass(frozen=True, eq=False)
