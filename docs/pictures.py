@@ -213,7 +213,7 @@ def flow_by_chutes() -> list[Picture]:
     return [painter.draw(scene) for scene in islice(scenes, 163, 301, 2)]
 
 
-def zone_and_modules(begin: float = 9.0, end: float = 15.0) -> list[Picture]:
+def zone_and_modules(begin: float = 9.0, end: float = 13.0) -> list[Picture]:
     """Film one stream twice: one zone arranged as a whole, and modules that obey their parcels.
 
     Args:
