@@ -111,9 +111,12 @@ TARGETS = (
         _agent(f"rules/{name}", f"rules/test_{near}.py", wide=("rules",))
         for name, near in (
             ("braking", "braking"), ("base", "braking"), ("steering", "steering"),
-            ("sorting", "layouts"), ("layouts", "layouts"), ("reservation", "reservation"),
-            ("zones", "streams"),
+            ("sorting", "layouts"), ("layouts", "layouts"), ("streams", "streams"),
         )
+    ),
+    *(
+        _agent(f"scheduling/{name}", f"scheduling/test_{name}.py", wide=("scheduling",))
+        for name in ("trajectories", "maneuvers", "scheduler", "bounds")
     ),
     _agent("planning/planner", "planning/test_planner.py"),
     _agent("planning/models", "planning/test_models.py", wide=("planning",)),
