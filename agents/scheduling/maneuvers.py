@@ -10,7 +10,8 @@ group to stand otherwise must not be over it at once.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -214,6 +215,7 @@ class Library:
     maneuvers: Maneuvers
     signature: Numbers  # (kinds, features) by which each parcel, speed and exit is known
     right: Booleans  # (kinds,) whether some maneuver led it right in every try
+    runs: tuple[tuple[LoneRuns, ...], ...]  # of the maneuvers, by surface and how they enter
     gaps: Numbers  # (maneuvers, maneuvers) [s] between entries, of each (column) behind each (row)
 
     @cached_property
@@ -233,12 +235,24 @@ class Library:
         It is the bias of an average-cost Markov decision process, by relative value iteration, in
         which a parcel's entry depends on the maneuver of the one ahead alone.
         """
-        bias = np.zeros(len(self.gaps))
-        for _ in range(ROUNDS):
-            behind = [(self.gaps + bias)[:, own[own >= 0]].min(axis=1) for own in self.options]
-            found = np.mean(behind, axis=0)
-            bias = found - found.min()
-        return bias
+        return find_delay(self.gaps, self.options)
+
+    def with_clearance(self, margin: float, slack: float) -> "Library":
+        """Return the same maneuvers at another clearance; see `make_library`."""
+        gaps = np.zeros((len(self.maneuvers.kind), len(self.maneuvers.kind)))
+        for same in self.runs:  # on the same surface, however each of two enters
+            _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
+        return replace(self, gaps=gaps)
+
+
+def find_delay(gaps: Numbers, options: Integers) -> Numbers:
+    """Find (maneuvers,) the bias of each [s]; see `Library.delay`."""
+    bias = np.zeros(len(gaps))
+    for _ in range(ROUNDS):
+        behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
+        found = np.mean(behind, axis=0)
+        bias = found - found.min()
+    return bias
 
 
 def make_library(
@@ -279,13 +293,11 @@ def make_library(
     np.maximum.at(best, tried.kind, share)
     # A parcel that nothing leads right for certain takes what leads it right most often.
     kept = share >= best[tried.kind]
-    maneuvers = tried.pick(kept)
-    gaps = np.zeros((len(maneuvers.kind), len(maneuvers.kind)))
-    for same in runs:  # on the same surface, however each of two enters
-        _raise_gaps(lead, maneuvers, [run.pick(kept) for run in same], margin, slack, gaps)
+    own = tuple(tuple(run.pick(kept) for run in same) for same in runs)
     signature = np.empty((count, runs[0][0].signature.shape[1]))
     signature[tried.kind] = np.mean([run.signature for run in runs[0]], axis=0)
-    return Library(lead, maneuvers, signature, best == 1.0, gaps)
+    found = Library(lead, tried.pick(kept), signature, best == 1.0, own, np.empty(0))
+    return found.with_clearance(margin, slack)
 
 
 def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: int) -> LoneRuns:
@@ -322,7 +334,7 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
 def _raise_gaps(
     lead: Lead,
     maneuvers: Maneuvers,
-    runs: list[LoneRuns],
+    runs: Sequence[LoneRuns],
     margin: float,
     slack: float,
     gaps: Numbers,

@@ -4,6 +4,7 @@ Of the parcels that wait it chooses maneuvers by a beam search: those with which
 enters soonest, the mean gap of one more behind it included.
 """
 
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -135,6 +136,12 @@ class Book(NamedTuple):
     stands: Integers  # (num_envs, groups) orientation of each group
 
 
+def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
+    """Yield arrays (num_envs, ...) of a memory, as at the start where an episode is fresh."""
+    for new, old in zip(start, state, strict=True):
+        yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
 class Scheduler(BatchController):
     """Books maneuvers and entries of the parcels that wait, and leads those on the line.
 
@@ -168,16 +175,10 @@ class Scheduler(BatchController):
         self, batch: Singles, state: Book | None, episode_start: Any, **_: bool
     ) -> tuple[Integers, Book]:
         num_envs = len(batch)
-        start = self._start(num_envs)
-        book = start
+        fresh = is_fresh(num_envs, state, episode_start)
+        book = self._start(num_envs)
         if state is not None:
-            fresh = is_fresh(num_envs, state, episode_start)
-            book = Book(
-                *(
-                    np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-                    for new, old in zip(start, state, strict=True)
-                )
-            )
+            book = Book(*renew(book, state, fresh))
         book = self._follow(batch, book)
         opens, book = self._open(batch, book)
         actions, stands = self.library.lead.choose(
@@ -243,24 +244,25 @@ def make_scheduler(
     """Make the scheduler that carries most, of those by which no two parcels touch.
 
     Parcels are kept the less apart the better their trajectories are known: the closest schedule is
-    taken whose trial, always with a parcel at the gate, has no touch and no jam; the widest one if
-    none is.
+    taken whose trial, always with a parcel at the gate, has no touch and no jam; if there is none,
+    the one with the fewest touches.
 
     Args:
         config: of the environment; actions "parcels" without groups, "modules" with them.
         least_right: [-] of deliveries in a trial; with fewer there is none, and None is returned.
     """
+    library = make_library(config, groups)
+    chosen, fewest = None, np.inf
     for slack, margin in CLEARANCES:
-        library = make_library(config, groups, margin=margin, slack=slack)
-        if not np.isfinite(library.gaps).all():
+        scheduler = Scheduler(config, library.with_clearance(margin, slack))
+        if not np.isfinite(scheduler.library.gaps).all():
             continue
-        scheduler = Scheduler(config, library)
         right, wrong, touches, jams = _try(config, scheduler)
-        if touches == 0 and jams == 0:
+        if jams == 0 and touches < fewest and right >= least_right * max(1, right + wrong):
+            chosen, fewest = scheduler, touches
+        if fewest == 0:
             break
-    else:
-        return None
-    return scheduler if right >= least_right * max(1, right + wrong) else None
+    return chosen
 
 
 def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
