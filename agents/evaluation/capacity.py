@@ -6,6 +6,7 @@ A rate is sustained where nearly all deliveries are right and nothing jams.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,17 +15,20 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import BETWEEN, JAM, compute_statistics
+from surface_gym.flow.state import BETWEEN, JAM, RIGHT, TURNS, compute_statistics
 from surface_gym.flow.stream import Stream
 from surface_gym.state import RUNNING
 
 from ..base import Controller, Numbers
+from ..scheduling.bounds import entrance_bound
 from .benchmark import SEED, half_interval
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 MIXES = {"S": ("S",), "S and B": ("S", "B")}  # parcels by name, of equal odds
-EXITS = "sides"  # left, right and straight on, at equal odds
-SPACING = 0.05  # [m] between parcels that follow each other at the ceiling
+EXITS = {  # by name, at equal odds
+    "sides": "left, right (a chute as long as the line on either side) and straight on",
+    "chutes": "two chutes on either side and straight on, the environment's default",
+}
 EXACT = Preset("exact", "exact", "Sensors show pose and velocity as they are.")
 STREAM_PRESETS = {
     "exact": EXACT,
@@ -43,7 +47,9 @@ SECONDS = 30.0  # [s] of an episode
 REPLICATIONS = 30
 WARM_UP = 8.0  # [s] at least, in which nothing counts: at 1 m/s one takes 6.5 s to the line's end
 PRECISION = 1.02  # [-] between a rate that is sustained and one that is not
-LEAST = 1.0 / 16.0  # [-] of the ceiling: a method that does not sustain this has no capacity
+LEAST = (
+    1.0 / 16.0
+)  # [-] of the entrance's bound: a method that does not sustain this has no capacity
 CARRIED = 0.98  # [-] of what is offered, so that the queue does not grow
 CHECK_EVERY = 10  # control periods between checks whether a rate can still be sustained
 
@@ -55,18 +61,20 @@ class Case:
     mix: str  # one of MIXES
     speed: float  # [m/s] at which they enter
     preset: str = "exact"  # one of STREAM_PRESETS
+    exits: str = "sides"  # one of EXITS
 
     @property
     def label(self) -> str:
         return f"{self.mix}, {self.speed:g} m/s"
 
-    @property
+    @cached_property
     def ceiling(self) -> float:
-        """[parcels/h] that a line could take at most, one behind the other."""
-        length = float(
-            np.mean([np.ptp(sg.layouts.box(kind).base.outline[:, 0]) for kind in MIXES[self.mix]])
-        )
-        return HOUR * self.speed / (length + SPACING)
+        """[parcels/h] that no controller can exceed: more do not come through the entrance."""
+        return entrance_bound(EnvConfig("flow", stream=self.stream(1.0), exits=self.exits))
+
+    def stream(self, rate: float) -> Stream:
+        """Make the stream in which parcels come evenly at a rate [parcels/h]."""
+        return Stream(Steady(rate), parcels=MIXES[self.mix], speeds=self.speed)
 
 
 @dataclass(frozen=True)
@@ -80,21 +88,25 @@ class StreamMethod:
     make: Callable[[EnvConfig], Controller | None]
     presets: tuple[str, ...] = ("exact", "camera")
     control_period: float = 0.04  # [s]
+    orientations: tuple[float, ...] | None = None  # [rad] on offer; None: those of the line
+    queue: int = 1  # parcels that wait at the gate, shown
 
     def config(self, case: Case, rate: float) -> EnvConfig:
         """Configure the environment it acts in, parcels coming evenly at a rate [parcels/h]."""
         preset = STREAM_PRESETS[case.preset]
         return EnvConfig(
             "flow",
-            stream=Stream(Steady(rate), parcels=MIXES[case.mix], speeds=case.speed),
-            exits=EXITS,
+            stream=case.stream(rate),
+            exits=case.exits,
             actions=self.actions,
+            orientations=self.orientations,
             sensors=preset.sensors,
             control_period=self.control_period,
             duration=SECONDS,
             actuators=preset.actuators,
             randomisation=preset.randomisation,
             gate=self.gate,
+            queue=self.queue,
         )
 
 
@@ -109,6 +121,7 @@ class Measurement:
     waiting: list[float]  # (replications,) [s] at the entry, mean over those that came and entered
     jams: int  # replications that ended in one
     counted: float  # [s] after the warm-up
+    turns: float  # [-] of modules' axes per parcel delivered right, of whole episodes
 
     def __post_init__(self) -> None:
         each: list[Sequence[float]] = [self.right, self.delivered, self.touches, self.waiting]
@@ -205,16 +218,18 @@ def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
         touches.append(found.touches_per_1000 * found.delivered / 1000.0 if some else 0.0)
         waiting.append(0.0 if math.isnan(found.waiting_mean) else found.waiting_mean)
     jams = int((streams.outcome == JAM).sum())
-    return Measurement(rate, right, delivered, touches, waiting, jams, counted)
+    tally = streams.tally.sum(axis=0)
+    turns = float(tally[TURNS] / max(1, tally[RIGHT]))
+    return Measurement(rate, right, delivered, touches, waiting, jams, counted, turns)
 
 
 def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> Measurement | None:
     """Search the greatest rate that a method sustains, to 2 %; None where it sustains none.
 
-    The ceiling comes first: a method that keeps parcels waiting at a gate may sustain whatever is
-    offered. One that sustains it without a gate, by parcels that push each other on, may deliver
-    more where fewer come. Else the rate is halved until it is sustained, and then searched for
-    between that and the last that was not.
+    What the entrance takes at most comes first: a method that keeps parcels waiting at a gate may
+    sustain whatever is offered. One that sustains it without a gate, by parcels that push each
+    other on, may deliver more where fewer come. Else the rate is halved until it is sustained, and
+    then searched for between that and the last that was not.
     """
 
     def sustained(rate: float) -> Measurement | None:
@@ -243,7 +258,7 @@ def find_capacity(method: StreamMethod, controller: Controller, case: Case) -> M
 def _most_carried(
     sustained: Callable[[float], Measurement | None], most: Measurement
 ) -> Measurement:
-    """Find the most delivered: at the ceiling, or at the greatest rate that is carried."""
+    """Find the most delivered: offered most, or at the greatest rate that is carried."""
     low, high = most.rate, most.offered
     while high > PRECISION * low:
         middle = math.sqrt(low * high)

@@ -18,20 +18,24 @@ if TYPE_CHECKING:
     from .report import Section
 
 TASK_NAMES = (FLOW_TASK, *(name for name in PERIODS if name != FLOW_TASK))
+EXIT_NAMES = ("sides", "chutes")
 LOADING = "loading what compares"
 STARTS = 240  # of the sweep, at each level
 
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """Compare fixed layouts, rules, a planner and the shipped agents on every task, and on streams
-    of parcels.
+    """Compare fixed layouts, rules, a planner and the shipped agents on every task; and zones,
+    columns and modules, each with its scheduler, on streams of parcels.
     """
 
     out: Path = Path("runs/evaluation")
     """Folder for tables, plots, videos and report.html."""
     tasks: tuple[str, ...] = TASK_NAMES
     """Tasks to compare on; "flow" is of streams of parcels."""
+    exits: tuple[str, ...] = ("sides",)
+    """Exits of the streams: "sides", one as long as the line on either side; "chutes", two on
+    either side; or both."""
     task: str | None = None
     """Compare on this one task, of the package or of your own as path/to/file.py:Class, and the
     latest policies of its runs."""
@@ -56,14 +60,17 @@ class EvaluateConfig:
         checks.integer("starts", self.starts, least=1)
         if self.robustness and self.run is not None:
             raise ValueError(f"run must be None where robustness is swept, got {self.run}")
+        for name, given in (("tasks", self.tasks), ("exits", self.exits)):
+            if not given:
+                raise ValueError(f"{name} must be at least one, got {given!r}")
+        for exits in self.exits:
+            checks.one_of("exits", exits, EXIT_NAMES)
         for task in self.tasks:
             checks.one_of("tasks", task, TASK_NAMES)
         if self.task is not None:
             from ..library import find_task
 
             find_task(self.task)
-        if not self.tasks:
-            raise ValueError(f"tasks must be at least one, got {self.tasks!r}")
         parallel.choose_workers(self.cluster, self.workers)
 
 
@@ -95,7 +102,7 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
         sections: list[Section] = []
         if config.task is None and FLOW_TASK in config.tasks:
             several = streams.stream_methods()
-            rows = streams.compute_streams(several, workers, config.out, advance)
+            rows = streams.compute_streams(several, workers, config.out, advance, config.exits)
             sections = report.write_stream_report(several, rows, config.out, console)
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(

@@ -1,4 +1,4 @@
-"""Plots of the comparison: success, errors, times and trajectories; rates and capacities."""
+"""Plots of the comparison: success, errors, times, trajectories and capacities."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -17,8 +17,7 @@ from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
 from ..rollout import Episodes
 from .benchmark import Summaries
-from .methods import FIXED
-from .streams import BOUND, CANNOT, CURVE, LOADS, StreamResults, cases
+from .streams import BEST, CANNOT, ENTRANCE, SIX_MODULES, StreamResults, cases
 from .tables import list_methods
 
 DOTS = 150  # to the inch
@@ -166,68 +165,38 @@ def _draw_path(
     panel.add_patch(Patch(outline, fill=False, edgecolor=colour, linewidth=1.0, **style))
 
 
-def draw_rates(results: StreamResults, file: Path) -> None:
-    """Draw the rate delivered right by the load, a line for each method, with 95 % intervals."""
-    colours = choose_colours(results.names)
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
-    panel = figure.subplots()
-    offered = CURVE.ceiling * np.array(LOADS)
-    panel.plot([0.0, CURVE.ceiling], [0.0, CURVE.ceiling], color="#c3ccd6", linewidth=1.0)
-    panel.annotate(
-        "all that come", (0.5 * CURVE.ceiling, 0.5 * CURVE.ceiling), (-6, 4),
-        textcoords="offset points", ha="right", color="#8795a5",
-    )  # fmt: skip
-    for name in results.names:
-        points = [
-            (load, each.rate, each.margin)
-            for load, each in zip(offered, results.curve(name), strict=True)
-            if each is not None
-        ]
-        if not points:
-            continue
-        load, rate, margin = np.array(points).T
-        panel.errorbar(
-            load, rate, margin, color=colours[name], label=name, marker="o", markersize=3.5,
-            linewidth=1.6, elinewidth=0.9, capsize=2.0,
-        )  # fmt: skip
-    bound = results.rate(BOUND, CURVE)
-    panel.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0, label=BOUND)
-    panel.set(
-        xlim=(0.0, 1.02 * CURVE.ceiling), ylim=(0.0, None),
-        xlabel=f"parcels offered an hour ({CURVE.label}; up to the ceiling)",
-        ylabel="delivered right an hour",
-    )  # fmt: skip
-    panel.grid(color=PALE)
-    _save(figure, file, panel)
-
-
-def draw_capacities(results: StreamResults, file: Path) -> None:
-    """Draw the capacities of all streams, exact: a bar for each method, the bound above them."""
-    names = tuple(name for name in results.names if name != FIXED)
+def draw_capacities(results: StreamResults, file: Path, exits: str = "sides") -> None:
+    """Draw the capacities of all streams, exact: a bar for each method, the bounds above them."""
     colours = choose_colours(results.names)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
-    streams = cases()
-    width = 0.84 / len(names)
+    streams = cases(exits=exits)
+    width = 0.84 / len(results.names)
     for place, case in enumerate(streams):
-        for k, name in enumerate(names):
-            x = place + (k - 0.5 * (len(names) - 1)) * width
+        for k, name in enumerate(results.names):
+            x = place + (k - 0.5 * (len(results.names) - 1)) * width
             row = results.find(name, case)
             label = name if place == 0 else None
             rate = results.rate(name, case) if row is not None else 0.0
             panel.bar(x, rate, 0.92 * width, color=colours[name], label=label)
             if row is None or row.capacity is None:
                 panel.annotate(
-                    "0" if row is not None and row.can else CANNOT, (x, 0.0), (0, 3),
+                    "0" if row is not None and row.actuators else CANNOT, (x, 0.0), (0, 3),
                     textcoords="offset points", ha="center", va="bottom", rotation=90, color=INK,
                     fontsize=8,
                 )  # fmt: skip
             else:
                 panel.errorbar(x, rate, row.capacity.margin, color=INK, elinewidth=0.8)
-        panel.hlines(
-            results.rate(BOUND, case), place - 0.45, place + 0.45, color=LIMIT, linestyle="--",
-            linewidth=1.2, label=BOUND if place == 0 else "_again",
-        )  # fmt: skip
+        row = results.find(SIX_MODULES, case)
+        best = None if row is None else row.best
+        for name, bound, style in (
+            (ENTRANCE, case.ceiling, "-"), (BEST.format(SIX_MODULES), best, "--"),
+        ):  # fmt: skip
+            if bound is not None:
+                panel.hlines(
+                    bound, place - 0.45, place + 0.45, color=LIMIT, linestyle=style, linewidth=1.2,
+                    label=name if place == 0 else "_again",
+                )  # fmt: skip
     panel.set_xticks(range(len(streams)), [case.label for case in streams])
     panel.set(ylabel="capacity [parcels/h]")
     _save(figure, file, panel)

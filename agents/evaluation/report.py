@@ -5,7 +5,7 @@ comparison of a training run's policies, for its folder and its card.
 import base64
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
 from itertools import islice
@@ -38,12 +38,11 @@ from .benchmark import (
 )
 from .capacity import STREAM_PRESETS, Case, StreamMethod
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
-from .streams import CURVE, EVENT, LEARNED, RESERVATION, StreamResult, StreamResults
+from .streams import ARRANGED, COLUMNS, FILMED, MODULES, SERIES, StreamResult, StreamResults
 from .video import Player, play, write_comparison
 
-PRINTED = 4  # tables of streams that are shown on screen
-NEAR = 0.95  # [-] of the reservation's capacity, at which the video shows all methods
-FILMED = 20.0  # [s] of a stream
+NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
+LENGTH = 20.0  # [s] of the video
 SHOWN_AT = 12.0  # [s] since the start of a stream, of the picture
 TABLE = "table.md"  # of a run
 COMPARED = ("exact", "camera", "lab")  # presets under which a run's policies are compared
@@ -160,9 +159,9 @@ def write_stream_report(
     methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
 ) -> list[Section]:
     """Write flow.md, flow.csv, plots, a picture and a video, and show tables; return sections."""
-    results = StreamResults.of(methods, rows)
+    results = StreamResults(tuple(rows))
     tables = streams.stream_tables(results)
-    for table in tables[:PRINTED]:
+    for table in tables:
         table.show(console)
     texts.write_markdown(tables, folder / "flow.md")
     texts.write_numbers(streams.stream_numbers(results), folder / "flow.csv")
@@ -173,20 +172,22 @@ def write_stream_report(
 def _draw_streams(
     methods: Sequence[StreamMethod], results: StreamResults, folder: Path
 ) -> Pictures:
-    rates, capacities = folder / "flow-rate.png", folder / "flow-capacity.png"
-    plots.draw_rates(results, rates)
-    plots.draw_capacities(results, capacities)
-    rate = NEAR * results.rate(RESERVATION, CURVE)
-    named = {method.name: method for method in methods}
+    exits = results.exits[0]
+    case = replace(FILMED, exits=exits)
+    capacities = folder / "flow-capacity.png"
+    plots.draw_capacities(results, capacities, exits)
+    rate = NEAR * results.rate(MODULES, case)
+    named = {
+        method.name: method for method in methods if results.capacity(method.name, case) is not None
+    }
     picture, video = folder / "flow.png", folder / "flow.mp4"
-    imageio.imwrite(picture, stream_picture(named[RESERVATION], rate))
-    shown = [named[name] for name in (EVENT, RESERVATION, LEARNED) if name in named]
-    write_comparison([stream_player(each, CURVE, rate) for each in shown], video, FILMED)
-    stream = f"{CURVE.label}, {rate:.0f} parcels an hour offered"
+    imageio.imwrite(picture, stream_picture(named[MODULES], rate, case))
+    shown = [named[name] for name in (ARRANGED, SERIES, COLUMNS, MODULES) if name in named]
+    write_comparison([stream_player(each, case, rate) for each in shown], video, LENGTH)
+    stream = f"{case.label}, exits “{exits}”, {rate:.0f} parcels an hour offered"
     return [
-        (capacities, "Capacity by stream, exact sensors, with 95 % intervals."),
-        (rates, f"Rate delivered right by the rate offered, {CURVE.label}, exact sensors."),
-        (picture, f"The reservation at work: {stream}."),
+        (capacities, f"Capacity by stream, exits “{exits}”, exact sensors, 95 % intervals."),
+        (picture, f"Each module by itself: {stream}."),
         (video, f"The same stream under {', '.join(each.name for each in shown)}: {stream}."),
     ]
 
@@ -200,10 +201,10 @@ def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
     return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
-def stream_picture(method: StreamMethod, rate: float) -> np.ndarray:
+def stream_picture(method: StreamMethod, rate: float, case: Case = FILMED) -> np.ndarray:
     """Draw the stream of the video in its midst, at a rate [parcels/h]."""
     at = round(SHOWN_AT / method.control_period)
-    picture, _ = next(islice(play(stream_player(method, CURVE, rate), every=at), at, None))
+    picture, _ = next(islice(play(stream_player(method, case, rate), every=at), at, None))
     return picture
 
 
@@ -302,7 +303,7 @@ def _definitions(meanings: Mapping[str, str]) -> str:
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout, of streams with the reservation.
+    """Compare the policies of a run with the fixed layout, of streams with modules' scheduler.
 
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
@@ -361,22 +362,18 @@ def is_of_streams(run: Path) -> bool:
 
 def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:
     """Measure the policies of a run on streams, into the run's folder."""
-    reservation = next(each for each in streams.stream_methods() if each.name == RESERVATION)
+    scheduler = next(each for each in streams.stream_methods() if each.name == MODULES)
     files = {seed: library.read_files(each) for seed, each in policy_folders(run).items()}
     period = library.from_files(next(iter(files.values()))).card.control_period
     methods = [
-        reservation,
+        scheduler,
         *(
             StreamMethod(f"seed {k}", "parcels", True, partial(_read, each), control_period=period)
             for k, each in files.items()
         ),
     ]
-    results = StreamResults.of(methods, streams.compute_streams(methods, workers, loads=()))
-    tables = [
-        make(results, preset)
-        for preset in STREAM_PRESETS
-        for make in (streams.capacity_table, streams.eased_table)
-    ]
+    results = StreamResults(tuple(streams.compute_streams(methods, workers)))
+    tables = streams.stream_tables(results)
     texts.write_markdown(tables, run / TABLE)
     for table in tables:
         table.show(console)
@@ -388,13 +385,13 @@ def _read(files: library.PolicyFiles, _config: EnvConfig) -> Controller:
 
 
 def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:
-    names = [name for name in results.names if name != RESERVATION]
+    names = [name for name in results.names if name != MODULES]
     found = [row for name in names if (row := results.find(name, case)) is not None]
     return {
         "capacity_of_each_seed": [
             0 if row.capacity is None else round(row.capacity.rate) for row in found
         ],
-        "reservation": round(results.rate(RESERVATION, case)),
+        "scheduler": round(results.rate(MODULES, case)),
         "right_at_80_percent": [
             None if row.eased is None else round(row.eased.share_right, 5) for row in found
         ],

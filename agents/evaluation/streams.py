@@ -1,4 +1,6 @@
-"""The comparison on streams of parcels: methods, capacities, rates by load, and their tables."""
+"""The comparison on streams of parcels: a ladder of hardware, each rung with the scheduler that
+serves it best, other controllers of its modules, their capacities and tables.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,52 +16,70 @@ from surface_gym.parallel import Workers
 
 from .. import library
 from ..base import Controller
-from ..rules import reservation
-from ..rules.streams import SortEach, StreamEventRule, StreamFixedLayout
-from ..rules.zones import ArrangedZone, WholeZone, find_best_zone
+from ..rules.streams import SortEach, StreamEventRule
+from ..scheduling.bounds import clairvoyant_bound
+from ..scheduling.maneuvers import ColumnGroups, make_library
+from ..scheduling.scheduler import CLEARANCES, Scheduler, make_scheduler, predict_rate
 from . import capacity as limits
-from .benchmark import Advance, compute_kept
+from .benchmark import Advance, compute_kept, half_interval
 from .capacity import Case, Measurement, StreamMethod
-from .methods import FIXED
-from .tables import NOTHING, Table
+from .tables import NOTHING, Table, bold
 
 FILE = "flow.jsonl"
 EASED = 0.8  # [-] of the capacity, offered to see how well it goes with room to spare
-LOADS = tuple(np.linspace(0.1, 1.0, 8).round(3).tolist())  # [-] offered, of the ceiling
-SEARCHED = 0.0  # instead of a load: the capacity is searched for
-CURVE = Case("S and B", 1.5)  # whose rate is shown by load
+FILMED = Case("S and B", 1.5)  # on film
 
-ARRANGED = "zone arranged when free"
-TURNED = "zone turned as a whole"
+# Rungs, by what turns together.
+ARRANGED = "zone, arranged anew"
+FOLLOWED = "zone, same exit follows"
+SERIES = "zones in series"
+COLUMNS = "columns"
+MODULES = "modules"
+SIX_COLUMNS = "columns, six angles"
+SIX_MODULES = "modules, six angles"
+# Other controllers of modules.
 EVENT = "event rule"
 EACH = "sort-ppo for each"
-RESERVATION = "reservation"
 LEARNED = "flow-ppo"
-BOUND = "single ways packed"
-CEILING = "ceiling"
-# Capacities that others are divided by, with short names for headings.
-REFERENCES = {
-    ARRANGED: "arranged", TURNED: "turned", EVENT: "event", BOUND: "packed", CEILING: "ceiling",
-}  # fmt: skip
+# What no controller exceeds, and what no schedule of a rung's maneuvers does.
+ENTRANCE = "entrance"
+BEST = "best known for {}"
 CANNOT = "cannot"  # sort all kinds, even one at a time
 
-StreamKey = tuple[str, str, str, str, float, float]
+# Pairs of rungs: what the first has over the second.
+STEPS = (
+    (FOLLOWED, ARRANGED), (SERIES, FOLLOWED), (COLUMNS, SERIES), (MODULES, COLUMNS),
+    (SIX_COLUMNS, COLUMNS), (SIX_MODULES, MODULES), (SIX_MODULES, SIX_COLUMNS), (LEARNED, MODULES),
+)  # fmt: skip
+
+SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())
+QUEUE = 4  # waiting parcels that a scheduler is shown
+SHORTEST = 3  # columns of a zone that is tried
+LONGER = 2  # columns by which a zone is tried longer than the best so far
+PREDICTED = 500  # parcels
+
+StreamKey = tuple[str, str, str, str, float, str]
 
 
-def cases(preset: str = "exact") -> list[Case]:
+def cases(preset: str = "exact", exits: str = "sides") -> list[Case]:
     """List all mixes and speeds under a preset."""
-    return [Case(mix, speed, preset) for mix in limits.MIXES for speed in limits.SPEEDS]
+    return [Case(mix, speed, preset, exits) for mix in limits.MIXES for speed in limits.SPEEDS]
 
 
 def stream_methods() -> list[StreamMethod]:
-    """List every method for streams; those that a study's arrangement allows come first."""
+    """List every method for streams: the ladder's rungs, then other controllers of modules."""
+    columns = partial(_schedule, ColumnGroups())
+    modules = partial(_schedule, None)
     found = [
-        StreamMethod(FIXED, "modules", False, StreamFixedLayout, ("exact",)),
-        StreamMethod(ARRANGED, "modules", True, partial(_zone, ArrangedZone)),
-        StreamMethod(TURNED, "modules", True, partial(_zone, WholeZone)),
+        _rung(ARRANGED, "modules", partial(_schedule_zones, 1, True)),
+        _rung(FOLLOWED, "modules", partial(_schedule_zones, 1, False)),
+        _rung(SERIES, "modules", partial(_schedule_zones, None, False)),
+        _rung(COLUMNS, "modules", columns),
+        _rung(SIX_COLUMNS, "modules", columns, SIX),
+        _rung(MODULES, "parcels", modules),
+        _rung(SIX_MODULES, "parcels", modules, SIX),
         StreamMethod(EVENT, "parcels", False, StreamEventRule),
         StreamMethod(EACH, "parcels", False, SortEach, ("exact",)),
-        StreamMethod(RESERVATION, "parcels", True, reservation.Reservation),
     ]
     if LEARNED in library.names():
         period = library.load(LEARNED).card.control_period
@@ -67,9 +87,37 @@ def stream_methods() -> list[StreamMethod]:
     return found
 
 
-def _zone(kind: type[WholeZone], config: EnvConfig) -> WholeZone | None:
-    columns = find_best_zone(kind, config)
-    return None if columns is None else kind(config, columns)
+def _rung(
+    name: str,
+    actions: str,
+    make: Callable[[EnvConfig], Controller | None],
+    orientations: tuple[float, ...] | None = None,
+) -> StreamMethod:
+    return StreamMethod(name, actions, True, make, orientations=orientations, queue=QUEUE)
+
+
+def _schedule(groups: ColumnGroups | None, config: EnvConfig) -> Scheduler | None:
+    return make_scheduler(config, groups)
+
+
+def _schedule_zones(count: int | None, exclusive: bool, config: EnvConfig) -> Scheduler | None:
+    """Make the scheduler of the zones that are predicted to let most parcels in, by their columns;
+    None where none sort all.
+    """
+    rates: dict[ColumnGroups, float] = {}
+    for columns in range(SHORTEST, config.site.zone[3] + 1):
+        if rates and columns > max(rates, key=rates.__getitem__).columns + LONGER:
+            break
+        groups = ColumnGroups(columns, count, exclusive)
+        made = make_library(config, groups, slack=CLEARANCES[0][0])
+        if made.right.all() and np.isfinite(made.gaps).all():
+            odds, queue = np.ones(len(made.signature)), config.stream_task.queue
+            rates[groups] = predict_rate(made, odds, PREDICTED, queue)
+    tried = (
+        make_scheduler(config, groups)
+        for groups in sorted(rates, key=rates.__getitem__, reverse=True)
+    )
+    return next((scheduler for scheduler in tried if scheduler is not None), None)
 
 
 def _learned(_config: EnvConfig) -> Controller:
@@ -84,15 +132,23 @@ class StreamResult:
     preset: str
     mix: str
     speed: float  # [m/s]
-    load: float  # [-] offered, of the ceiling; or SEARCHED
-    can: bool  # whether it can sort such parcels at all, one at a time
+    exits: str
+    actuators: int  # that turn axes; 0: it cannot sort such parcels at all, one at a time
+    columns: int  # whose modules one of them turns; 0: it turns a single module
+    modules: int  # that one of them turns
     capacity: Measurement | None  # at the highest rate that is sustained; None where none is
-    # at 80 % of the capacity; with no capacity at the least rate tried; with a load at that
+    # at 80 % of the capacity; with no capacity at the least rate tried
     eased: Measurement | None
+    best: float | None  # [parcels/h] that no schedule of its maneuvers exceeds
 
     @property
     def key(self) -> StreamKey:
-        return ("flow", self.method, self.preset, self.mix, self.speed, self.load)
+        return ("flow", self.method, self.preset, self.mix, self.speed, self.exits)
+
+    @property
+    def turns(self) -> float:
+        """[-] of actuators per parcel, at the capacity; nan where there is none."""
+        return self.capacity.turns / self.modules if self.capacity is not None else math.nan
 
 
 def stream_result(**plain: Any) -> StreamResult:
@@ -103,41 +159,55 @@ def stream_result(**plain: Any) -> StreamResult:
     return StreamResult(**plain)
 
 
-def compute_stream(method: StreamMethod, case: Case, load: float) -> StreamResult:
+def compute_stream(method: StreamMethod, case: Case) -> StreamResult:
     """Measure a method on one stream."""
-    controller = method.make(method.config(case, case.ceiling))
-    capacity = eased = None
-    if controller is not None and load == SEARCHED:
+    config = method.config(case, case.ceiling)
+    controller = method.make(config)
+    capacity = eased = best = None
+    actuators, columns, modules = 0, 0, 1
+    if controller is not None:
+        actuators, columns, modules = _count_hardware(config, controller)
         capacity = limits.find_capacity(method, controller, case)
         rate = EASED * capacity.rate if capacity is not None else limits.LEAST * case.ceiling
         eased = limits.measure(method, controller, case, rate)
-    elif controller is not None:
-        eased = limits.measure(method, controller, case, load * case.ceiling)
+    if isinstance(controller, Scheduler):
+        made = controller.library
+        best = clairvoyant_bound(made, np.ones(len(made.signature)))
     return StreamResult(
-        method.name, case.preset, case.mix, case.speed, load, controller is not None, capacity,
-        eased,
+        method.name, case.preset, case.mix, case.speed, case.exits, actuators, columns, modules,
+        capacity, eased, best,
     )  # fmt: skip
 
 
+def _count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
+    """Count actuators, and the columns and modules that one of them turns."""
+    first_row, rows, first, obeying = config.site.zone
+    grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
+    if not isinstance(controller, Scheduler) or controller.library.lead.groups is None:
+        return int(grid.sum()), 0, 1
+    lead = controller.library.lead
+    each = [int(grid[:, begin:end].sum()) for begin, end in lead.spans.tolist()]
+    return sum(count > 0 for count in each), lead.groups.columns, max(each)
+
+
 def stream_jobs(
-    methods: Sequence[StreamMethod], loads: Sequence[float] | None = None
+    methods: Sequence[StreamMethod], exits: Sequence[str] = ("sides",)
 ) -> dict[StreamKey, Callable[[], StreamResult]]:
     """List every result to compute, by its key; the slowest first, to fill the cores."""
-    searched = [
-        (method, case, SEARCHED)
+    some = [
+        (method, case)
         for method in methods
         for preset in method.presets
-        for case in cases(preset)
+        for each in exits
+        for case in cases(preset, each)
     ]
-    # A search goes on for long where there is no gate.
-    searched.sort(key=lambda job: (job[0].gate, -job[1].speed))
-    some = LOADS if loads is None else loads
-    by_load = [(method, CURVE, load) for method in methods for load in some]
+    # A search goes on for long where there is no gate; where sensors err, more is tried.
+    some.sort(key=lambda job: (job[0].gate, job[1].preset == "exact"))
     return {
-        ("flow", method.name, case.preset, case.mix, case.speed, load): partial(
-            compute_stream, method, case, load
+        ("flow", method.name, case.preset, case.mix, case.speed, case.exits): partial(
+            compute_stream, method, case
         )
-        for method, case, load in searched + by_load
+        for method, case in some
     }
 
 
@@ -146,46 +216,44 @@ def compute_streams(
     workers: Workers,
     folder: Path | None = None,
     advance: Advance = lambda *_: None,
-    loads: Sequence[float] | None = None,
+    exits: Sequence[str] = ("sides",),
 ) -> list[StreamResult]:
     """Compute all results, in an order that does not depend on the processes."""
     file = None if folder is None else folder / FILE
-    found = compute_kept(stream_jobs(methods, loads), stream_result, workers, file, advance)
+    found = compute_kept(stream_jobs(methods, exits), stream_result, workers, file, advance)
     names, presets = [method.name for method in methods], list(limits.STREAM_PRESETS)
     return sorted(
         found.values(),
-        key=lambda row: (names.index(row.method), presets.index(row.preset), *row.key[3:]),
-    )
+        key=lambda row: (
+            exits.index(row.exits), names.index(row.method), presets.index(row.preset), row.mix,
+            row.speed,
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class StreamResults:
-    """All results, and the bound of every stream."""
+    """All results."""
 
     rows: tuple[StreamResult, ...]
-    bounds: dict[tuple[str, float], float]  # [parcels/h] by mix and speed
-
-    @classmethod
-    def of(cls, methods: Sequence[StreamMethod], rows: Sequence[StreamResult]) -> "StreamResults":
-        """Put results together, and compute the bounds by a method with actions for parcels."""
-        method = next(each for each in methods if each.actions == "parcels")
-        return cls(
-            tuple(rows), {(case.mix, case.speed): packing_bound(method, case) for case in cases()}
-        )
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     @cached_property
-    def _found(self) -> dict[tuple[str, Case, float], StreamResult]:
+    def exits(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(row.exits for row in self.rows))
+
+    @cached_property
+    def _found(self) -> dict[tuple[str, Case], StreamResult]:
         return {
-            (row.method, Case(row.mix, row.speed, row.preset), row.load): row for row in self.rows
+            (row.method, Case(row.mix, row.speed, row.preset, row.exits)): row for row in self.rows
         }
 
-    def find(self, name: str, case: Case, load: float = SEARCHED) -> StreamResult | None:
+    def find(self, name: str, case: Case) -> StreamResult | None:
         """Find the result of a method; None where it did not run."""
-        return self._found.get((name, case, load))
+        return self._found.get((name, case))
 
     def capacity(self, name: str, case: Case) -> Measurement | None:
         """Find the measurement at a method's capacity, if it has any."""
@@ -193,125 +261,146 @@ class StreamResults:
         return None if row is None else row.capacity
 
     def rate(self, name: str, case: Case) -> float:
-        """Find the capacity [parcels/h] of a method, or of the bound or the ceiling.
-
-        0 where there is none, nan where the method did not run.
+        """Find the capacity [parcels/h] of a method; 0 where there is none, nan where the method
+        did not run.
         """
-        if name == BOUND:
-            return self.bounds[case.mix, case.speed]
-        if name == CEILING:
-            return case.ceiling
         row = self.find(name, case)
         if row is None:
-            return float("nan")
+            return math.nan
         return 0.0 if row.capacity is None else row.capacity.rate
 
-    def ratio(self, name: str, over: str, case: Case) -> float:
-        """Divide the rates of two; infinite over one that has none, nan where neither has any."""
-        rate, reference = self.rate(name, case), self.rate(over, case)
-        if reference > 0.0:
-            return rate / reference
-        return float("inf") if rate > 0.0 else float("nan")
+    def difference(self, name: str, other: str, case: Case) -> tuple[float, float] | None:
+        """Subtract the capacity of another, and find half of the 95 % interval [parcels/h]; None
+        where one has none.
 
-    def curve(self, name: str) -> list[Measurement | None]:
-        """List the measurement at each of LOADS."""
-        rows = [self.find(name, CURVE, load) for load in LOADS]
-        return [None if row is None else row.eased for row in rows]
+        Replications are paired where both were offered the same parcels at the same times.
+        """
+        one, two = self.capacity(name, case), self.capacity(other, case)
+        if one is None or two is None:
+            return None
+        if (one.offered, len(one.right)) == (two.offered, len(two.right)):
+            each = one.rates - two.rates
+            return float(each.mean()), half_interval(each)
+        return one.rate - two.rate, math.hypot(one.margin, two.margin)
 
-
-def packing_bound(method: StreamMethod, case: Case) -> float:
-    """Compute the rate [parcels/h] of single parcels' paths, packed as close as they go.
-
-    The event rule leads each parcel alone; 2 cm stay between them.
-    """
-    config = method.config(case, case.ceiling)
-    asked = reservation.list_asked(config)
-    gaps = reservation.least_gaps(
-        reservation.find_trajectories(StreamEventRule, config, asked).each, reservation.MARGIN
-    )
-    return reservation.packed_rate(gaps, np.ones(len(asked)))
+    def leader(self, case: Case) -> str | None:
+        """Find the method whose capacity is above that of every other, beyond the interval."""
+        able = [name for name in self.names if self.capacity(name, case) is not None]
+        if not able:
+            return None
+        first = max(able, key=lambda name: self.rate(name, case))
+        apart = [self.difference(first, name, case) for name in able if name != first]
+        ahead = [each is not None and each[0] > each[1] for each in apart]
+        return first if ahead and all(ahead) else None
 
 
 def stream_tables(results: StreamResults) -> list[Table]:
     """Make all tables, the one that says most first."""
     return [
-        headline(results),
-        *(capacity_table(results, preset) for preset in limits.STREAM_PRESETS),
-        *(eased_table(results, preset) for preset in limits.STREAM_PRESETS),
-        *(touch_table(results, preset) for preset in limits.STREAM_PRESETS),
-        *(ratio_table(results, over) for over in REFERENCES),
+        make(results, preset, exits)
+        for exits in results.exits
+        for make in (ladder_table, step_table, eased_table)
+        for preset in limits.STREAM_PRESETS
     ]
 
 
-def headline(results: StreamResults) -> Table:
-    """Show everything of one stream, exact."""
-    case = CURVE
+def ladder_table(results: StreamResults, preset: str, exits: str = "sides") -> Table:
+    """Show the hardware of each method, its capacity on all streams, touches and turns."""
+    streams = cases(preset, exits)
+    leaders = [results.leader(case) for case in streams]
     rows = []
-    for name in (*results.names, BOUND, CEILING):
-        capacity = results.capacity(name, case)
+    for name in _tried(results, preset, exits):
+        found = [row for case in streams if (row := results.find(name, case)) is not None]
+        able = [row.capacity for row in found if row.capacity is not None]
+        cells = [
+            bold(cell) if name == leader else cell
+            for cell, leader in zip(map(_capacity, found), leaders, strict=True)
+        ]
+        delivered = sum(sum(each.delivered) for each in able)
+        touches = 1000.0 * sum(sum(each.touches) for each in able) / max(1, delivered)
+        turns = float(np.mean([row.turns for row in found if row.capacity] or [math.nan]))
         rows.append(
             (
-                name,
-                _rate(results, name, case),
-                NOTHING if capacity is None else f"±{capacity.margin:.0f}",
-                NOTHING if capacity is None else f"{capacity.touches_per_1000:.0f}",
-                *(_ratio(results, name, over, case) for over in REFERENCES),
+                name, _span([row.actuators for row in found if row.actuators]), *cells,
+                f"{touches:.1f}" if able else NOTHING,
+                f"{turns:.1f}" if able else NOTHING,
             )
-        )
+        )  # fmt: skip
+    for name in (MODULES, SIX_MODULES):
+        best = [row.best if (row := results.find(name, case)) else None for case in streams]
+        cells = [NOTHING if each is None else f"{each:.0f}" for each in best]
+        if any(best):
+            rows.append((BEST.format(name), NOTHING, *cells, NOTHING, NOTHING))
+    bound = [f"{case.ceiling:.0f}" for case in streams]
+    rows.append((ENTRANCE, NOTHING, *bound, NOTHING, NOTHING))
     return Table(
-        "flow",
-        f"{case.label}, 6 m of line, to leave left, right or straight on at equal odds. "
-        f"{_meaning(limits.EXACT.name)} "
-        "Behind the strokes: over the capacities of the two zones and the event rule, over single "
-        "parcels' ways packed as close as they go, and over parcels end to end, 5 cm apart.",
+        _title("ladder of hardware", preset, exits),
+        f"{_meaning(preset, exits)} In bold what is above every other method by more than that "
+        "interval. Actuators turn axes, of a module, a column or a zone; all deliver through the "
+        "same 6 m of line. A layout that is arranged once and for all sorts nothing: it leads all "
+        "parcels one way. Touches per 1000 deliveries, and actuators' turns per parcel, are the "
+        f"means of all streams. {_zones(results, preset, exits)}No controller can exceed the row "
+        f"“{ENTRANCE}”; no schedule of a rung's maneuvers can exceed what is best known for it, "
+        "on a long stream, but other maneuvers might.",
         (
-            "controller", "parcels/h", "95 %", "touches/1000",
-            *(f"/{short}" for short in REFERENCES.values()),
+            "controller", "actuators", *(case.label for case in streams), "touches/1000",
+            "turns/parcel",
         ),
         tuple(rows),
     )  # fmt: skip
 
 
-def capacity_table(results: StreamResults, preset: str) -> Table:
-    """Show right deliveries an hour at the capacity, all streams."""
-    names = [*_tried(results, preset), BOUND, CEILING]
-    caption = f"{_meaning(preset)} {limits.STREAM_PRESETS[preset].meaning}"
-    text = _at_capacity(results, lambda found: f"{found.rate:.0f} ±{found.margin:.0f}")
-    title = f"flow: capacity, {limits.STREAM_PRESETS[preset].label}"
-    return _grid(title, caption, names, preset, text)
+def _capacity(row: StreamResult) -> str:
+    if row.capacity is not None:
+        return f"{row.capacity.rate:.0f} ±{row.capacity.margin:.0f}"
+    return "0" if row.actuators else CANNOT
 
 
-def touch_table(results: StreamResults, preset: str) -> Table:
-    """Show touches at the capacity, all streams."""
-    title = f"flow: touches at the capacity, {limits.STREAM_PRESETS[preset].label}"
-    caption = "times that two begin to touch, per 1000 deliveries, at the capacity"
-    text = _at_capacity(results, lambda found: f"{found.touches_per_1000:.0f}")
-    return _grid(title, caption, _tried(results, preset), preset, text)
+def _span(values: Sequence[int]) -> str:
+    """Write the least and the greatest of some numbers."""
+    if not values:
+        return NOTHING
+    low, high = min(values), max(values)
+    return str(low) if low == high else f"{low} to {high}"
 
 
-def _at_capacity(
-    results: StreamResults, show: Callable[[Measurement], str]
-) -> Callable[[str, Case], str]:
-    """Make texts of what was measured at the capacity, if there is any."""
-
-    def text(name: str, case: Case) -> str:
-        found = results.capacity(name, case)
-        return _rate(results, name, case) if found is None else show(found)
-
-    return text
-
-
-def ratio_table(results: StreamResults, over: str) -> Table:
-    """Divide capacities by another's, exact."""
-    names = [name for name in results.names if name not in (over, FIXED)]
-    caption = f"capacity over that of: {over}; exact sensors"
-    return _grid(
-        f"flow: over {over}", caption, names, limits.EXACT.name,
-        lambda name, case: _ratio(results, name, over, case),
-    )  # fmt: skip
+def _zones(results: StreamResults, preset: str, exits: str) -> str:
+    """Say how many columns were chosen for the zones of each stream."""
+    said = []
+    for name in (ARRANGED, FOLLOWED, SERIES):
+        found = [results.find(name, case) for case in cases(preset, exits)]
+        if any(found):
+            each = ", ".join(str(row.columns) if row and row.columns else CANNOT for row in found)
+            said.append(f"{name}: {each}")
+    return f"Columns of a zone, stream by stream: {'; '.join(said)}. " if said else ""
 
 
-def eased_table(results: StreamResults, preset: str) -> Table:
+def step_table(results: StreamResults, preset: str, exits: str = "sides") -> Table:
+    """Show what each rung has over the one below it."""
+
+    def text(name: str, other: str, case: Case) -> str:
+        found = results.difference(name, other, case)
+        if found is None:
+            return NOTHING
+        change = 100.0 * found[0] / results.rate(other, case)
+        return f"{found[0]:+.0f} ±{found[1]:.0f} ({change:+.1f} %)"
+
+    streams, names = cases(preset, exits), _tried(results, preset, exits)
+    rows = [
+        (f"{name} over {other}", *(text(name, other, case) for case in streams))
+        for name, other in STEPS
+        if name in names and other in names
+    ]
+    return Table(
+        _title("what a rung has over another", preset, exits),
+        "difference of capacities [parcels/h], with Student's 95 % interval of the replications "
+        f"in pairs, since they met the same parcels; {_exits(exits)}",
+        ("rungs", *(case.label for case in streams)),
+        tuple(rows),
+    )
+
+
+def eased_table(results: StreamResults, preset: str, exits: str = "sides") -> Table:
     """Show deliveries, touches and waiting at 80 % of the capacity."""
 
     def text(name: str, case: Case) -> str:
@@ -321,84 +410,75 @@ def eased_table(results: StreamResults, preset: str) -> Table:
         eased = row.eased
         return f"{eased.share_right:.4f}, {eased.touches_per_1000:.1f}, {eased.waited:.2f}"
 
-    caption = (
+    streams = cases(preset, exits)
+    return Table(
+        _title("at 80 % of the capacity", preset, exits),
         "share of deliveries that are right, touches per 1000, and seconds waited at the entry, "
-        "offered 80 % of the capacity; a method that has none is offered a sixteenth of the ceiling"
+        "offered 80 % of the capacity; a method that has none is offered a sixteenth of what the "
+        f"entrance takes; {_exits(exits)}",
+        ("controller", *(case.label for case in streams)),
+        tuple(
+            (name, *(text(name, case) for case in streams))
+            for name in _tried(results, preset, exits)
+        ),
     )
-    title = f"flow: at 80 % of the capacity, {limits.STREAM_PRESETS[preset].label}"
-    return _grid(title, caption, _tried(results, preset), preset, text)
 
 
-def _grid(
-    title: str, caption: str, names: Sequence[str], preset: str, text: Callable[[str, Case], str]
-) -> Table:
-    """Make a row for each method, a column for each stream."""
-    streams = cases(preset)
-    header = ("controller", *(case.label for case in streams))
-    rows = ((name, *(text(name, case) for case in streams)) for name in names)
-    return Table(title, caption, header, tuple(rows))
+def _title(title: str, preset: str, exits: str) -> str:
+    return f"flow: {title}, {limits.STREAM_PRESETS[preset].label}, exits “{exits}”"
 
 
-def _meaning(preset: str) -> str:
+def _exits(exits: str) -> str:
+    return f"exits “{exits}”: {limits.EXITS[exits]}"
+
+
+def _meaning(preset: str, exits: str) -> str:
     return (
-        "Right deliveries an hour at the highest steady rate at which "
+        f"Right deliveries an hour, at equal odds to the {_exits(exits)}. They are those of the "
+        "highest steady rate at which "
         f"{100.0 * limits.LEAST_RIGHT[preset]:g} % of deliveries are right and nothing jams, "
-        f"with Student's 95 % interval over {limits.REPLICATIONS} replications."
+        f"with Student's 95 % interval over {limits.REPLICATIONS} replications. "
+        f"{limits.STREAM_PRESETS[preset].meaning}"
     )
 
 
-def _tried(results: StreamResults, preset: str) -> list[str]:
-    case = Case(CURVE.mix, CURVE.speed, preset)
+def _tried(results: StreamResults, preset: str, exits: str) -> list[str]:
+    case = cases(preset, exits)[0]
     return [name for name in results.names if results.find(name, case) is not None]
-
-
-def _rate(results: StreamResults, name: str, case: Case) -> str:
-    rate = results.rate(name, case)
-    if math.isnan(rate):
-        return NOTHING
-    if rate > 0.0:
-        return f"{rate:.0f}"
-    row = results.find(name, case)
-    return "0" if row is not None and row.can else CANNOT
-
-
-def _ratio(results: StreamResults, name: str, over: str, case: Case) -> str:
-    ratio = results.ratio(name, over, case)
-    return f"{ratio:.2f}" if math.isfinite(ratio) else NOTHING
 
 
 def stream_numbers(results: StreamResults) -> list[dict[str, Any]]:
     """List every number, a row for each."""
     rows = []
     for row in results.rows:
-        case = Case(row.mix, row.speed, row.preset)
-        values: dict[str, float] = {}
-        if row.load == SEARCHED:
-            values["capacity"] = results.rate(row.method, case)
-            if row.capacity is not None:
-                values["capacity_margin"] = row.capacity.margin
-                values["capacity_offered"] = row.capacity.offered
-            for over in REFERENCES:
-                values[f"capacity over {over}"] = results.ratio(row.method, over, case)
-            values["bound"] = results.rate(BOUND, case)
-            values["ceiling"] = results.rate(CEILING, case)
-        if row.eased is not None:
-            values |= {
-                "offered": row.eased.offered,
-                "rate": row.eased.rate,
-                "rate_margin": row.eased.margin,
-                "share_right": row.eased.share_right,
-                "touches_per_1000": row.eased.touches_per_1000,
-                "waiting": row.eased.waited,
-                "jams": float(row.eased.jams),
-            }
+        case = Case(row.mix, row.speed, row.preset, row.exits)
+        values: dict[str, float] = {
+            "capacity": results.rate(row.method, case),
+            "actuators": row.actuators,
+            "columns of a zone": row.columns,
+            "entrance": case.ceiling,
+        }
+        if row.best is not None:
+            values["best known"] = row.best
+        for load, found in (("capacity", row.capacity), ("80 %", row.eased)):
+            if found is not None:
+                values |= {
+                    f"offered at {load}": found.offered,
+                    f"rate at {load}": found.rate,
+                    f"margin at {load}": found.margin,
+                    f"share right at {load}": found.share_right,
+                    f"touches per 1000 at {load}": found.touches_per_1000,
+                    f"waiting at {load}": found.waited,
+                    f"turns per parcel at {load}": found.turns / row.modules,
+                    f"jams at {load}": float(found.jams),
+                }
         rows += [
             {
                 "controller": row.method,
                 "preset": row.preset,
+                "exits": row.exits,
                 "parcels": row.mix,
                 "speed": row.speed,
-                "load": "80 % of the capacity" if row.load == SEARCHED else row.load,
                 "metric": name,
                 "value": value,
             }

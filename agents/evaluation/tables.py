@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -33,9 +34,17 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str =
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+BOLD = "**"  # on either side, as in Markdown
+
+
+def bold(text: str) -> str:
+    """Mark a cell as bold."""
+    return f"{BOLD}{text}{BOLD}"
+
+
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows and columns; the first column names the rows."""
+    """Texts in rows and columns, some in bold; the first column names the rows."""
 
     title: str
     caption: str
@@ -52,7 +61,8 @@ class Table:
 
     def html(self) -> str:
         def line(tag: str, texts: Sequence[str]) -> str:
-            return "<tr>" + "".join(f"<{tag}>{escape(each)}</{tag}>" for each in texts) + "</tr>"
+            each = (f"<{tag}>{escape(text)}</{tag}>" for text in texts)
+            return re.sub(r"\*\*(.*?)\*\*", r"<b>\1</b>", f"<tr>{''.join(each)}</tr>")
 
         body = "".join(line("td", row) for row in self.rows)
         return f"<table><thead>{line('th', self.header)}</thead><tbody>{body}</tbody></table>"
@@ -80,8 +90,13 @@ class Table:
                     Text(self.header[k]), justify="right" if k else "left", min_width=widths[k]
                 )
             for row in self.rows:
-                screen.add_row(*(Text(row[k]) for k in part))
+                screen.add_row(*(_shown(row[k]) for k in part))
             console.print(screen)
+
+
+def _shown(text: str) -> Text:
+    plain = text.removeprefix(BOLD).removesuffix(BOLD)
+    return Text(plain, style="" if plain == text else "bold")
 
 
 def write_markdown(tables: Iterable[Table], file: Path, title: str = "") -> None:

@@ -7,17 +7,20 @@ import numpy as np
 from surface_gym.agents.evaluation import streams
 from surface_gym.agents.evaluation.benchmark import Result
 from surface_gym.agents.evaluation.capacity import Measurement
-from surface_gym.agents.evaluation.methods import FIXED
 from surface_gym.agents.evaluation.robustness import FACTORS, Factor, Level, SweepResult
-from surface_gym.agents.evaluation.streams import CURVE, StreamResult, cases
+from surface_gym.agents.evaluation.streams import StreamResult, cases
 from surface_gym.tasks import Sort
 from surface_gym.tasks.benchmark import PARCELS, SpeedGrid
 
 STARTS = 24  # of the sweep
-# Of the ceiling.
+# Of what the entrance takes.
 SHARES = {
-    FIXED: 0.0, streams.ARRANGED: 0.0, streams.TURNED: 0.2, streams.EVENT: 0.4,
-    streams.RESERVATION: 0.6,
+    streams.ARRANGED: 0.0, streams.SERIES: 0.0, streams.COLUMNS: 0.4, streams.MODULES: 0.6,
+    streams.EVENT: 0.6,
+}  # fmt: skip
+HARDWARE = {  # actuators, and the columns and modules of one
+    streams.ARRANGED: (0, 0, 1), streams.SERIES: (8, 7, 28), streams.COLUMNS: (55, 1, 4),
+    streams.MODULES: (220, 0, 1), streams.EVENT: (220, 0, 1),
 }  # fmt: skip
 RULES = [method for method in streams.stream_methods() if method.name in SHARES]
 
@@ -77,31 +80,33 @@ def sweep_results(task: str, shares: dict[str, float], seeds: int = 1) -> list[S
 
 
 def at(rate: float, touches: float = 0.0, right: float = 1.0) -> Measurement:
-    """Ten replications at about a rate, a parcel more or less."""
+    """Ten replications at about a rate, a parcel more or less; eight turns a parcel."""
     count = round(rate * 20.0 / 3600.0)
     delivered = [count + (-1) ** k for k in range(10)]
     return Measurement(
-        rate, [round(right * n) for n in delivered], delivered, [touches] * 10, [0.25] * 10, 0, 20.0
+        rate, [round(right * n) for n in delivered], delivered, [touches] * 10, [0.25] * 10, 0,
+        20.0, 8.0,
     )  # fmt: skip
 
 
 def stream_rows() -> list[StreamResult]:
-    """The layout sustains nothing, one zone cannot sort, the others sustain a share."""
+    """One zone cannot sort, zones in series sustain nothing, the others sustain a share."""
     made = []
     for name, share in SHARES.items():
-        can = name != streams.ARRANGED
-        for case in (*cases(), *(cases("camera") if name != FIXED else ())):
-            rate, key = share * case.ceiling, (case.preset, case.mix, case.speed, streams.SEARCHED)
+        actuators, columns, modules = HARDWARE[name]
+        for case in (*cases(), *cases("camera")):
+            rate = share * case.ceiling
             capacity = at(rate, touches=1.0) if share else None
             least = at(0.8 * rate) if share else at(case.ceiling / 16.0, right=1 / 3)
-            made.append(StreamResult(name, *key, can, capacity, least if can else None))
-        for load in streams.LOADS:
-            point = at(min(load, share) * CURVE.ceiling) if can else None
-            made.append(StreamResult(name, "exact", CURVE.mix, CURVE.speed, load, can, None, point))
+            made.append(
+                StreamResult(
+                    name, case.preset, case.mix, case.speed, case.exits, actuators, columns,
+                    modules, capacity, least if actuators else None,
+                    1.1 * rate if name == streams.MODULES else None,
+                )
+            )  # fmt: skip
     return made
 
 
 def stream_results() -> streams.StreamResults:
-    """With bounds at 0.8 of the ceiling."""
-    bounds = {(case.mix, case.speed): 0.8 * case.ceiling for case in cases()}
-    return streams.StreamResults(tuple(stream_rows()), bounds)
+    return streams.StreamResults(tuple(stream_rows()))
