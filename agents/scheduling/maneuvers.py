@@ -193,10 +193,13 @@ class Lead:
             return [(x, (min(0, last), last)) for x in np.linspace(low, high, places).tolist()]
         # A zone is turned under the parcel, once it is wholly in, or arranged for it beforehand.
         edge = self.first_x - 0.5 * self._pitch
+        # It leaves by that one, or goes on under those after it.
+        count = len(edge)
         return [
-            (x, (group, group))
+            (x, (group, last))
             for group, start in enumerate(edge.tolist())
             for x in (start, start - length - BEFORE)
+            for last in sorted({group, min(group + 1, count - 1), count - 1})
         ]
 
     def _choices_towards(self, side: int) -> list[int]:
