@@ -392,7 +392,7 @@ def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:
             0 if row.capacity is None else round(row.capacity.rate) for row in found
         ],
         "scheduler": round(results.rate(MODULES, case)),
-        "right_at_80_percent": [
-            None if row.eased is None else round(row.eased.share_right, 5) for row in found
+        "share_right": [
+            None if row.capacity is None else round(row.capacity.share_right, 5) for row in found
         ],
     }

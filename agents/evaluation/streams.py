@@ -26,7 +26,6 @@ from .capacity import Case, Measurement, StreamMethod
 from .tables import NOTHING, Table, bold
 
 FILE = "flow.jsonl"
-EASED = 0.8  # [-] of the capacity, offered to see how well it goes with room to spare
 FILMED = Case("S and B", 1.5)  # on film
 
 # Rungs, by what turns together.
@@ -137,8 +136,6 @@ class StreamResult:
     columns: int  # whose modules one of them turns; 0: it turns a single module
     modules: int  # that one of them turns
     capacity: Measurement | None  # at the highest rate that is sustained; None where none is
-    # at 80 % of the capacity; with no capacity at the least rate tried
-    eased: Measurement | None
     best: float | None  # [parcels/h] that no schedule of its maneuvers exceeds
 
     @property
@@ -153,9 +150,8 @@ class StreamResult:
 
 def stream_result(**plain: Any) -> StreamResult:
     """Make a result from its fields as JSON has them."""
-    for name in ("capacity", "eased"):
-        if plain[name] is not None:
-            plain[name] = Measurement(**plain[name])
+    if plain["capacity"] is not None:
+        plain["capacity"] = Measurement(**plain["capacity"])
     return StreamResult(**plain)
 
 
@@ -163,19 +159,17 @@ def compute_stream(method: StreamMethod, case: Case) -> StreamResult:
     """Measure a method on one stream."""
     config = method.config(case, case.ceiling)
     controller = method.make(config)
-    capacity = eased = best = None
+    capacity = best = None
     actuators, columns, modules = 0, 0, 1
     if controller is not None:
         actuators, columns, modules = _count_hardware(config, controller)
         capacity = limits.find_capacity(method, controller, case)
-        rate = EASED * capacity.rate if capacity is not None else limits.LEAST * case.ceiling
-        eased = limits.measure(method, controller, case, rate)
     if isinstance(controller, Scheduler):
         made = controller.library
         best = clairvoyant_bound(made, np.ones(len(made.signature)))
     return StreamResult(
         method.name, case.preset, case.mix, case.speed, case.exits, actuators, columns, modules,
-        capacity, eased, best,
+        capacity, best,
     )  # fmt: skip
 
 
@@ -183,9 +177,9 @@ def _count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int
     """Count actuators, and the columns and modules that one of them turns."""
     first_row, rows, first, obeying = config.site.zone
     grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
-    if not isinstance(controller, Scheduler) or controller.library.lead.groups is None:
+    lead = controller.library.lead if isinstance(controller, Scheduler) else None
+    if lead is None or lead.groups is None:
         return int(grid.sum()), 0, 1
-    lead = controller.library.lead
     each = [int(grid[:, begin:end].sum()) for begin, end in lead.spans.tolist()]
     return sum(count > 0 for count in each), lead.groups.columns, max(each)
 
@@ -299,7 +293,7 @@ def stream_tables(results: StreamResults) -> list[Table]:
     return [
         make(results, preset, exits)
         for exits in results.exits
-        for make in (ladder_table, step_table, eased_table)
+        for make in (ladder_table, step_table)
         for preset in limits.STREAM_PRESETS
     ]
 
@@ -400,30 +394,6 @@ def step_table(results: StreamResults, preset: str, exits: str = "sides") -> Tab
     )
 
 
-def eased_table(results: StreamResults, preset: str, exits: str = "sides") -> Table:
-    """Show deliveries, touches and waiting at 80 % of the capacity."""
-
-    def text(name: str, case: Case) -> str:
-        row = results.find(name, case)
-        if row is None or row.eased is None:
-            return CANNOT
-        eased = row.eased
-        return f"{eased.share_right:.4f}, {eased.touches_per_1000:.1f}, {eased.waited:.2f}"
-
-    streams = cases(preset, exits)
-    return Table(
-        _title("at 80 % of the capacity", preset, exits),
-        "share of deliveries that are right, touches per 1000, and seconds waited at the entry, "
-        "offered 80 % of the capacity; a method that has none is offered a sixteenth of what the "
-        f"entrance takes; {_exits(exits)}",
-        ("controller", *(case.label for case in streams)),
-        tuple(
-            (name, *(text(name, case) for case in streams))
-            for name in _tried(results, preset, exits)
-        ),
-    )
-
-
 def _title(title: str, preset: str, exits: str) -> str:
     return f"flow: {title}, {limits.STREAM_PRESETS[preset].label}, exits “{exits}”"
 
@@ -460,18 +430,15 @@ def stream_numbers(results: StreamResults) -> list[dict[str, Any]]:
         }
         if row.best is not None:
             values["best known"] = row.best
-        for load, found in (("capacity", row.capacity), ("80 %", row.eased)):
-            if found is not None:
-                values |= {
-                    f"offered at {load}": found.offered,
-                    f"rate at {load}": found.rate,
-                    f"margin at {load}": found.margin,
-                    f"share right at {load}": found.share_right,
-                    f"touches per 1000 at {load}": found.touches_per_1000,
-                    f"waiting at {load}": found.waited,
-                    f"turns per parcel at {load}": found.turns / row.modules,
-                    f"jams at {load}": float(found.jams),
-                }
+        if row.capacity is not None:
+            values |= {
+                "margin": row.capacity.margin,
+                "offered": row.capacity.offered,
+                "share right": row.capacity.share_right,
+                "touches per 1000": row.capacity.touches_per_1000,
+                "waiting": row.capacity.waited,
+                "turns per parcel": row.turns,
+            }
         rows += [
             {
                 "controller": row.method,

@@ -97,12 +97,10 @@ def stream_rows() -> list[StreamResult]:
         for case in (*cases(), *cases("camera")):
             rate = share * case.ceiling
             capacity = at(rate, touches=1.0) if share else None
-            least = at(0.8 * rate) if share else at(case.ceiling / 16.0, right=1 / 3)
             made.append(
                 StreamResult(
                     name, case.preset, case.mix, case.speed, case.exits, actuators, columns,
-                    modules, capacity, least if actuators else None,
-                    1.1 * rate if name == streams.MODULES else None,
+                    modules, capacity, 1.1 * rate if name == streams.MODULES else None,
                 )
             )  # fmt: skip
     return made

@@ -166,7 +166,7 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     assert "modules over columns" in screen.getvalue()
     page = (tmp_path / "report.html").read_text()
     assert "Flow: ladder of hardware, exact, exits “sides”</a>" in page
-    assert "Flow: at 80 % of the capacity, camera, exits “sides”" in page
+    assert "Flow: what a rung has over another, camera, exits “sides”" in page
     assert "data:video/mp4;base64," in page
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert not (tmp_path / "comparison.md").exists()
@@ -225,7 +225,7 @@ def test_every_seed_of_a_run_is_measured_beside_the_scheduler(tmp_path, monkeypa
     for preset in ("exact", "camera"):
         (stream,) = card[preset].values()
         assert len(stream["capacity_of_each_seed"]) == 2
-        assert min(stream["right_at_80_percent"]) > 0.99
+        assert min(stream["share_right"]) > 0.99
 
 
 @pytest.mark.parametrize("text", [None, "", "[1", "env_id: SmartSurface/Sort-v0", "- a"])

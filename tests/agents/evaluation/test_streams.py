@@ -61,7 +61,7 @@ def test_every_method_acts_in_its_own_environment() -> None:
 def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch) -> None:
     monkeypatch.setattr(streams, "make_scheduler", lambda *_: None)
     result = streams.compute_stream(BY_NAME[MODULES], Case("S", 1.5))
-    assert (result.actuators, result.capacity, result.eased, result.best) == (0, None, None, None)
+    assert (result.actuators, result.capacity, result.best) == (0, None, None)
 
 
 def test_every_result_is_computed_once() -> None:
@@ -104,12 +104,9 @@ class TestComputing:
         assert result.capacity.offered == Case("S", 2.0).ceiling  # all that the entrance takes
         assert 0.9 < result.capacity.rate / result.best < 1.1
         assert 0.3 < result.turns < 2.0  # the same exit may come twice
-        assert result.eased.offered == pytest.approx(0.8 * result.capacity.rate)
-        assert result.eased.share_right == 1.0
 
     def test_finished_results_are_kept(self, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr(capacity, "find_capacity", lambda *_: at(3000.0))
-        monkeypatch.setattr(capacity, "measure", lambda *_: at(2400.0))
         each = [replace(BY_NAME[EVENT], name=name) for name in ("one", "other")]
         first = streams.compute_streams(each[:1], 1, tmp_path)
         with (tmp_path / streams.FILE).open("a") as file:
@@ -131,7 +128,7 @@ def with_rates(*rates: list[int]) -> streams.StreamResults:
     ]
     return streams.StreamResults(
         tuple(
-            StreamResult(str(k), "exact", "S", 1.0, "sides", 55, 1, 4, each, None, None)
+            StreamResult(str(k), "exact", "S", 1.0, "sides", 55, 1, 4, each, None)
             for k, each in enumerate(found)
         )
     )
@@ -183,16 +180,9 @@ class TestTables:
         assert set(rows[f"{COLUMNS} over {streams.SERIES}"]) == {"-"}
         assert rows[f"{MODULES} over {COLUMNS}"][0] == "+2520 ±192 (+46.7 %)"
 
-    def test_with_room_to_spare(self) -> None:
-        table = streams.eased_table(stream_results(), "camera")
-        assert table.rows[0][1] == "cannot"
-        assert 0.25 < float(table.rows[1][1].split(",")[0]) < 0.4  # a third
-        assert table.rows[3][1] == "1.0000, 0.0, 0.25"
-        assert "exits “sides”" in table.caption
-
     def test_every_number_has_a_row(self) -> None:
         rows = streams.stream_numbers(stream_results())
-        assert {row["metric"] for row in rows} > {"capacity", "best known", "waiting at 80 %"}
+        assert {row["metric"] for row in rows} > {"capacity", "best known", "turns per parcel"}
         key = ("controller", "preset", "exits", "parcels", "speed", "metric")
         wanted = (COLUMNS, "exact", "sides", "S", 1.0, "capacity")
         found = [row["value"] for row in rows if tuple(row[name] for name in key) == wanted]
