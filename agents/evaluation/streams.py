@@ -32,6 +32,7 @@ FILMED = Case("S and B", 1.5)  # on film
 ARRANGED = "zone, arranged anew"
 FOLLOWED = "zone, same exit follows"
 SERIES = "zones in series"
+TRIPLES = "columns in threes"
 COLUMNS = "columns"
 MODULES = "modules"
 SIX_COLUMNS = "columns, six angles"
@@ -47,13 +48,15 @@ CANNOT = "cannot"  # sort all kinds, even one at a time
 
 # Pairs of rungs: what the first has over the second.
 STEPS = (
-    (FOLLOWED, ARRANGED), (SERIES, FOLLOWED), (COLUMNS, SERIES), (MODULES, COLUMNS),
+    (FOLLOWED, ARRANGED), (SERIES, FOLLOWED), (TRIPLES, SERIES), (COLUMNS, TRIPLES),
+    (MODULES, COLUMNS),
     (SIX_COLUMNS, COLUMNS), (SIX_MODULES, MODULES), (SIX_MODULES, SIX_COLUMNS), (LEARNED, MODULES),
 )  # fmt: skip
 
 SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())
 QUEUE = 4  # waiting parcels that a scheduler is shown
 SHORTEST = 3  # columns of a zone that is tried
+SHORTEST_OF_MANY = 5  # of zones in series: shorter ones are no zones, since a parcel is over two
 LONGER = 2  # columns by which a zone is tried longer than the best so far
 PREDICTED = 500  # parcels
 
@@ -70,9 +73,10 @@ def stream_methods() -> list[StreamMethod]:
     columns = partial(_schedule, ColumnGroups())
     modules = partial(_schedule, None)
     found = [
-        _rung(ARRANGED, "modules", partial(_schedule_zones, 1, True)),
-        _rung(FOLLOWED, "modules", partial(_schedule_zones, 1, False)),
-        _rung(SERIES, "modules", partial(_schedule_zones, None, False)),
+        _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
+        _rung(FOLLOWED, "modules", partial(_schedule_zones, SHORTEST, 1, False)),
+        _rung(SERIES, "modules", partial(_schedule_zones, SHORTEST_OF_MANY, None, False)),
+        _rung(TRIPLES, "modules", partial(_schedule, ColumnGroups(3))),
         _rung(COLUMNS, "modules", columns),
         _rung(SIX_COLUMNS, "modules", columns, SIX),
         _rung(MODULES, "parcels", modules),
@@ -99,12 +103,14 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig) -> Scheduler | Non
     return make_scheduler(config, groups)
 
 
-def _schedule_zones(count: int | None, exclusive: bool, config: EnvConfig) -> Scheduler | None:
+def _schedule_zones(
+    shortest: int, count: int | None, exclusive: bool, config: EnvConfig
+) -> Scheduler | None:
     """Make the scheduler of the zones that are predicted to let most parcels in, by their columns;
     None where none sort all.
     """
     rates: dict[ColumnGroups, float] = {}
-    for columns in range(SHORTEST, config.site.zone[3] + 1):
+    for columns in range(shortest, config.site.zone[3] + 1):
         if rates and columns > max(rates, key=rates.__getitem__).columns + LONGER:
             break
         groups = ColumnGroups(columns, count, exclusive)
