@@ -10,7 +10,8 @@ group to stand otherwise must not be over it at once.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from .trajectories import DT, Asked, Followed, LoneRuns, find_gaps, list_asked, 
 MARGIN = 0.02  # [m] kept clear between two parcels
 PLACES = 9  # to turn off, evenly along an exit
 UPSTREAM = 2.0  # [m] before an exit begins, at most, that a parcel turns off towards it
-PHASES = 2  # of a control period in which a parcel enters
+PHASES = 2  # of a control period in which each of two parcels enters that are held apart
 TRIES = 4  # of each maneuver, where sensors err or anything is drawn; else one
 PAST_START, SPEED = 13, 3  # columns of a row: rear past the exit's start / 0.5 m, vx - 1 m/s
 LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
@@ -203,6 +204,14 @@ class Library:
     signature: Numbers  # (kinds, features) by which each parcel, speed and exit is known
     right: Booleans  # (kinds,) whether some maneuver led it right in every try
     gaps: Numbers  # (maneuvers, maneuvers) [s] between entries, of each (column) behind each (row)
+    runs: tuple[tuple[LoneRuns, ...], ...]  # of the maneuvers, by surface and phase of entry
+
+    def find_gaps(self, margin: float, slack: float) -> Numbers:
+        """Find the gaps at another clearance; see `make_library`."""
+        gaps = np.zeros((len(self.maneuvers.kind), len(self.maneuvers.kind)))
+        for same in self.runs:  # on the same surface, whenever each of two enters
+            _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
+        return gaps
 
     @cached_property
     def options(self) -> Integers:
@@ -221,12 +230,17 @@ class Library:
         It is the bias of an average-cost Markov decision process, by relative value iteration, in
         which a parcel's entry depends on the maneuver of the one ahead alone.
         """
-        bias = np.zeros(len(self.gaps))
-        for _ in range(ROUNDS):
-            behind = [(self.gaps + bias)[:, own[own >= 0]].min(axis=1) for own in self.options]
-            found = np.mean(behind, axis=0)
-            bias = found - found.min()
-        return bias
+        return find_delay(self.gaps, self.options)
+
+
+def find_delay(gaps: Numbers, options: Integers) -> Numbers:
+    """Find (maneuvers,) the bias of each [s]; see `Library.delay`."""
+    bias = np.zeros(len(gaps))
+    for _ in range(ROUNDS):
+        behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
+        found = np.mean(behind, axis=0)
+        bias = found - found.min()
+    return bias
 
 
 def make_library(
@@ -256,9 +270,7 @@ def make_library(
     varies = config.randomisation.varies or config.actuators.stuck_share > 0.0
     exact = not varies and isinstance(config.sensors, Exact)
     tries = 1 if exact else TRIES
-    runs = [
-        [_try(config, lead, tried, seed, phase) for phase in range(PHASES)] for seed in range(tries)
-    ]
+    runs = [_try(config, lead, tried, seed) for seed in range(tries)]
     share = np.mean([run.right for same in runs for run in same], axis=0)
     count = len(lead.kinds)
     best = np.zeros(count)
@@ -266,18 +278,19 @@ def make_library(
     # A parcel that nothing leads right for certain takes what leads it right most often.
     kept = share >= best[tried.kind]
     maneuvers = tried.pick(kept)
-    gaps = np.zeros((len(maneuvers.kind), len(maneuvers.kind)))
-    for same in runs:  # on the same surface, whenever each of two enters
-        _raise_gaps(lead, maneuvers, [run.pick(kept) for run in same], margin, slack, gaps)
     signature = np.empty((count, runs[0][0].signature.shape[1]))
     signature[tried.kind] = runs[0][0].signature
-    return Library(lead, maneuvers, signature, best == 1.0, gaps)
+    steps = config.timing.steps
+    phases = sorted({k * steps // PHASES for k in range(PHASES)})
+    own = tuple(tuple(same[step].pick(kept) for step in phases) for same in runs)
+    library = Library(lead, maneuvers, signature, best == 1.0, np.empty(0), own)
+    return replace(library, gaps=library.find_gaps(margin, slack))
 
 
-def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, phase: int) -> LoneRuns:
-    """Run every maneuver once, on the same surface, entering in a phase of a control period."""
-    count = len(tried.kind)
-    booked = np.arange(count)[:, np.newaxis]
+def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int) -> list[LoneRuns]:
+    """Run every maneuver on the same surface, entering in each step of a control period."""
+    count, steps = len(tried.kind), config.timing.steps
+    booked = np.tile(np.arange(count), steps)[:, np.newaxis]
     stands: Integers | None = None
 
     def act(tables: Singles) -> Integers:
@@ -287,20 +300,21 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, phase: int)
         return action
 
     asked: list[Asked] = [lead.kinds[kind] for kind in tried.kind.tolist()]
-    opens = np.full(count, 1 + phase * config.timing.steps // PHASES)
-    return run_alone(act, config, asked, opens, [seed] * count)
+    opens = np.repeat(np.arange(steps) + 1, count)
+    found = run_alone(act, config, asked * steps, opens, [seed] * len(opens))
+    return [found.pick(opens == step + 1) for step in range(steps)]
 
 
 def _raise_gaps(
     lead: Lead,
     maneuvers: Maneuvers,
-    runs: list[LoneRuns],
+    runs: Sequence[LoneRuns],
     margin: float,
     slack: float,
     gaps: Numbers,
 ) -> None:
     """Raise gaps to what runs ask for: parcels stay clear, and find their groups free."""
-    followed = [_choices(lead, maneuvers, run) for run in runs]
+    followed = [follow(lead, maneuvers, run)[0] for run in runs]
     state = np.stack([np.full(len(gaps), lead.axes.roll), maneuvers.choice], axis=1)
     needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
     late = slack * lead.ahead
@@ -312,8 +326,8 @@ def _raise_gaps(
             find_gaps(ahead, behind, margin, 0.0 if needs else late, gaps)
 
 
-def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> Followed:
-    """Add to runs what the modules under each parcel stand at."""
+def follow(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Followed, Numbers]:
+    """Add to runs what the modules under each parcel stand at; and (runs, moments) [m] its rear."""
     outline, pose = run.outline, run.pose
     theta = pose[..., np.newaxis, 2]
     along = (
@@ -323,7 +337,7 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> Followed:
     turns = rear > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
     reach = np.hypot(outline[..., 0], outline[..., 1]).max(axis=1)
-    return Followed(pose, run.moments, outline, reach, choice)
+    return Followed(pose, run.moments, outline, reach, choice), rear
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:

@@ -4,6 +4,7 @@ Of the parcels that wait it chooses maneuvers by a beam search: those with which
 enters soonest, the mean gap of one more behind it included.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -250,8 +251,9 @@ def make_scheduler(
         config: of the environment; actions "parcels" without groups, "modules" with them.
         least_right: [-] of deliveries in a trial; with fewer there is none, and None is returned.
     """
+    closest = make_library(config, groups, margin=CLEARANCES[0][1], slack=CLEARANCES[0][0])
     for slack, margin in CLEARANCES:
-        library = make_library(config, groups, margin=margin, slack=slack)
+        library = replace(closest, gaps=closest.find_gaps(margin, slack))
         if not np.isfinite(library.gaps).all():
             continue
         scheduler = Scheduler(config, library)
@@ -264,7 +266,9 @@ def make_scheduler(
 
 
 def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
-    """Count parcels right and wrong, touches and jams of episodes with always one at the gate."""
+    """Count parcels right and wrong, touches and jams of episodes with always one at the gate, which
+    end where two touch.
+    """
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))
@@ -273,7 +277,7 @@ def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
         batch.seed(i, np.random.default_rng((TRIAL_SEED, i)))
     batch.reset(np.arange(TRIED))
     state = None
-    while (batch.outcome == RUNNING).any():
+    while (batch.outcome == RUNNING).any() and not batch.streams.tally[:, TOUCHES].any():
         action, state = scheduler.predict(batch.observation, state)
         batch.step(busy.action_kind.commands(action, TRIED))
     tally = batch.streams.tally.sum(axis=0)
