@@ -146,6 +146,8 @@ class Scheduler(BatchController):
 
     _dims = 2
 
+    clearance = CLEARANCES[0]  # that its library keeps
+
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
         self.library = make_library(config) if library is None else library
         self._parcels = config.stream_task.max_parcels
@@ -257,6 +259,7 @@ def make_scheduler(
         if not np.isfinite(library.gaps).all():
             continue
         scheduler = Scheduler(config, library)
+        scheduler.clearance = slack, margin
         right, wrong, touches, jams = _try(config, scheduler)
         if touches == 0 and jams == 0:
             break
@@ -266,8 +269,9 @@ def make_scheduler(
 
 
 def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
-    """Count parcels right and wrong, touches and jams of episodes with always one at the gate, which
-    end where two touch.
+    """Count parcels right and wrong, touches and jams of episodes with always one at the gate.
+
+    They end where two touch.
     """
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))

@@ -1,0 +1,167 @@
+"""The answer to the engineer's question: a sentence, tables, a picture, and what JSON holds."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from surface_gym.design import report
+from surface_gym.parallel import Workers
+
+from .design import (
+    ARRANGED,
+    COLUMNS,
+    FOLLOWED,
+    FOUR,
+    HARDWARE,
+    MODULES,
+    SERIES,
+    SIX,
+    STUCK,
+    FlowCase,
+    Found,
+    OnProgress,
+    design_flow,
+)
+
+# Okabe and Ito's colours, as those of the package's other plots.
+COLOURS = dict(zip(HARDWARE, ("#999999", "#cc79a7", "#e69f00", "#009e73", "#0072b2"), strict=True))
+STYLES = {len(FOUR): "-", len(SIX): "--"}
+AT = tuple(f"{angle:g} deg" for angle in SIX)
+
+
+@dataclass(frozen=True)
+class FlowAnswer(report.Answer):
+    """The shortest line of every hardware."""
+
+    case: FlowCase
+    rows: tuple[Found, ...]
+
+    name = "flow"
+
+    @property
+    def able(self) -> list[Found]:
+        return [row for row in self.rows if row.carries]
+
+    @property
+    def sentence(self) -> str:
+        rate = f"{self.case.rate:g} parcels an hour"
+        if not self.able:
+            best = max(self.rows, key=lambda row: row.predicted, default=None)
+            most = "" if best is None else f": most, {best.predicted:.0f}, does {_describe(best)}"
+            return f"No line of up to {self.case.longest:g} m carries {rate}{most}"
+        shortest = min(self.able, key=lambda row: (row.length, row.actuators))
+        fewest = min(self.able, key=lambda row: (row.actuators, row.length))
+        text = f"To carry {rate}, the shortest line is {_describe(shortest)}"
+        if fewest.actuators == shortest.actuators:
+            return f"{text}, and none has fewer actuators"
+        return f"{text}; the fewest actuators has {_describe(fewest)}"
+
+    def tables(self) -> tuple[report.Table, ...]:
+        own = [(row.hardware, len(row.orientations)) for row in self.rows]
+        header = (
+            "hardware", "angles", "carries", "line [m]", "actuators", "predicted [1/h]",
+            "measured [1/h]",
+        )  # fmt: skip
+        lines = tuple(
+            (
+                *name, row.carries, f"{row.length:.1f}", row.actuators, round(row.predicted),
+                round(row.run.rate),
+            )
+            for name, row in zip(own, self.rows, strict=True)
+        )  # fmt: skip
+        run_header = (
+            "hardware", "angles", "95 % [1/h]", "share right", "touches /1000",
+            "turns of axes /parcel", "of an axis /h",
+        )  # fmt: skip
+        runs = tuple(
+            (
+                *name, round(row.run.margin), f"{row.run.share_right:.4f}",
+                f"{row.run.touches_per_1000:.1f}", f"{row.run.turns_per_parcel:.1f}",
+                round(row.run.turns_per_hour),
+            )
+            for name, row in zip(own, self.rows, strict=True)
+        )  # fmt: skip
+        times = tuple(
+            (*name, *(f"{share:.3f}" for share in row.run.share_at), *("-" for _ in rest))
+            for name, row in zip(own, self.rows, strict=True)
+            for rest in (SIX[len(row.run.share_at) :],)
+        )
+        stuck = tuple(
+            (
+                row.hardware, len(row.orientations), f"{share:.0%}", round(run.rate),
+                f"{left:.3f}", f"{run.share_right:.4f}", run.jams,
+            )
+            for row in self.able
+            for share, run, left in zip(STUCK, row.stuck, row.left, strict=False)
+        )  # fmt: skip
+        curves = tuple(
+            (row.hardware, len(row.orientations), length, rate)
+            for row in self.rows
+            for length, rate in row.curve
+        )
+        stuck_header = (
+            "hardware", "angles", "stuck", "right [1/h]", "of all", "share right", "jams",
+        )  # fmt: skip
+        curve_header = ("hardware", "angles", "line [m]", "predicted [1/h]")
+        return (
+            report.Table("flow", "The shortest line, or the best where none does", header, lines),
+            report.Table("flow-runs", "Always a parcel at the gate", run_header, runs),
+            report.Table("flow-time", "Share of the time", ("hardware", "angles", *AT), times),
+            report.Table("flow-stuck", "Modules stuck at 90 deg", stuck_header, stuck),
+            report.Table("flow-curves", "Rate by length", curve_header, curves, shown=False),
+        )
+
+    def draw(self) -> "report.Figure":
+        """Draw the rate against the length, and what is left of it as modules fail."""
+        figure = report.new_figure(
+            9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
+        )
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        four = {row.hardware: row.curve for row in self.rows if row.orientations == FOUR}
+        for row in self.rows:
+            colour = COLOURS[row.hardware]
+            if row.orientations == FOUR or row.curve != four.get(row.hardware):
+                label = f"{row.hardware}{'' if row.orientations == FOUR else ', and ±80 deg'}"
+                style = STYLES[len(row.orientations)]
+                left.plot(*np.transpose(row.curve), color=colour, linestyle=style, label=label)
+            if row.carries:
+                left.plot(row.length, row.predicted, "o", color=colour, markersize=6)
+            if row.stuck:
+                right.plot(100.0 * np.array(STUCK), row.left, "o-", color=colour)
+        left.axhline(self.case.rate, color="black", linewidth=0.8, linestyle=":", label="asked for")
+        left.set(xlabel="line [m]", ylabel="parcels an hour, predicted", xlim=(0.0, None))
+        left.set_ylim(0.0, None)
+        right.set(xlabel="modules stuck [%]", ylabel="of the capacity", ylim=(0.0, 1.05))
+        for panel in (left, right):
+            panel.grid(alpha=0.25)
+            panel.spines[["top", "right"]].set_visible(False)
+        figure.legend(
+            *left.get_legend_handles_labels(), loc="outside lower center", ncols=3,
+            fontsize="small", frameon=False,
+        )  # fmt: skip
+        return figure
+
+    def as_json(self) -> dict[str, Any]:
+        """Put the answer into what JSON holds."""
+        case = {"rate": self.case.rate, "speed": self.case.speed, "longest": self.case.longest}
+        return {**case, "stuck_shares": STUCK, "lines": [asdict(row) for row in self.rows]}
+
+
+def _describe(row: Found) -> str:
+    words = {
+        ARRANGED: "one zone that is arranged anew for each parcel",
+        FOLLOWED: "one zone that parcels for the same exit may follow each other over",
+        SERIES: "zones in series",
+        COLUMNS: "one actuator a column",
+        MODULES: "every module by itself",
+    }[row.hardware]
+    return (
+        f"{row.length:.1f} m, {words} ({report.plural(row.actuators, 'actuator')}, "
+        f"{len(row.orientations)} orientations)"
+    )
+
+
+def answer_flow(case: FlowCase, workers: Workers, on_progress: OnProgress) -> FlowAnswer:
+    """Find the shortest line of every hardware."""
+    return FlowAnswer(case, design_flow(case, workers, on_progress))
