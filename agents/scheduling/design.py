@@ -31,7 +31,7 @@ from .trajectories import list_asked
 
 ARRANGED, FOLLOWED, SERIES, COLUMNS, MODULES = HARDWARE = (
     "one zone, arranged anew",
-    "one zone, exit may follow",
+    "one zone, exits follow",
     "zones in series",
     "one actuator a column",
     "every module by itself",
@@ -379,7 +379,8 @@ class Search:
     ) -> tuple[tuple[float, float], ...]:
         """Predict the rate by length; what a shorter line carries, a longer one does."""
         best, found = 0.0, []
-        for layout in sorted(tried, key=lambda each: each.columns):
+        verified = {layout for layout, _ in self._schedulers}
+        for layout in sorted({*tried, *verified}, key=lambda each: each.columns):
             made = self._schedulers.get((layout, self._used(layout, choices)))
             if made is not None:
                 best = max(best, self.predict(layout, made.library))
@@ -387,7 +388,8 @@ class Search:
                 best = max(best, self.rate(layout, choices, clearance))
             if best > 0.0:
                 found.append((round(PITCH * layout.columns, 9), best))
-        return tuple(found)
+        end = round(PITCH * self.case.columns[-1], 9)
+        return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: Layout, choices: int) -> tuple[Run, ...]:
         """Run the scheduler of a line at each share in STUCK."""

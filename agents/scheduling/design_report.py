@@ -1,6 +1,6 @@
 """The answer to the engineer's question: a sentence, tables, a picture, and what JSON holds."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,63 +54,87 @@ class FlowAnswer(report.Answer):
         fewest = min(self.able, key=lambda row: (row.actuators, row.length))
         text = f"To carry {rate}, the shortest line is {_describe(shortest)}"
         if fewest.actuators == shortest.actuators:
-            return f"{text}, and none has fewer actuators"
-        return f"{text}; the fewest actuators has {_describe(fewest)}"
+            text += ", and none has fewer actuators"
+        else:
+            text += f"; the fewest actuators has {_describe(fewest)}"
+        unable = [row for row in self.rows if not row.carries and row.actuators < fewest.actuators]
+        best = max(unable, key=lambda row: row.predicted, default=None)
+        more = "" if best is None else f". With fewer, {best.predicted:.0f} are carried at most"
+        return text + more
 
     def tables(self) -> tuple[report.Table, ...]:
-        own = [(row.hardware, len(row.orientations)) for row in self.rows]
-        header = (
-            "hardware", "angles", "carries", "line [m]", "actuators", "predicted [1/h]",
-            "measured [1/h]",
-        )  # fmt: skip
-        lines = tuple(
+        names, rows = zip(*self._distinct(), strict=True) if self.rows else ((), ())
+        lines = [
+            (row.carries, f"{row.length:.1f} m", row.actuators, round(row.predicted))
+            for row in rows
+        ]
+        runs = [
             (
-                *name, row.carries, f"{row.length:.1f}", row.actuators, round(row.predicted),
-                round(row.run.rate),
+                f"{run.share_right:.4f}", f"{run.touches_per_1000:.1f}",
+                f"{run.turns_per_parcel:.1f}", round(run.turns_per_hour),
             )
-            for name, row in zip(own, self.rows, strict=True)
-        )  # fmt: skip
-        run_header = (
-            "hardware", "angles", "95 % [1/h]", "share right", "touches /1000",
-            "turns of axes /parcel", "of an axis /h",
-        )  # fmt: skip
-        runs = tuple(
+            for run in (row.run for row in rows)
+        ]  # fmt: skip
+        measured = [(f"{row.run.rate:.0f} ±{row.run.margin:.0f}",) for row in rows]
+        times = [
+            (*(f"{share:.3f}" for share in shares), *("-" for _ in SIX[len(shares) :]))
+            for shares in (row.run.share_at for row in rows)
+        ]
+        stuck = [
             (
-                *name, round(row.run.margin), f"{row.run.share_right:.4f}",
-                f"{row.run.touches_per_1000:.1f}", f"{row.run.turns_per_parcel:.1f}",
-                round(row.run.turns_per_hour),
+                *name, f"{share:.0%}", round(run.rate), f"{left:.3f}", f"{run.share_right:.4f}",
+                run.jams,
             )
-            for name, row in zip(own, self.rows, strict=True)
-        )  # fmt: skip
-        times = tuple(
-            (*name, *(f"{share:.3f}" for share in row.run.share_at), *("-" for _ in rest))
-            for name, row in zip(own, self.rows, strict=True)
-            for rest in (SIX[len(row.run.share_at) :],)
-        )
-        stuck = tuple(
-            (
-                row.hardware, len(row.orientations), f"{share:.0%}", round(run.rate),
-                f"{left:.3f}", f"{run.share_right:.4f}", run.jams,
-            )
-            for row in self.able
+            for name, row in zip(names, rows, strict=True)
             for share, run, left in zip(STUCK, row.stuck, row.left, strict=False)
-        )  # fmt: skip
-        curves = tuple(
+        ]  # fmt: skip
+        curves = [
             (row.hardware, len(row.orientations), length, rate)
             for row in self.rows
             for length, rate in row.curve
+        ]
+        titles = (
+            "The shortest line that carries it, or the best where none does; parcels an hour",
+            "Measured, always a parcel at the gate; turns of all axes a parcel, of one an hour",
+            "Share of the time at each orientation",
+            "Capacity as modules are stuck at 90 deg, unknown to the scheduler",
         )
-        stuck_header = (
-            "hardware", "angles", "stuck", "right [1/h]", "of all", "share right", "jams",
-        )  # fmt: skip
-        curve_header = ("hardware", "angles", "line [m]", "predicted [1/h]")
+        who = ("hardware", "angles")
+        line_header = (*who, "carries", "line", "actuators", "predicted")
+        run_header = (*who, "measured", "right", "touches/1000", "turns", "an hour")
+        stuck_header = (*who, "stuck", "right/h", "of all", "share right", "jams")
+
+        def table(k: int, name: str, header: tuple[str, ...], *parts: Any) -> report.Table:
+            cells = tuple(sum(each, ()) for each in zip(*parts, strict=True))
+            return report.Table(name, titles[k], header, cells)
+
         return (
-            report.Table("flow", "The shortest line, or the best where none does", header, lines),
-            report.Table("flow-runs", "Always a parcel at the gate", run_header, runs),
-            report.Table("flow-time", "Share of the time", ("hardware", "angles", *AT), times),
-            report.Table("flow-stuck", "Modules stuck at 90 deg", stuck_header, stuck),
-            report.Table("flow-curves", "Rate by length", curve_header, curves, shown=False),
-        )
+            table(0, "flow", line_header, names, lines),
+            table(1, "flow-runs", run_header, names, measured, runs),
+            table(2, "flow-time", (*who, *AT), names, times),
+            table(3, "flow-stuck", stuck_header, stuck),
+            report.Table(
+                "flow-curves", "", (*who, "line [m]", "predicted [1/h]"), tuple(curves),
+                shown=False,
+            ),
+        )  # fmt: skip
+
+    def _distinct(self) -> list[tuple[tuple[str, str], Found]]:
+        """List lines that differ by more than the orientations on offer, which go unused then."""
+        found: list[tuple[tuple[str, str], Found]] = []
+        for row in self.rows:
+            few = found[-1][1] if found else None
+            if few is not None and (few.hardware, few.length, few.predicted) == (
+                row.hardware, row.length, row.predicted,
+            ):  # fmt: skip
+                stuck = few.stuck or row.stuck
+                found[-1] = (
+                    (row.hardware, f"{found[-1][0][1]}, {len(row.orientations)}"),
+                    replace(few, stuck=stuck),
+                )
+            else:
+                found.append(((row.hardware, str(len(row.orientations))), row))
+        return found
 
     def draw(self) -> "report.Figure":
         """Draw the rate against the length, and what is left of it as modules fail."""
