@@ -220,6 +220,8 @@ class Library:
     right: Booleans  # (kinds,) whether some maneuver led it right in every try
     runs: tuple[tuple[LoneRuns, ...], ...]  # of the maneuvers, by surface and how they enter
     gaps: Numbers  # (maneuvers, maneuvers) [s] between entries, of each (column) behind each (row)
+    margin: float  # [m] and [-] the clearance of these gaps, as `make_library` has it
+    slack: float
 
     @cached_property
     def options(self) -> Integers:
@@ -245,7 +247,7 @@ class Library:
         gaps = np.zeros((len(self.maneuvers.kind), len(self.maneuvers.kind)))
         for same in self.runs:  # on the same surface, however each of two enters
             _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
-        return replace(self, gaps=gaps)
+        return replace(self, gaps=gaps, margin=margin, slack=slack)
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
@@ -299,7 +301,10 @@ def make_library(
     own = tuple(tuple(run.pick(kept) for run in same) for same in runs)
     signature = np.empty((count, runs[0][0].signature.shape[1]))
     signature[tried.kind] = np.mean([run.signature for run in runs[0]], axis=0)
-    found = Library(lead, tried.pick(kept), signature, best == 1.0, own, np.empty(0))
+    maneuvers = tried.pick(kept)
+    found = Library(
+        lead, maneuvers, signature, best == 1.0, own, np.empty(0), margin=margin, slack=slack
+    )
     return found.with_clearance(margin, slack)
 
 

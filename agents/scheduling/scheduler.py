@@ -257,7 +257,7 @@ def make_scheduler(
         scheduler = Scheduler(config, library.with_clearance(margin, slack))
         if not np.isfinite(scheduler.library.gaps).all():
             continue
-        right, wrong, touches, jams = _try(config, scheduler)
+        right, wrong, touches, jams = _try(config, scheduler, fewest)
         if jams == 0 and touches < fewest and right >= least_right * max(1, right + wrong):
             chosen, fewest = scheduler, touches
         if fewest == 0:
@@ -265,8 +265,11 @@ def make_scheduler(
     return chosen
 
 
-def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
-    """Count parcels right and wrong, touches and jams of episodes with always one at the gate."""
+def _try(config: EnvConfig, scheduler: Scheduler, most: float) -> tuple[int, int, int, int]:
+    """Count parcels right and wrong, touches and jams of episodes with always one at the gate.
+
+    They end where more touch than `most`.
+    """
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))
@@ -275,7 +278,7 @@ def _try(config: EnvConfig, scheduler: Scheduler) -> tuple[int, int, int, int]:
         batch.seed(i, np.random.default_rng((TRIAL_SEED, i)))
     batch.reset(np.arange(TRIED))
     state = None
-    while (batch.outcome == RUNNING).any():
+    while (batch.outcome == RUNNING).any() and batch.streams.tally[:, TOUCHES].sum() <= most:
         action, state = scheduler.predict(batch.observation, state)
         batch.step(busy.action_kind.commands(action, TRIED))
     tally = batch.streams.tally.sum(axis=0)

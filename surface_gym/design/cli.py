@@ -20,6 +20,7 @@ from rich.table import Table as ScreenTable
 import surface_gym as sg
 from surface_gym import checks, design, files, parallel
 from surface_gym.cli import typed
+from surface_gym.design.flow_question import AskFlow
 
 if TYPE_CHECKING:
     from surface_gym.design.report import Answer, Table
@@ -135,6 +136,27 @@ class Question:
     @abstractmethod
     def answer(self, on_progress: "OnProgress") -> "Answer":
         """Find the answer."""
+
+    @property
+    def assumed(self) -> str:
+        """What the answer rests on."""
+        if self.speed is not None or not self.has_speed:
+            return ""
+        return f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
+
+    @property
+    def remark(self) -> str:
+        """What makes no difference to the answer."""
+        return MASS if self.mass is not None and self.inertia is None else ""
+
+    def check(self) -> Any:
+        """Raise a ValueError where a flag is wrong."""
+        return self.case()
+
+    def write(self, answer: "Answer") -> list[Path]:
+        """Write what tables and figure do not hold: nothing."""
+        del answer
+        return []
 
     @property
     def shared_by(self) -> parallel.Workers:
@@ -369,7 +391,7 @@ class AskControl(Question):
         return design.control_gain(self.case(), self.columns, on_progress)
 
 
-QUESTIONS: dict[str, Callable[..., Question]] = {
+QUESTIONS: dict[str, Callable[..., Question | AskFlow]] = {
     "columns": AskColumns,
     "speed": AskSpeed,
     "tilt": AskTilt,
@@ -378,6 +400,7 @@ QUESTIONS: dict[str, Callable[..., Question]] = {
     "sensitivity": AskSensitivity,
     "layout": AskLayout,
     "control": AskControl,
+    "flow": AskFlow,
 }
 
 
@@ -386,7 +409,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     question = tyro.extras.subcommand_cli_from_dict(
         QUESTIONS,
         prog=typed("design"),
-        description="Which surface does a parcel of your own need?",
+        description="Which surface does a parcel of your own need, or a stream of them?",
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
@@ -402,11 +425,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(STOPPED) from None
 
 
-def ask(question: Question) -> None:
+def ask(question: Question | AskFlow) -> None:
     """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
     from surface_gym.design.report import DPI, write_csv
 
-    question.case()  # errors come before the folder is made
+    question.check()  # errors come before the folder is made
     question.out.mkdir(parents=True, exist_ok=True)
     if question.checkpoint is not None and not getattr(question, "resume", False):
         question.checkpoint.unlink(missing_ok=True)
@@ -417,13 +440,12 @@ def ask(question: Question) -> None:
     paths = [write_csv(table, question.out) for table in tables if table.written]
     paths.append(question.out / f"{answer.name}.png")
     answer.draw().savefig(paths[-1], dpi=DPI)
+    paths += question.write(answer)
     console = Console()
-    sentence = answer.sentence.removesuffix(".") + "."
-    if question.speed is None and question.has_speed:
-        sentence += f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
+    sentence = f"{answer.sentence.removesuffix('.')}.{question.assumed}"
     console.print(escape(sentence), highlight=False, soft_wrap=True)
-    if question.mass is not None and question.inertia is None:
-        console.print(escape(MASS), highlight=False, soft_wrap=True)
+    if question.remark:
+        console.print(escape(question.remark), highlight=False, soft_wrap=True)
     console.print()
     for table in tables:
         if table.shown:
@@ -433,7 +455,7 @@ def ask(question: Question) -> None:
     )
 
 
-def _find_answer(question: Question) -> "Answer":
+def _find_answer(question: Question | AskFlow) -> "Answer":
     """Find the answer, with a progress bar in a terminal."""
     console = Console(stderr=True)
     bars = (TextColumn("working it out"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
