@@ -112,6 +112,7 @@ TARGETS = (
         for name, near in (
             ("braking", "braking"), ("base", "braking"), ("steering", "steering"),
             ("sorting", "layouts"), ("layouts", "layouts"), ("streams", "streams"),
+            ("reservation", "reservation"),
         )
     ),
     *(

@@ -47,9 +47,7 @@ SECONDS = 30.0  # [s] of an episode
 REPLICATIONS = 30
 WARM_UP = 8.0  # [s] at least, in which nothing counts: at 1 m/s one takes 6.5 s to the line's end
 PRECISION = 1.02  # [-] between a rate that is sustained and one that is not
-LEAST = (
-    1.0 / 16.0
-)  # [-] of the entrance's bound: a method that does not sustain this has no capacity
+LEAST = 1.0 / 16.0  # [-] of what the entrance takes, below which there is no capacity
 CARRIED = 0.98  # [-] of what is offered, so that the queue does not grow
 CHECK_EVERY = 10  # control periods between checks whether a rate can still be sustained
 

@@ -4,7 +4,7 @@ serves it best, other controllers of its modules, their capacities and tables.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ import numpy as np
 
 from surface_gym.config import EnvConfig
 from surface_gym.parallel import Workers
+from surface_gym.randomisation import Randomisation
+from surface_gym.sensors import Exact
 
 from .. import library
 from ..base import Controller
@@ -55,8 +57,9 @@ STEPS = (
 
 SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())
 QUEUE = 4  # waiting parcels that a scheduler is shown
-SHORTEST = 3  # columns of a zone that is tried
+SHORTEST = 4  # columns of a zone; fewer are nearly columns by themselves
 SHORTEST_OF_MANY = 5  # of zones in series: shorter ones are no zones, since a parcel is over two
+WIDEST = 20  # columns of a zone that is tried
 LONGER = 2  # columns by which a zone is tried longer than the best so far
 PREDICTED = 500  # parcels
 
@@ -110,11 +113,12 @@ def _schedule_zones(
     None where none sort all.
     """
     rates: dict[ColumnGroups, float] = {}
-    for columns in range(shortest, config.site.zone[3] + 1):
+    exact = replace(config, sensors=Exact(), randomisation=Randomisation())
+    for columns in range(shortest, WIDEST + 1):
         if rates and columns > max(rates, key=rates.__getitem__).columns + LONGER:
             break
         groups = ColumnGroups(columns, count, exclusive)
-        made = make_library(config, groups, slack=CLEARANCES[0][0])
+        made = make_library(exact, groups, slack=CLEARANCES[0][0])
         if made.right.all() and np.isfinite(made.gaps).all():
             odds, queue = np.ones(len(made.signature)), config.stream_task.queue
             rates[groups] = predict_rate(made, odds, PREDICTED, queue)

@@ -42,7 +42,7 @@ STUCK = (0.0, 0.01, 0.02, 0.05, 0.1)  # [-] share of the modules that fail
 LONGEST = 6.0  # [m] of a line
 ROTOR_ROWS = 4
 WIDEST = 20  # columns of one zone, at most
-IN_SERIES = range(3, 13)  # columns of each zone in series
+IN_SERIES = (3, 4, 5, 6, 8, 10)  # columns of each zone in series
 BEST = 2  # of these widths that are tried on longer lines
 COARSE = 1.25  # [-] between the lengths that are tried first
 LEAD_IN = 5  # columns, at least
@@ -371,7 +371,8 @@ class Search:
             self.hardware, SIX[:choices], predicted >= self.case.rate,
             round(PITCH * layout.columns, 9), 0 if groups is None else groups.columns,
             own * ROTOR_ROWS if groups is None else groups.count or own, predicted,
-            self.run(layout, choices), self._curve(tried, choices, (scheduler.library.slack, scheduler.library.margin)),
+            self.run(layout, choices),
+            self._curve(tried, choices, (scheduler.library.slack, scheduler.library.margin)),
         )  # fmt: skip
 
     def _curve(
