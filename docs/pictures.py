@@ -35,6 +35,7 @@ from surface_gym.scenes import Renderer
 ROOT = Path(__file__).parents[1]
 IMAGES = Path(__file__).parent / "images"
 PERIOD = 0.04  # [s] a picture of the films stays: as long as the control period that it shows
+LINE = ("--rate", "9000", "--mix", "S=1,B=1", "--speed", "1.5")
 OURS = ("--parcel", "0.3x0.4", "--mass", "12", "--speed", "1.2")
 SLIDING = "sliding mode"  # the rule that tracks, by the modules around the parcel
 ORIENTATIONS = (0.0, math.pi / 4.0, -math.pi / 4.0, math.pi / 2.0)  # [rad] in the legend
@@ -311,7 +312,8 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "design-control.png": _design("control", "--parcel", "0.3x0.4", "--speed", "1.2"),
     "design-layout.png": _design("layout", "--parcel", "S", "--any-angle"),
     "robustness.png": FromCommand(("evaluate.py", "--robustness"), "robustness.png"),
-    "flow-rate.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-rate.png"),
+    "flow-capacity.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-capacity.png"),
+    "design-flow.png": _design("flow", *LINE),
 }
 
 
@@ -320,7 +322,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python docs/pictures.py",
         description="Make the pictures and films of the documentation, in docs/images.",
-        epilog="The films take two minutes, design-layout.png two, flow-rate.png five, and "
+        epilog="The films take two minutes, design-layout.png two, flow-capacity.png ten, and "
         "robustness.png thirty.",
     )
     parser.add_argument(
