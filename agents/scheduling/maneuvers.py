@@ -163,7 +163,7 @@ class Lead:
         columns[:, : each.shape[1]] = each
         return np.tile(columns, (1, self._rows)), stands
 
-    def candidates(self, config: EnvConfig, places: int) -> Maneuvers:
+    def candidates(self, config: EnvConfig, place_count: int) -> Maneuvers:
         """List the maneuvers of every parcel, speed and exit."""
         found: list[tuple[int, float, int, int, int]] = []
         for kind, (parcel, _, name) in enumerate(self.kinds):
@@ -174,7 +174,7 @@ class Lead:
                 continue
             low = max(self.zone_x - length, leaves.first - UPSTREAM)
             high = min(leaves.last, config.rotors_end) - length
-            every = self._turning_places(low, max(low, high), length, places)
+            every = self._turning_places(low, max(low, high), length, place_count)
             found += [
                 (kind, x - self.origin[kind], choice, *turned)
                 for choice in self._choices_towards(leaves.side)
@@ -185,12 +185,12 @@ class Lead:
         return Maneuvers(whole[:, 0], table[:, 1], whole[:, 1], whole[:, 2:])
 
     def _turning_places(
-        self, low: float, high: float, length: float, places: int
+        self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
         """List x [m] of the rear from which on a parcel is turned, and by which groups."""
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
-            return [(x, (min(0, last), last)) for x in np.linspace(low, high, places).tolist()]
+            return [(x, (min(0, last), last)) for x in np.linspace(low, high, place_count).tolist()]
         # A zone is turned under the parcel, once it is wholly in, or arranged for it beforehand.
         edge = self.first_x - 0.5 * self._pitch
         # It leaves by that one, or goes on under those after it.
@@ -263,7 +263,7 @@ def find_delay(gaps: Numbers, options: Integers) -> Numbers:
 def make_library(
     config: EnvConfig,
     groups: ColumnGroups | None = None,
-    places: int = PLACES,
+    place_count: int = PLACES,
     margin: float = MARGIN,
     slack: float = 1.0,
 ) -> Library:
@@ -272,18 +272,18 @@ def make_library(
 
     Args:
         config: of the environment, with a gate.
-        places: to turn off, of each parcel and exit.
+        place_count: of places to turn off, for each parcel and exit.
         margin: [m] kept clear between two parcels.
         slack: [-] share of a control period, and of an axis's turn by 90 deg, for which no parcel
             is over a module that the one before it held otherwise.
     """
     if not config.stream_task.gate:
         raise ValueError("gate must be True for a schedule, got False")
-    checks.integer("places", places, least=1)
+    checks.integer("place_count", place_count, least=1)
     checks.not_negative("margin", margin)
     checks.not_negative("slack", slack)
     lead = Lead(config, groups)
-    tried = lead.candidates(config, places)
+    tried = lead.candidates(config, place_count)
     varies = config.randomisation.varies or config.actuators.stuck_share > 0.0
     exact = not varies and isinstance(config.sensors, Exact)
     tries = 1 if exact else TRIES

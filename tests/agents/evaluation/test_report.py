@@ -151,7 +151,7 @@ def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> No
 
 def quick_scheduler(config: EnvConfig, groups: ColumnGroups | None) -> Scheduler:
     """One that was never tried, with few maneuvers."""
-    return Scheduler(config, make_library(config, groups, places=2))
+    return Scheduler(config, make_library(config, groups, place_count=2))
 
 
 def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:

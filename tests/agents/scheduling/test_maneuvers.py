@@ -21,7 +21,7 @@ GENTLE = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]))
 
 def library(config: EnvConfig | None = None, *given, **settings) -> Library:
     """Make a library of few places."""
-    return make_library(gated(S_BOXES) if config is None else config, *given, places=4, **settings)
+    return make_library(gated(S_BOXES) if config is None else config, *given, place_count=4, **settings)
 
 
 def pair(found: Library, ahead: str, behind: str) -> np.ndarray:
@@ -56,7 +56,7 @@ class TestLibrary:
         assert gaps[0, -1] > 1.5 * least
 
     def test_a_gentle_turn_costs_less(self) -> None:
-        both = make_library(gated(S_BOXES, orientations=GENTLE, line=flow_line(4.0)), places=4)
+        both = make_library(gated(S_BOXES, orientations=GENTLE, line=flow_line(4.0)), place_count=4)
         angles = np.array(GENTLE)[both.maneuvers.choice]
         gentle = np.abs(np.abs(angles) - math.radians(80.0)) < 1e-6
         straight = both.options[2, 0]
@@ -106,7 +106,7 @@ class TestGroups:
             (lambda: library(zoned(), None), "actions must be one of"),
             (lambda: library(gated(), ColumnGroups()), "actions must be one of"),
             (lambda: library(line()), "gate must be True for a schedule, got False"),
-            (lambda: make_library(gated(), places=0), "places must be"),
+            (lambda: make_library(gated(), place_count=0), "place_count must be"),
             (lambda: make_library(gated(), margin=-0.1), "margin must be"),
             (lambda: make_library(gated(), slack=-0.1), "slack must be"),
         ],
