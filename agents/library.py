@@ -22,12 +22,14 @@ from .yaml_file import YAML
 
 if TYPE_CHECKING:
     from .module_policy import ModulePolicy
-    from .policy import ParcelPolicy, Policy
+    from .policy import Policy
+    from .schedule_policy import SchedulePolicy
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.pt"
 CARD = "policy.yaml"
-ALGOS = ("ppo", "dqn", "modules", "parcels")
+ALGOS = ("ppo", "dqn", "modules", "schedule")
+QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
 OWN = "Own/"  # before the class of a user's task, in place of an id
 _NAMES = {**{env_id(name): name for name in TASKS}, FLOW: FLOW_TASK}
 
@@ -99,7 +101,7 @@ class PolicyCard:
     """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
-    algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules", or per parcel, "parcels"
+    algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules"; on a schedule, "schedule"
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
@@ -118,15 +120,16 @@ class PolicyCard:
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
         checks.some_of("observe", self.observe, tuple(GROUPS))
-        if (self.algo == "parcels") != (self.env_id == FLOW):
-            raise ValueError(f"algo must be 'parcels' for {FLOW} alone, got {self.algo!r}")
-        if self.algo == "parcels":
+        if (self.algo == "schedule") != (self.env_id == FLOW):
+            raise ValueError(f"algo must be 'schedule' for {FLOW} alone, got {self.algo!r}")
+        if self.algo == "schedule":
             checks.one_of("actions", self.actions, ("parcels",))
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Arguments of the environment the policy was trained on."""
-        more: dict[str, Any] = {"gate": True} if self.algo == "parcels" else {}
+        of_schedule = self.algo == "schedule"
+        more: dict[str, Any] = {"gate": True, "queue": QUEUE} if of_schedule else {}
         if self.observe:
             more["observe"] = self.observe
         return {"actions": self.actions, "control_period": self.control_period, **more}
@@ -181,11 +184,18 @@ def seeds(name: str) -> tuple[int, ...]:
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 
 
-def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
+def load(
+    name: str,
+    seed: int | None = None,
+    config: EnvConfig | None = None,
+    most_touches: float = 0.0,
+) -> "Policy | ModulePolicy | SchedulePolicy":
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
         seed: one of `seeds(name)`; None: the first.
+        config: of the environment that "flow-schedule" is for, with a gate; None: its `env_kwargs`.
+        most_touches: [-] per delivery that "flow-schedule" allows in its trial.
 
     Raises:
         ValueError: no agent of that name, or not of that seed.
@@ -193,10 +203,10 @@ def load(name: str, seed: int | None = None) -> "Policy | ModulePolicy | ParcelP
     """
     trained = seeds(name)
     chosen = trained[0] if seed is None else checks.one_of("seed", seed, trained)
-    return read(SHELF / name / f"seed-{chosen}")
+    return from_files(read_files(SHELF / name / f"seed-{chosen}"), None, config, most_touches)
 
 
-def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | ParcelPolicy":
+def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | SchedulePolicy":
     """Read the policy that a run of any algorithm left in a folder.
 
     Raises:
@@ -206,9 +216,14 @@ def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy
 
 
 def from_files(
-    files: PolicyFiles, task: Task | None = None
-) -> "Policy | ModulePolicy | ParcelPolicy":
-    """Build a policy from the content of its files, wherever they were read; see `read`."""
+    files: PolicyFiles,
+    task: Task | None = None,
+    config: EnvConfig | None = None,
+    most_touches: float = 0.0,
+) -> "Policy | ModulePolicy | SchedulePolicy":
+    """Build a policy from the content of its files, wherever they were read; see `read` and
+    `load`.
+    """
     try:  # only now: it imports PyTorch
         policy: Any = import_module(".policy", __package__)
     except ModuleNotFoundError as error:
@@ -216,4 +231,4 @@ def from_files(
             f"a policy needs {error.name}, which is not installed: "
             "pip install 'surface_gym[agents]'"
         ) from None
-    return policy.build_policy(files, task)
+    return policy.build_policy(files, task, config, most_touches)

@@ -11,11 +11,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
 import torch
 import yaml
 from gymnasium import spaces
-from stable_baselines3.common import policies, type_aliases
+from stable_baselines3.common import policies
 from stable_baselines3.common.distributions import MultiCategoricalDistribution
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch.distributions import Categorical
@@ -23,12 +22,12 @@ from torch.distributions import Categorical
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.files import DAMAGE, check_archive, describe_damage, replacing
-from surface_gym.flow.task import PRESENT, WAITS, StreamActions
 from surface_gym.tasks import TASKS, Task
 
-from .base import SIDE, BatchController, Integers, Singles, action_mirror, mirrored_orientations
+from .base import SIDE, BatchController, action_mirror
 from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, read_files
 from .module_policy import ModulePolicy, SharedNetwork
+from .schedule_policy import ScheduleNetwork, SchedulePolicy
 from .yaml_file import parse_yaml
 
 DIGEST = "digest"  # field of the card: of its other fields and the weights
@@ -109,115 +108,6 @@ class Policy(BatchController):
         return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
-def mirrored_rows(rows: Singles) -> Singles:
-    """Return rows of parcels (..., features) with the asked side mirrored to y > 0."""
-    seen = rows.copy()
-    seen[..., SIDE] = np.abs(rows[..., SIDE])
-    return seen
-
-
-def parcel_spaces(config: EnvConfig) -> tuple[spaces.Box, spaces.MultiDiscrete]:
-    """Build a parcel's observation space and its action space.
-
-    An action has three choices: the axes ahead, the axes behind, and the opening of the gate.
-    """
-    kind = config.action_kind
-    assert isinstance(kind, StreamActions)
-    return config.row_space(), spaces.MultiDiscrete([kind.choices, kind.choices, kind.gates])
-
-
-class ParcelActions:
-    """Conversion between the parcels' mirrored choices and actions of the stream's environment."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        self._image = mirrored_orientations(config.chosen_orientations)
-
-    def to_env(self, rows: Singles, choices: Integers) -> Integers:
-        """Convert choices (num_envs, rows, 3) to actions (num_envs, 2 max_parcels + 1).
-
-        Args:
-            rows: observations (num_envs, rows, features), not mirrored.
-        """
-        axes = self._mirror(rows, choices[:, :-1, :2])
-        return np.concatenate([axes.reshape(len(choices), -1), choices[:, -1:, 2]], axis=1)
-
-    def to_parcels(self, rows: Singles, actions: Integers) -> Integers:
-        num_envs, count, _ = rows.shape
-        choices = np.zeros((num_envs, count, 3), dtype=np.int64)
-        axes = actions[:, :-1].reshape(num_envs, count - 1, 2)
-        choices[:, :-1, :2] = self._mirror(rows, axes)
-        choices[:, -1, 2] = actions[:, -1]
-        return choices
-
-    def _mirror(self, rows: Singles, axes: Integers) -> Integers:
-        mirrored = (rows[:, :-1, SIDE] < 0.0)[..., np.newaxis]
-        return np.where(mirrored, self._image[axes], axes)
-
-
-class ParcelNetwork(policies.ActorCriticPolicy):
-    """Stable-Baselines3's actor and critic of a parcel, with a mask on its three choices.
-
-    A parcel on the line chooses its axes, one at the gate the opening of the gate. The other
-    choices are drawn evenly and teach nothing.
-    """
-
-    def get_distribution(self, obs: type_aliases.PyTorchObs) -> MultiCategoricalDistribution:
-        assert isinstance(obs, torch.Tensor)
-        assert isinstance(self.action_dist, MultiCategoricalDistribution)
-        logits = self.action_net(self.mlp_extractor.policy_net(self.extract_features(obs)))
-        present, waits = obs[:, PRESENT : PRESENT + 1], obs[:, WAITS : WAITS + 1]
-        masks = (present - waits, present - waits, present * waits)
-        parts = torch.split(logits, self.action_dist.action_dims, dim=1)
-        self.action_dist.distribution = [
-            Categorical(logits=part * mask, validate_args=False)
-            for part, mask in zip(parts, masks, strict=True)
-        ]
-        return self.action_dist
-
-    def forward(
-        self, obs: torch.Tensor, deterministic: bool = False
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        found = self.get_distribution(obs)
-        actions = found.get_actions(deterministic)
-        return actions, self.predict_values(obs), found.log_prob(actions)
-
-    def evaluate_actions(
-        self, obs: type_aliases.PyTorchObs, actions: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        found = self.get_distribution(obs)
-        entropy = found.entropy()  # first: gradients are summed in the order of use
-        return self.predict_values(obs), found.log_prob(actions), entropy
-
-
-def make_parcel_network(card: PolicyCard) -> ParcelNetwork:
-    """Build the network of a card, its weights not set."""
-    space = parcel_spaces(EnvConfig("flow", **card.env_kwargs))
-    return ParcelNetwork(*space, lambda _: 0.0, net_arch=list(card.hidden))
-
-
-class ParcelPolicy(BatchController):
-    """A policy of parcels with shared weights."""
-
-    _dims = 2
-
-    def __init__(self, network: ParcelNetwork, card: PolicyCard) -> None:
-        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
-        self._network = network
-        self._network.set_training_mode(False)
-        self._actions = ParcelActions(EnvConfig("flow", **card.env_kwargs))
-        self.card = card
-        self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs
-
-    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        present = batch[..., PRESENT] > 0.5
-        choices = np.zeros((*present.shape, 3), dtype=np.int64)
-        if present.any():
-            rows = mirrored_rows(batch[present])
-            choices[present] = self._network.predict(rows, deterministic=deterministic)[0]
-        return self._actions.to_env(batch, choices), None
-
-
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
     """Write weights and card into a folder, each whole or not at all."""
     buffer = BytesIO()
@@ -231,15 +121,22 @@ def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> Non
         part.write_text(yaml.safe_dump(fields, sort_keys=False))
 
 
-def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulePolicy | ParcelPolicy:
+def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulePolicy | SchedulePolicy:
     """Read the policy that a run of any algorithm left in a folder; see `library.read`."""
     return build_policy(read_files(folder), task)
 
 
 def build_policy(
-    files: PolicyFiles, task: Task | None = None
-) -> Policy | ModulePolicy | ParcelPolicy:
+    files: PolicyFiles,
+    task: Task | None = None,
+    config: EnvConfig | None = None,
+    most_touches: float = 0.0,
+) -> Policy | ModulePolicy | SchedulePolicy:
     """Build a policy from the content of its files. No code in them is run.
+
+    Args:
+        config: of the stream's environment, for a policy on a schedule; None: its own.
+        most_touches: [-] per delivery that such a policy allows in its trial.
 
     Raises:
         ValueError: they are damaged or foreign, or of another task.
@@ -253,22 +150,22 @@ def build_policy(
         card = PolicyCard(**fields)
         weights = load_tensors(BytesIO(files.weights))
         _check_hidden(card, len(files.weights))
-        if card.algo == "parcels":
-            of_parcels = make_parcel_network(card)
-            _load_weights(of_parcels, weights)
-            return ParcelPolicy(of_parcels, card)
-        config = card.env_config(task)
+        if card.algo == "schedule":
+            scores = ScheduleNetwork(card.hidden)
+            _load_weights(scores, weights)
+            return SchedulePolicy(scores, card, config, most_touches)
+        own = card.env_config(task)
         if card.algo == "modules":
-            shared = SharedNetwork(len(config.chosen_orientations), card.hidden, card.observe)
+            shared = SharedNetwork(len(own.chosen_orientations), card.hidden, card.observe)
             _load_weights(shared, weights)
             return ModulePolicy(shared, card)
-        network = make_network(card, config)
+        network = make_network(card, own)
         _load_weights(network, weights)
     except DAMAGE as error:
         raise ValueError(
             f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
         ) from None
-    return Policy(network, card, config)
+    return Policy(network, card, own)
 
 
 def _digest(fields: dict[str, Any], weights: bytes) -> str:

@@ -133,7 +133,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     task = selection.task or "sort"
-    usual = "parcels" if task == FLOW_TASK else "ppo"
+    usual = "schedule" if task == FLOW_TASK else "ppo"
     names = {"algo": tuple(configs.CONFIGS), "preset": get_args(configs.PresetName)}
     names["device"] = get_args(configs.DeviceName)
     given = {key: value for key in names if (value := getattr(selection, key)) in names[key]}

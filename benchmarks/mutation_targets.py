@@ -112,12 +112,11 @@ TARGETS = (
         for name, near in (
             ("braking", "braking"), ("base", "braking"), ("steering", "steering"),
             ("sorting", "layouts"), ("layouts", "layouts"), ("streams", "streams"),
-            ("reservation", "reservation"),
         )
     ),
     *(
         _agent(f"scheduling/{name}", f"scheduling/test_{name}.py", wide=("scheduling",))
-        for name in ("trajectories", "maneuvers", "scheduler", "bounds")
+        for name in ("trajectories", "maneuvers", "scheduler", "bounds", "features", "decisions")
     ),
     _agent("planning/planner", "planning/test_planner.py"),
     _agent("planning/models", "planning/test_models.py", wide=("planning",)),

@@ -11,6 +11,7 @@ from time import perf_counter, thread_time
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from surface_gym import agents
 
@@ -27,14 +28,16 @@ def decision_times(policy: Any, decisions: int) -> tuple[list[float], list[float
     """
     env = gym.make(policy.env_id, **policy.env_kwargs)
     observation, _ = env.reset(seed=0)
+    state, done = None, True
     on_clock, worked = [], []
     for _ in range(ASIDE + decisions):
         begun, since = thread_time(), perf_counter()
-        action, _ = policy.predict(observation)
+        action, state = policy.predict(observation, state, np.array([done]))
         on_clock.append(perf_counter() - since)
         worked.append(thread_time() - begun)
         observation, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
+        done = terminated or truncated
+        if done:
             observation, _ = env.reset()
     env.close()
     return on_clock[ASIDE:], worked[ASIDE:]

@@ -178,22 +178,32 @@ def measure(
     Args:
         whole: whether to go on to the end even where the rate is plainly not sustained.
     """
-    config = method.config(case, rate)
+    least_right = 0.0 if whole else LEAST_RIGHT[case.preset]
+    return measure_stream(method.config(case, rate), controller, rate, least_right)
+
+
+def measure_stream(
+    config: EnvConfig, controller: Controller, rate: float, least_right: float = 0.0
+) -> Measurement | None:
+    """Run replications of a configured stream, which offers parcels at a rate [parcels/h].
+
+    Args:
+        least_right: [-] of deliveries; once fewer are sure, or anything jams, it ends with None.
+    """
     batch = StreamBatch(config, REPLICATIONS)
     for k in range(REPLICATIONS):
         batch.seed(k, np.random.default_rng((SEED, k)))
     batch.reset(np.arange(REPLICATIONS))
     counted = counted_time(config.stream_task.duration, rate)
     begin = config.stream_task.duration - counted
-    arrivals = int(batch.streams.arrivals.sum())
-    most_wrong = (1.0 - LEAST_RIGHT[case.preset]) * arrivals
+    most_wrong = (1.0 - least_right) * int(batch.streams.arrivals.sum())
     actions = config.action_kind
     state, period = None, 0
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
         batch.step(actions.commands(action, REPLICATIONS))
         period += 1
-        if not whole and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
+        if least_right and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
             return None
     return _count(batch, rate, counted)
 

@@ -52,7 +52,8 @@ class EvaluateConfig:
     """Keep the results that the folder has already, and go on."""
     robustness: bool = False
     """Sweep instead: success of rules and agents where one thing at a time differs from training,
-    and in the lab by shape of parcel."""
+    and in the lab by shape of parcel; and the agent of streams beside the scheduler, on lines that
+    it never trained on."""
     starts: int = STARTS
     """Of the sweep: starts at each level of each factor."""
 
@@ -118,15 +119,18 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
 
 def _sweep(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
     with console.status(LOADING):
-        from . import benchmark, robustness, robustness_report
+        from . import benchmark, generalisation, robustness, robustness_report
 
-    _forget(config, robustness.FILE)
+    _forget(config, robustness.FILE, generalisation.FILE)
     methods = robustness.can_sweep(chosen_methods(config))
     with benchmark.show_progress(console, "sweeping") as advance:
-        rows = robustness.compute_sweep(methods, config.starts, workers, config.out, advance)
-        robustness_report.write_sweep(rows, config.out, console)
-    picture = config.out / robustness_report.PICTURE
-    console.print(f"everything is in {config.out}; see {picture}")
+        if config.task is None and FLOW_TASK in config.tasks:
+            found = generalisation.compute_generalisation(workers, config.out, advance)
+            generalisation.write_generalisation(found, config.out, console)
+        if methods:
+            rows = robustness.compute_sweep(methods, config.starts, workers, config.out, advance)
+            robustness_report.write_sweep(rows, config.out, console)
+    console.print(f"everything is in {config.out}")
 
 
 def chosen_methods(config: EvaluateConfig) -> "list[Method]":

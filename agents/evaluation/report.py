@@ -368,7 +368,14 @@ def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResu
     methods = [
         scheduler,
         *(
-            StreamMethod(f"seed {k}", "parcels", True, partial(_read, each), control_period=period)
+            StreamMethod(
+                f"seed {k}",
+                "parcels",
+                True,
+                partial(_read, each),
+                control_period=period,
+                queue=library.QUEUE,
+            )
             for k, each in files.items()
         ),
     ]
@@ -380,8 +387,8 @@ def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResu
     return results
 
 
-def _read(files: library.PolicyFiles, _config: EnvConfig) -> Controller:
-    return library.from_files(files)
+def _read(files: library.PolicyFiles, config: EnvConfig) -> Controller:
+    return library.from_files(files, config=config)
 
 
 def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:

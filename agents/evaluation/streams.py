@@ -42,7 +42,7 @@ SIX_MODULES = "modules, six angles"
 # Other controllers of modules.
 EVENT = "event rule"
 EACH = "sort-ppo for each"
-LEARNED = "flow-ppo"
+LEARNED = "flow-schedule"
 # What no controller exceeds, and what no schedule of a rung's maneuvers does.
 ENTRANCE = "entrance"
 BEST = "best known for {}"
@@ -56,7 +56,7 @@ STEPS = (
 )  # fmt: skip
 
 SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())
-QUEUE = 4  # waiting parcels that a scheduler is shown
+QUEUE = library.QUEUE  # waiting parcels that a scheduler is shown
 SHORTEST = 4  # columns of a zone; fewer are nearly columns by themselves
 SHORTEST_OF_MANY = 5  # of zones in series: shorter ones are no zones, since a parcel is over two
 WIDEST = 20  # columns of a zone that is tried
@@ -89,7 +89,11 @@ def stream_methods() -> list[StreamMethod]:
     ]
     if LEARNED in library.names():
         period = library.load(LEARNED).card.control_period
-        found.append(StreamMethod(LEARNED, "parcels", True, _learned, control_period=period))
+        found.append(
+            StreamMethod(
+                LEARNED, "parcels", True, _learned, control_period=period, queue=library.QUEUE
+            )
+        )  # fmt: skip
     return found
 
 
@@ -129,8 +133,8 @@ def _schedule_zones(
     return next((scheduler for scheduler in tried if scheduler is not None), None)
 
 
-def _learned(_config: EnvConfig) -> Controller:
-    return library.load(LEARNED)
+def _learned(config: EnvConfig) -> Controller:
+    return library.load(LEARNED, config=config)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ..yaml_file import read_yaml
 if TYPE_CHECKING:
     from ..library import PolicyCard
 
-AlgoName = Literal["ppo", "dqn", "modules", "parcels"]
+AlgoName = Literal["ppo", "dqn", "modules", "schedule"]
 PresetName = Literal["nominal", "lab"]
 NOMINAL: PresetName = "nominal"
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
@@ -26,7 +26,6 @@ CPU: DeviceName = "cpu"
 RENAMED = {
     "lanes": "num_envs",
     "condition": "preset",
-    "seats": "slots",
     "parted": "split_probability",
 }
 
@@ -47,7 +46,8 @@ class TrainConfig:
     task: str = "sort"
     """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
     algo: AlgoName = "ppo"
-    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
+    decisions on a schedule (schedule, Flow)."""
     seed: int = 0
     """Seed of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
@@ -186,7 +186,8 @@ class DQNConfig(TrainConfig):
     """
 
     algo: AlgoName = "dqn"
-    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
+    decisions on a schedule (schedule, Flow)."""
     buffer_size: int = 500_000
     """Transitions in the replay buffer."""
     learning_starts: int = 5_000
@@ -227,7 +228,8 @@ class ModulesConfig(PPOConfig):
     """
 
     algo: AlgoName = "modules"
-    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort) or parcel (parcels)."""
+    """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
+    decisions on a schedule (schedule, Flow)."""
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
@@ -245,32 +247,25 @@ class ModulesConfig(PPOConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParcelsConfig(PPOConfig):
-    """Train one policy shared by all parcels of a stream: it imitates a reservation rule, then
-    learns on by PPO. Then measure its capacity.
+class SchedulesConfig(TrainConfig):
+    """Train one policy on the schedule of streams, on any lines: it learns which decisions lead to
+    touches, from those that it takes itself. Then measure its capacity.
 
-    Defaults are in agents/hyperparams/parcels.yml.
+    Defaults are in agents/hyperparams/schedule.yml.
     """
 
     task: str = FLOW_TASK
     """Task to learn: flow."""
-    algo: AlgoName = "parcels"
-    """Shared-policy PPO per parcel."""
+    algo: AlgoName = "schedule"
+    """Monte Carlo values of decisions on a schedule."""
     actions: ActionName = "parcels"
     """Kind of action, as in the environment."""
-    slots: int = 20
-    """Agent slots on each line, for the parcels on it and the one at its gate."""
-    clip_range: float = 0.1
-    """Clip range of PPO's probability ratio."""
-    imitation: int = 40
-    """Passes over a reservation rule's demonstrations before PPO; 0: none, from random weights."""
-    critic_first: int = 400_000
-    """Control periods at the start in which only the value network learns."""
-
-    @property
-    def _samples(self) -> int:
-        """Samples of a rollout, one for each slot."""
-        return self.num_envs * self.slots * self.n_steps
+    lines: int = 4
+    """Rollouts between updates, each on a line drawn at random, with `num_envs` streams."""
+    batch_size: int = 1024
+    """Decisions of a gradient step."""
+    gradient_steps: int = 60
+    """Gradient steps of an update."""
 
     def _check_task(self) -> None:
         self._check_no_zones()
@@ -279,17 +274,15 @@ class ParcelsConfig(PPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         checks.one_of("actions", self.actions, ("parcels",))
-        checks.integer("slots", self.slots, least=2)
-        for name in ("imitation", "critic_first"):
-            checks.integer(name, getattr(self, name), least=0)
-        checks.positive("clip_range", self.clip_range)
+        for name in ("lines", "batch_size", "gradient_steps"):
+            checks.integer(name, getattr(self, name), least=1)
 
 
 CONFIGS: dict[str, type[TrainConfig]] = {
     "ppo": PPOConfig,
     "dqn": DQNConfig,
     "modules": ModulesConfig,
-    "parcels": ParcelsConfig,
+    "schedule": SchedulesConfig,
 }
 
 
@@ -331,8 +324,7 @@ _OF_THE_ENV = {"actions", "control_period", "observe"}
 # Fields that the zoo does not know and would refuse, in a section of their own.
 BESIDE = "beside the zoo"
 _BESIDE = {
-    "camera_share", "zones", "friction", "checkpoint_every", "split_probability", "slots",
-    "imitation", "critic_first",
+    "camera_share", "zones", "friction", "checkpoint_every", "split_probability", "lines",
 }  # fmt: skip
 OWN = "default"  # the entry of users' tasks
 _LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0

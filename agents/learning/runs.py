@@ -347,6 +347,10 @@ def train(
         from .modules import train_modules
 
         return train_modules(config, folder, on_progress)
+    if isinstance(config, configs.SchedulesConfig):
+        from .schedules import train_schedules
+
+        return train_schedules(config, folder, on_progress)
     if configs.on_device(config):
         from .cuda import train_on_device
 

@@ -16,16 +16,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 import surface_gym as sg
 from surface_gym import checks
 from surface_gym.config import PRESETS, Preset
-from surface_gym.flow.task import PARCEL_TERMS
 from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
 from ..library import find_task
-from ..policy import EqualChoicesPolicy, ParcelNetwork, check_like, load_optimizer, save_policy
+from ..policy import EqualChoicesPolicy, check_like, load_optimizer, save_policy
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
-from .config import DQNConfig, ParcelsConfig, PPOConfig, TrainConfig, make_card
-from .parcels import CriticFirst, make_parcel_envs, pretrain
+from .config import DQNConfig, PPOConfig, TrainConfig, make_card
 from .ppo import CLIP_RANGE
 
 # Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
@@ -165,8 +163,6 @@ def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | Doub
         "policy_kwargs": {"net_arch": list(config.hidden)},
         "device": "cpu",
     }
-    if isinstance(config, ParcelsConfig):
-        return PPO(ParcelNetwork, env, clip_range=config.clip_range, **given)
     if isinstance(config, PPOConfig):
         return PPO(EqualChoicesPolicy, env, clip_range=CLIP_RANGE, **given)
     # The target follows at every control period of all environments.
@@ -279,22 +275,15 @@ def train_sb3(
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
     resumed = (folder / runs.CHECKPOINT).is_file()
-    callbacks: list[BaseCallback] = []
-    if isinstance(config, ParcelsConfig):
-        model, terms = make_model(config, make_parcel_envs(config)), PARCEL_TERMS
-        callbacks.append(CriticFirst(config.critic_first))
-        if not resumed:
-            pretrain(model, config)
-    else:
-        model, terms = make_model(config, make_mirrored_envs(config)), find_task(config.task).terms
+    model = make_model(config, make_mirrored_envs(config))
     recent = load_checkpoint(model, folder) if resumed else []
-    curve = runs.Curve(folder, terms, model.num_timesteps, recent)
+    curve = runs.Curve(folder, find_task(config.task).terms, model.num_timesteps, recent)
     model.set_logger(logger.configure(str(folder / "tensorboard"), ["tensorboard"]))
-    callbacks.insert(0, _Checkpoints(config, folder, curve, on_progress))
+    callback = _Checkpoints(config, folder, curve, on_progress)
     interrupted = False
     try:
         if model.num_timesteps < config.steps:
-            model.learn(config.steps - model.num_timesteps, callbacks, reset_num_timesteps=False)
+            model.learn(config.steps - model.num_timesteps, callback, reset_num_timesteps=False)
             save_checkpoint(model, list(curve.recent), folder)
     except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True

@@ -11,15 +11,14 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 
 from .. import library
-from ..base import BatchController, Booleans, find_axes, is_fresh
+from ..base import BatchController, find_axes
 
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
 
-TIME = 12  # column of the time since a parcel entered; negative: since it came to the gate
 PAST_START = 13  # column of how far its rear is past the exit's start
 SIDE = 14  # column of the side of its exit
-OPEN = 1  # the gate opens with the first physics step
+OPEN = 1  # the gate opens with the first physics step, if there is room
 
 
 class ParcelRule(BatchController):
@@ -39,16 +38,7 @@ class ParcelRule(BatchController):
     def halves(self, rows: Rows) -> Halves:
         """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it."""
 
-    def _open(self, tables: Rows, memory: Any, fresh: Booleans) -> tuple[Halves, Any]:
-        """Choose when the gate opens (num_envs,), and what to remember: by default as soon as there
-        is room.
-        """
-        del fresh
-        return np.full(len(tables), OPEN), memory
-
-    def _predict(
-        self, batch: Rows, state: Any, episode_start: Any, **_: bool
-    ) -> tuple[Halves, Any]:
+    def _predict(self, batch: Rows, *_: Any, **__: bool) -> tuple[Halves, None]:
         num_envs = len(batch)
         rows = batch[:, : self._places].reshape(-1, batch.shape[-1])
         present = (rows[:, PRESENT] > 0.5) & (rows[:, WAITS] < 0.5)
@@ -57,10 +47,8 @@ class ParcelRule(BatchController):
             choices[present] = self.halves(rows[present])
         actions = choices.reshape(num_envs, -1)
         if self._gated:
-            fresh = is_fresh(num_envs, state, episode_start)
-            opens, state = self._open(batch, state, fresh)
-            actions = np.concatenate([actions, opens[:, np.newaxis]], axis=1)
-        return actions, state
+            actions = np.pad(actions, ((0, 0), (0, 1)), constant_values=OPEN)
+        return actions, None
 
 
 class StreamEventRule(ParcelRule):

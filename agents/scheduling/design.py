@@ -48,7 +48,6 @@ COARSE = 1.25  # [-] between the lengths that are tried first
 LEAD_IN = 5  # columns, at least
 QUEUE = 4  # waiting parcels that the scheduler knows
 LOOK_EVERY = 5  # control periods between looks at the axes
-LEAST_RIGHT = 0.999  # [-] of deliveries
 # As the comparison has them, so that rates agree.
 SEED, REPLICATIONS, SECONDS, WARM_UP = 20_261_121, 30, 30.0, 8.0
 
@@ -330,7 +329,7 @@ class Search:
         key = layout, choices
         if key not in self._schedulers:
             config = self.config(layout, choices)
-            self._schedulers[key] = make_scheduler(config, layout.groups, LEAST_RIGHT)
+            self._schedulers[key] = make_scheduler(config, layout.groups)
         return self._schedulers[key]
 
     def run(self, layout: Layout, choices: int) -> Run:

@@ -249,6 +249,13 @@ class Library:
             _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
         return replace(self, gaps=gaps, margin=margin, slack=slack)
 
+    def with_one_speed(self) -> "Library":
+        """Return the same maneuvers, with gaps as if every parcel had the least speed of its kind,
+        and all entered at the same moment of a control period.
+        """
+        usual = replace(self, runs=tuple(same[:1] for same in self.runs))
+        return usual.with_clearance(self.margin, self.slack)
+
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
     """Find (maneuvers,) the bias of each [s]; see `Library.delay`."""
@@ -360,15 +367,18 @@ def _raise_gaps(
             find_gaps(ahead, behind, margin, 0.0 if needs else late, gaps)
 
 
+def find_rears(run: LoneRuns) -> Numbers:
+    """Find (maneuvers, moments) x [m] of the last corner of each parcel."""
+    outline, theta = run.outline[:, np.newaxis], run.pose[..., np.newaxis, 2]
+    along = np.cos(theta) * outline[..., 0] - np.sin(theta) * outline[..., 1]
+    found: Numbers = run.pose[..., 0] + along.min(axis=2)
+    return found
+
+
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> Followed:
     """Add to runs what the modules under each parcel stand at."""
     outline, pose = run.outline, run.pose
-    theta = pose[..., np.newaxis, 2]
-    along = (
-        np.cos(theta) * outline[:, np.newaxis, :, 0] - np.sin(theta) * outline[:, np.newaxis, :, 1]
-    )
-    rear = pose[..., 0] + along.min(axis=2)
-    turns = rear > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
+    turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
     reach = np.hypot(outline[..., 0], outline[..., 1]).max(axis=1)
     return Followed(pose, run.moments, outline, reach, choice)

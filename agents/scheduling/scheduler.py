@@ -4,8 +4,12 @@ Of the parcels that wait it chooses maneuvers by a beam search: those with which
 enters soonest, the mean gap of one more behind it included.
 """
 
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -32,9 +36,15 @@ LONG_AGO = -1e6  # [s]
 NOBODY = -1
 # What is kept clear, tried in turn: the share of a control period, and the margin [m].
 CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
+SLACKS = np.geomspace(0.1, 4.0, 24)  # [-] that may be kept, where some touches are allowed
+LONGEST_GAP = 8.0  # [s] that is waited where two never keep clear
+LEAST_RIGHT = 0.999  # [-] of deliveries in a trial
 TRIED = 16  # episodes of a trial
 TRIAL = 20.0  # [s] of each
 TRIAL_SEED = 1_000_003
+
+
+AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
 
 
 class Workspace(NamedTuple):
@@ -239,37 +249,97 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(
-    config: EnvConfig, groups: ColumnGroups | None = None, least_right: float = 0.999
+    config: EnvConfig, groups: ColumnGroups | None = None, least_right: float = LEAST_RIGHT
 ) -> Scheduler | None:
     """Make the scheduler that carries most, of those by which no two parcels touch.
 
-    Parcels are kept the less apart the better their trajectories are known: the closest schedule is
-    taken whose trial, always with a parcel at the gate, has no touch and no jam; if there is none,
-    the one with the fewest touches.
+    Parcels are kept the less apart the better their trajectories are known; see `choose_by_trial`.
 
     Args:
         config: of the environment; actions "parcels" without groups, "modules" with them.
         least_right: [-] of deliveries in a trial; with fewer there is none, and None is returned.
     """
     library = make_library(config, groups)
-    chosen, fewest = None, np.inf
-    for slack, margin in CLEARANCES:
-        scheduler = Scheduler(config, library.with_clearance(margin, slack))
-        if not np.isfinite(scheduler.library.gaps).all():
-            continue
-        right, wrong, touches, jams = _try(config, scheduler, fewest)
-        if jams == 0 and touches < fewest and right >= least_right * max(1, right + wrong):
-            chosen, fewest = scheduler, touches
+    apart = (library.with_clearance(margin, slack) for slack, margin in CLEARANCES)
+    tried = (Scheduler(config, each) for each in apart if np.isfinite(each.gaps).all())
+    return choose_by_trial(config, tried, least_right)
+
+
+def choose_by_trial(
+    config: EnvConfig, schedulers: Iterable[Scheduler], least_right: float = LEAST_RIGHT
+) -> Scheduler | None:
+    """Choose the first scheduler whose trial has no touch and no jam; if all have, the one with the
+    fewest touches.
+
+    Args:
+        schedulers: that may be chosen, those that carry most first.
+        least_right: [-] of deliveries; if all have fewer, None is returned.
+    """
+    chosen, fewest = None, math.inf
+    for scheduler in schedulers:
+        trial = run_trial(config, scheduler, fewest)
+        enough = trial.right >= least_right * max(1, trial.right + trial.wrong)
+        if trial.jams == 0 and trial.touches < fewest and enough:
+            chosen, fewest = scheduler, trial.touches
         if fewest == 0:
             break
     return chosen
 
 
-def _try(config: EnvConfig, scheduler: Scheduler, most: float) -> tuple[int, int, int, int]:
-    """Count parcels right and wrong, touches and jams of episodes with always one at the gate.
+def find_quiet(
+    config: EnvConfig, make: Callable[[int], AnyScheduler], count: int, most_touches: float = 0.0
+) -> tuple[AnyScheduler, int]:
+    """Find the first of several schedulers whose trial has no jam and few touches, by bisection;
+    the last one where none has. Return it, and how many parcels it delivered right once the line
+    was full, 0 there.
 
-    They end where more touch than `most`.
+    Args:
+        make: one by its place; the later it is, the less it carries and the fewer touch.
+        count: of schedulers.
+        most_touches: [-] per delivery.
     """
+    tried = entrance_bound(config) / HOUR * TRIED * TRIAL  # parcels, at most
+    found, right = make(count - 1), 0
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        scheduler = make(middle)
+        trial = run_trial(config, scheduler, most_touches * tried)
+        if trial.jams == 0 and trial.touches <= most_touches * (trial.right + trial.wrong):
+            found, right, high = scheduler, trial.late, middle
+        else:
+            low = middle + 1
+    return found, right
+
+
+def find_plain(
+    config: EnvConfig, library: Library, most_touches: float = 0.0
+) -> tuple[Scheduler, int]:
+    """Find the scheduler of a library that keeps the least slack by which few touch, for speeds as
+    they vary or for one of each kind, whichever delivers more; see `find_quiet`.
+    """
+
+    def make(whole: Library, place: int) -> Scheduler:
+        found = whole.with_clearance(MARGIN, SLACKS[place])
+        return Scheduler(config, replace(found, gaps=np.minimum(found.gaps, LONGEST_GAP)))
+
+    several = (library, library.with_one_speed())
+    found = [find_quiet(config, partial(make, each), len(SLACKS), most_touches) for each in several]
+    return max(found, key=itemgetter(1))
+
+
+class Trial(NamedTuple):
+    """Counts of episodes with always a parcel at the gate."""
+
+    right: int  # parcels that left by their exit
+    late: int  # of these, in the second half of the episodes
+    wrong: int  # by another
+    touches: int
+    jams: int
+
+
+def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> Trial:
+    """Run the episodes of a trial; they end where more touch than `most_touches`."""
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))
@@ -277,10 +347,12 @@ def _try(config: EnvConfig, scheduler: Scheduler, most: float) -> tuple[int, int
     for i in range(TRIED):
         batch.seed(i, np.random.default_rng((TRIAL_SEED, i)))
     batch.reset(np.arange(TRIED))
-    state = None
-    while (batch.outcome == RUNNING).any() and batch.streams.tally[:, TOUCHES].sum() <= most:
+    tally, state = batch.streams.tally, None
+    half, early = 0.5 * busy.stream_task.duration, 0
+    while (batch.outcome == RUNNING).any() and tally[:, TOUCHES].sum() <= most_touches:
+        if batch.streams.clock[0] < half:
+            early = int(tally[:, RIGHT].sum())
         action, state = scheduler.predict(batch.observation, state)
         batch.step(busy.action_kind.commands(action, TRIED))
-    tally = batch.streams.tally.sum(axis=0)
-    jams = int((batch.outcome == JAM).sum())
-    return int(tally[RIGHT]), int(tally[WRONG]), int(tally[TOUCHES]), jams
+    right, wrong, touches = tally[:, [RIGHT, WRONG, TOUCHES]].sum(axis=0).tolist()
+    return Trial(right, right - early, wrong, touches, int((batch.outcome == JAM).sum()))

@@ -207,7 +207,7 @@ def test_every_seed_of_a_run_is_measured_beside_the_scheduler(tmp_path, monkeypa
     for name, value in (("REPLICATIONS", 2), ("WARM_UP", 4.0), ("SECONDS", 12.0)):
         monkeypatch.setattr(capacity, name, value)
     for seed in (0, 1):
-        copytree(SHELF / "flow-ppo" / f"seed-{seed}", tmp_path / f"seed-{seed}")
+        copytree(SHELF / "flow-schedule" / f"seed-{seed}", tmp_path / f"seed-{seed}")
     seen: list[streams.StreamResults] = []
     compare = report.compare_streams
 

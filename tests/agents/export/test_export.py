@@ -51,7 +51,7 @@ def wanted(source: policy.Source, observations: policy.Singles) -> policy.Intege
     return chosen
 
 
-SHIPPED = [name for name in agents.names() if name != "flow-ppo"]
+SHIPPED = [name for name in agents.names() if name != "flow-schedule"]
 COUNT = 1000
 
 
@@ -271,7 +271,7 @@ def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
 @pytest.mark.parametrize(
     ("given", "named"),
     [
-        ({"name": "juggle-ppo"}, r"name must be one of 'flow-ppo', .*, got 'juggle-ppo'"),
+        ({"name": "juggle-ppo"}, r"name must be one of 'flow-schedule', .*, got 'juggle-ppo'"),
         ({}, "name must be one of .*, got None"),
         ({"name": "sort-ppo", "task": "mine.py:Mine"}, "task must stand beside --run"),
         ({"name": "sort-ppo", "observations": 3}, "observations must be .* at least 100"),
@@ -286,7 +286,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="preset must be one of"):
         _ = policy.Training("weather").presets
     with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
-        main(["flow-ppo", "--out", str(tmp_path / "out")])
+        main(["flow-schedule", "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):
         main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()

@@ -30,9 +30,9 @@ BAD_PPO: tuple[dict[str, Any], ...] = (
 BAD_MODULES: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"}, {"task": "slow"}, {"actions": "halves"}, {"split_probability": 1.5},
 )  # fmt: skip
-BAD_PARCELS: tuple[dict[str, Any], ...] = (
-    {"task": "sort"}, {"actions": "halves"}, {"slots": 1, "batch_size": 1024}, {"imitation": -1},
-    {"clip_range": 0.0}, {"batch_size": 500},
+BAD_SCHEDULE: tuple[dict[str, Any], ...] = (
+    {"task": "sort"}, {"actions": "halves"}, {"lines": 0}, {"batch_size": 0},
+    {"gradient_steps": -1},
 )  # fmt: skip
 BAD_DQN: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"}, {"actions": "modules"}, {"buffer_size": 0}, {"learning_starts": -1},
@@ -43,11 +43,16 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
 
 @pytest.mark.parametrize(
     ("kind", "wrong"),
-    [(kind, wrong) for kind in configs.CONFIGS.values() for wrong in BAD]
+    [
+        (kind, wrong)
+        for kind in configs.CONFIGS.values()
+        for wrong in BAD
+        if next(iter(wrong)) in kind.__dataclass_fields__
+    ]
     + [(configs.PPOConfig, wrong) for wrong in BAD_PPO]
     + [(configs.DQNConfig, wrong) for wrong in BAD_DQN]
     + [(configs.ModulesConfig, wrong) for wrong in BAD_MODULES]
-    + [(configs.ParcelsConfig, wrong) for wrong in BAD_PARCELS],
+    + [(configs.SchedulesConfig, wrong) for wrong in BAD_SCHEDULE],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_fields_are_named(kind, wrong) -> None:
@@ -83,7 +88,7 @@ def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> No
 LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
-    ("flow", "parcels"),
+    ("flow", "schedule"),
     (f"{ROOT}/examples/reach.py:Reach", "ppo"),
     (f"{ROOT}/examples/haste.py:Haste", "dqn"),
 ]
@@ -186,7 +191,7 @@ def test_what_was_written_before_is_read_too(tmp_path) -> None:
     assert "split_probability" in hyperparams.read_text()
     hyperparams.write_text(hyperparams.read_text().replace("split_probability", "parted"))
     assert configs.defaults("sort", "modules", hyperparams) == config
-    config = configs.ParcelsConfig(slots=8, batch_size=512)
+    config = configs.ModulesConfig(split_probability=0.5)
     write_config(config, run)
     earlier = {name: before for before, name in configs.RENAMED.items()}
     plain = yaml.safe_load(run.read_text())

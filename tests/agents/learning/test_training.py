@@ -1,5 +1,5 @@
 """What networks learn from: environments with exact sensors, cameras and other zones; targets of
-double Q; samples of modules; and slots, each of which follows one parcel through a flow.
+double Q; samples of modules; and decisions of a schedule, each with what it cost.
 """
 
 from dataclasses import replace
@@ -12,22 +12,17 @@ from stable_baselines3.common.utils import set_random_seed
 from torch.nn.functional import smooth_l1_loss
 
 from surface_gym import agents
-from surface_gym.agents.base import SIDE
-from surface_gym.agents.learning import sb3
+from surface_gym.agents.learning import config as configs, sb3, schedules
 from surface_gym.agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, defaults
 from surface_gym.agents.learning.modules import ModuleSamples
-from surface_gym.agents.learning.parcels import SlotVecEnv, densest_stream, training_env_config
 from surface_gym.agents.learning.ppo import compute_advantages
 from surface_gym.agents.learning.runs import train
-from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.rules.streams import StreamEventRule
-from surface_gym.config import EnvConfig
-from surface_gym.flow.task import PRESENT, WAITS
+from surface_gym.agents.scheduling.bounds import entrance_bound
+from surface_gym.agents.scheduling.features import ABOUT, LEVELS, OPTION, TOKEN
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import env_id
 from surface_gym.sensors import Exact
 from surface_gym.tasks import TASKS
-from tests.agents.learning.test_runs import RUNS
 
 NUM_ENVS = 4
 
@@ -148,47 +143,40 @@ def test_advantages_are_weighted_sums_of_temporal_differences(gae_lambda) -> Non
         assert found[period, i] == pytest.approx(total, rel=1e-12, abs=1e-12)
 
 
-def test_a_slot_follows_a_parcel_until_it_has_left() -> None:
-    """All parcels obey the event rule."""
-    stream = densest_stream(1.5, ("S", "B"))
-    env = SlotVecEnv(training_env_config(0.04), 2, 14, lambda _: stream)
-    env.seed(0)
-    rule = StreamEventRule(EnvConfig("flow", exits="sides", actions="parcels"))
-    seen, ended = np.asarray(env.reset()), []
-    for _ in range(150):
-        sat = seen[:, PRESENT] > 0.5
-        choices = np.ones((env.num_envs, 3), dtype=np.int64)
-        there = sat & (seen[:, WAITS] < 0.5)
-        if there.any():
-            choices[there, :2] = rule.halves(seen[there])
-        next_seen, rewards, ends, infos = env.step(choices)
-        after = np.asarray(next_seen)
-        sits = after[:, PRESENT] > 0.5
-        # No parcel changes slots: one that stays has moved by no more than a period's way.
-        stays = sat & sits & ~ends
-        assert np.abs(after[stays, 13] - seen[stays, 13]).max(initial=0.0) < 0.25
-        assert not (sat & ~sits & ~ends).any()
-        # A free slot observes and earns nothing; the observed side is mirrored.
-        assert not seen[~sat].any()
-        assert not rewards[~sat].any()
-        assert (seen[:, SIDE] >= 0.0).all()
-        ended += [info for info in infos if info]
-        seen = after
-    assert len(ended) > 20
-    assert all(info["is_success"] for info in ended if not info["TimeLimit.truncated"])
+@pytest.mark.parametrize("seed", range(6))
+def test_drawn_lines_differ_and_can_be_scheduled(seed) -> None:
+    config, other = (
+        schedules.draw_config(np.random.default_rng(k), 0.04) for k in (seed, seed + 99)
+    )
+    assert config != other
+    assert config.stream_task.gate
+    assert entrance_bound(config) > 0.0
 
 
-def test_the_actor_waits_for_the_critic(tmp_path) -> None:
-    waiting = replace(RUNS["parcels"][0], steps=4_000, critic_first=1_000_000)
-    weights = []
-    for name, config in (
-        ("waiting", waiting), ("untaught", replace(waiting, steps=1, learning_rate=1e-30)),
-    ):  # fmt: skip
-        (tmp_path / name).mkdir()
-        train(config, tmp_path / name)
-        weights.append(torch.load(tmp_path / name / WEIGHTS, weights_only=True))
-    found, before = weights
-    actor = [name for name in found if name.startswith(("action_net", "mlp_extractor.policy_net"))]
-    assert actor
-    assert all(torch.equal(found[name], before[name]) for name in actor)
-    assert not torch.equal(found["value_net.weight"], before["value_net.weight"])
+def test_who_comes_behind_is_to_blame_for_a_touch() -> None:
+    touched = np.zeros((2, 4), dtype=np.bool_)
+    touched[0, [1, 3]] = touched[1, 2] = True  # the other one of the second had touched before
+    blame = np.zeros((2, 4))
+    schedules.share_blame(touched, blame)
+    assert blame.tolist() == [[0.0, schedules.IN_THE_WAY, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]]
+
+
+def test_it_learns_how_many_touches_to_expect() -> None:
+    """Of decisions that lead to one in three where the first feature of a candidate is high."""
+    learner = schedules.ScheduleLearner(configs.SchedulesConfig(hidden=(8, 8), learning_rate=0.01))
+    torch.manual_seed(0)
+    count = 512
+    option = torch.randn(count, 1, OPTION)
+    touches = ((option[:, 0, 0] > 0.0) & (torch.rand(count) < 1.0 / 3.0)).float()
+    samples = schedules.Samples(
+        option, torch.zeros(count, 2, TOKEN), torch.ones(count, 2, dtype=torch.bool),
+        torch.zeros(count, ABOUT), torch.randint(len(LEVELS), (count,)), touches,
+    )  # fmt: skip
+    for _ in range(200):
+        learner._step(samples)
+    with torch.no_grad():
+        risk = learner.network(*samples[:4])[:, 0].exp()
+    found = risk.gather(1, samples.level[:, None])[:, 0]
+    assert found[option[:, 0, 0] > 0.3].mean() == pytest.approx(1.0 / 3.0, abs=0.1)
+    assert found[option[:, 0, 0] < -0.3].mean() < 0.1
+    assert (risk.diff(dim=1) <= 0.0).all()  # more clearance is never less safe

@@ -21,7 +21,9 @@ GENTLE = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]))
 
 def library(config: EnvConfig | None = None, *given, **settings) -> Library:
     """Make a library of few places."""
-    return make_library(gated(S_BOXES) if config is None else config, *given, place_count=4, **settings)
+    return make_library(
+        gated(S_BOXES) if config is None else config, *given, place_count=4, **settings
+    )
 
 
 def pair(found: Library, ahead: str, behind: str) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The scheduler: its search, what it remembers, and the streams it leads."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -158,3 +159,32 @@ class TestMemory:
         table[0, 3, [3, 13, 14]] = 0.5, 3.0, 1.0
         action, _ = controller.predict(table, None)
         assert action[0, 6] == controller.library.lead.axes.left
+
+
+class TestTrial:
+    @pytest.mark.parametrize("first", range(5))
+    def test_the_first_quiet_one_is_found(self, monkeypatch, first) -> None:
+        """The last one where none is quiet."""
+        config = gated(duration=2.0)
+
+        def trial(_config, place, most):
+            assert most == pytest.approx(0.1 * entrance_bound(config) / 3600.0 * 16 * 20.0)
+            return module.Trial(90, 40, 10, 10 if place >= first else 11, 0)
+
+        monkeypatch.setattr(module, "run_trial", trial)
+        place, right = module.find_quiet(config, lambda place: place, 4, 0.1)
+        assert (place, right) == ((first, 40) if first < 4 else (3, 0))
+
+    def test_a_jam_is_never_quiet(self, monkeypatch) -> None:
+        monkeypatch.setattr(
+            module, "run_trial", lambda *_: module.Trial(9, 4, 0, touches=0, jams=1)
+        )
+        assert module.find_quiet(gated(), lambda place: place, 3) == (2, 0)
+
+    def test_it_ends_once_too_many_touch(self) -> None:
+        """As they do where parcels enter as if they had no length."""
+        config = gated(Stream(Steady(9000.0), speeds=1.5), duration=6.0)
+        made = make_library(config, place_count=2)
+        close = Scheduler(config, replace(made, gaps=np.full_like(made.gaps, 0.05)))
+        few, many = (module.run_trial(config, close, most).touches for most in (5.0, 1e9))
+        assert 5 < few < many

@@ -41,7 +41,7 @@ def test_the_configuration_of_drawn_values() -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"algo": "parcels"}, "algo must be one of 'ppo', 'dqn', 'modules'"),
+        ({"algo": "schedule"}, "algo must be one of 'ppo', 'dqn', 'modules'"),
         ({"metric": "time"}, "metric"), ({"sampler": "grid"}, "sampler"),
         ({"pruner": "hyperband"}, "pruner"), ({"trials": 0}, "trials"),
         ({"evaluations": 0}, "evaluations"), ({"seeds": 0}, "seeds"), ({"seed": -1}, "seed"),

@@ -1,0 +1,157 @@
+"""Policy on a schedule: a network with attention says how likely a parcel's candidates lead to a
+touch, and the one is chosen whose time and touches together cost the least.
+"""
+
+from copy import copy
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from surface_gym.config import EnvConfig
+
+from .base import BatchController, Integers
+from .library import PolicyCard
+from .scheduling.decisions import DecidingScheduler, Decisions
+from .scheduling.features import ABOUT, LEVELS, OPTION, TOKEN
+from .scheduling.maneuvers import Library
+from .scheduling.scheduler import Scheduler, find_plain, find_quiet
+
+# [-] of a touch, in parcels that the line could have delivered: those that may be chosen.
+PRICES = np.geomspace(0.3, 50.0, 24)
+BETTER = 1.01  # times as much is to be delivered in a trial for what was learned to be used
+RISK = (-8.0, 2.0)  # logarithm of the touches that are expected, at least and at most
+FIRST, FALL = -2.0, -1.0  # before learning: of the tightest level, and how it falls by level
+
+
+class ScheduleNetwork(nn.Module):
+    """Network of candidates, whose risk falls from level to level of clearance."""
+
+    def __init__(self, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        units = hidden[0]
+        self.option = nn.Sequential(nn.Linear(OPTION + ABOUT, units), nn.ReLU())
+        self.token = nn.Sequential(nn.Linear(TOKEN, units), nn.ReLU(), nn.Linear(units, 2 * units))
+        self.query = nn.Linear(units, units)
+        layers: list[nn.Module] = []
+        width = 2 * units
+        for each in hidden[1:]:
+            layers += [nn.Linear(width, each), nn.ReLU()]
+            width = each
+        self.joint = nn.Sequential(*layers)
+        self.last = nn.Linear(width, len(LEVELS))
+        nn.init.zeros_(self.last.weight)
+        with torch.no_grad():
+            self.last.bias.fill_(FALL)
+            self.last.bias[0] = FIRST
+
+    def forward(
+        self, option: torch.Tensor, token: torch.Tensor, shown: torch.Tensor, about: torch.Tensor
+    ) -> torch.Tensor:
+        """Compute (decisions, options, levels) the logarithm of the touches that are expected.
+
+        Args:
+            option: (decisions, options, OPTION).
+            token: (decisions, tokens, TOKEN) of parcels; and `shown` (decisions, tokens), which
+                there are.
+            about: (decisions, ABOUT) of the line.
+        """
+        each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
+        own = self.option(each)
+        key, value = self.token(token).chunk(2, dim=2)
+        score = self.query(own) @ key.transpose(1, 2) / key.shape[2] ** 0.5
+        score = score.masked_fill(~shown[:, None], RISK[0] * 1e4)
+        found = self.last(self.joint(torch.cat([own, score.softmax(dim=2) @ value], dim=2)))
+        falls = nn.functional.softplus(found[..., 1:]).cumsum(dim=2)
+        return torch.cat([found[..., :1], found[..., :1] - falls], dim=2).clamp(*RISK)
+
+
+def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
+    """Return what the network takes."""
+    return (
+        torch.from_numpy(decisions.option), torch.from_numpy(decisions.token),
+        torch.from_numpy(decisions.shown), torch.from_numpy(decisions.about),
+    )  # fmt: skip
+
+
+class NetworkScheduler(DecidingScheduler):
+    """Scheduler that chooses the candidate whose time and expected touches cost the least.
+
+    Args:
+        price: [-] of a touch, in parcels that the line could have delivered.
+    """
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        network: ScheduleNetwork,
+        library: Library | None = None,
+        price: float = 1.0,
+    ) -> None:
+        super().__init__(config, library)
+        self._network = network
+        self.price = price
+
+    def at_price(self, price: float) -> "NetworkScheduler":
+        """Return the same at another price of a touch."""
+        found = copy(self)
+        found.price = price
+        return found
+
+    def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
+        cost = decisions.cost + self.price * np.exp(self.risk(decisions))
+        option, level = np.divmod(cost.reshape(len(cost), -1).argmin(axis=1), len(LEVELS))
+        return option, level
+
+    @torch.no_grad()
+    def risk(self, decisions: Decisions) -> Any:
+        """Compute (decisions, options, levels) the logarithm of the touches that are expected."""
+        return self._network(*as_tensors(decisions)).numpy()
+
+
+class SchedulePolicy(BatchController):
+    """A trained policy on the schedule of an environment's stream.
+
+    When it first chooses, its maneuvers are tried, and what a touch is to cost; both take seconds.
+
+    Args:
+        config: of the environment, with a gate and actions "parcels"; None: the card's.
+        most_touches: [-] per delivery in the trial, for which a touch is dear enough.
+    """
+
+    _dims = 2
+
+    def __init__(
+        self,
+        network: ScheduleNetwork,
+        card: PolicyCard,
+        config: EnvConfig | None = None,
+        most_touches: float = 0.0,
+    ) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        self._network = network.eval()
+        self._config = EnvConfig("flow", **card.env_kwargs) if config is None else config
+        if not self._config.stream_task.gate:
+            raise ValueError("gate must be True for a policy on a schedule, got False")
+        self._most_touches = most_touches
+        self.card = card
+        self.env_id = card.env_id
+        self.env_kwargs = card.env_kwargs
+
+    @cached_property
+    def scheduler(self) -> Scheduler:
+        """What leads parcels: as the network decides, or by one clearance for all where the trial
+        of that delivers as much.
+        """
+        config, most = self._config, self._most_touches
+        learned = NetworkScheduler(config, self._network)
+        best, right = find_quiet(config, lambda k: learned.at_price(PRICES[k]), len(PRICES), most)
+        plain, more = find_plain(config, learned.library, most)
+        return best if right > BETTER * more else plain
+
+    def _predict(
+        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
+    ) -> tuple[Any, Any]:
+        return self.scheduler.predict(batch, state, episode_start, deterministic)

@@ -1,0 +1,221 @@
+"""Decisions of a schedule: which maneuver the next parcel takes, and how close behind the others.
+
+A decision is for the parcel at the gate. Its candidates are pairs of one of its maneuvers and a
+level of clearance. It is taken once, when the parcel might enter; the gate opens when it is due.
+"""
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym import Randomisation
+from surface_gym.config import EnvConfig
+from surface_gym.flow import task
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.physics.jit import compiled
+from surface_gym.sensors import Exact
+from surface_gym.tasks.sort import HORIZON
+
+from ..base import Booleans, Integers, Numbers, Singles, is_fresh
+from .bounds import entrance_bound
+from .features import LEVELS, USUAL, Candidates, Features, Watched
+from .maneuvers import MARGIN, Library, find_delay, make_library
+from .scheduler import (
+    DEPTH,
+    LONGEST_GAP,
+    NOBODY,
+    SHUT,
+    TIME,
+    Book,
+    Scheduler,
+    Workspace,
+    renew,
+    search,
+)
+
+ABSENT = 1e6  # cost of an option that is none
+
+
+class Decisions(NamedTuple):
+    """Decisions that are due, and what is known for them; see `features`."""
+
+    env: Integers  # (decisions,) environment of each
+    cost: Singles  # (decisions, options, levels) [parcels] that the line could deliver meanwhile
+    option: Singles  # (decisions, options, OPTION)
+    token: Singles  # (decisions, TOKENS, TOKEN)
+    shown: Booleans  # (decisions, TOKENS)
+    about: Singles  # (decisions, ABOUT) of the line
+
+
+class Chosen(NamedTuple):
+    """What was decided for the parcel at the gate, per environment."""
+
+    maneuver: Integers  # (num_envs,) NOBODY: undecided
+    entry: Numbers  # (num_envs,) [s] when it is to enter
+
+
+@compiled
+def find_entries(
+    tight: Numbers, wide: Numbers, levels: Numbers, options: Integers, booked: Integers,
+    entered: Numbers, now: float, entry: Numbers, binding: Integers,
+) -> None:  # fmt: skip
+    """Write when each option may enter at each level, and the booked one that it then waits for."""
+    for o in range(options.shape[0]):
+        for level in range(levels.shape[0]):
+            entry[o, level], binding[o, level] = now, -1
+            for k in range(booked.shape[0] if options[o] >= 0 else 0):
+                low, high = tight[booked[k], options[o]], wide[booked[k], options[o]]
+                time = entered[k] + low + levels[level] * (high - low)
+                if time > entry[o, level]:
+                    entry[o, level], binding[o, level] = time, k
+
+
+@compiled
+def find_costs(
+    gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
+    entered: Numbers, now: float, space: Workspace, cost: Numbers,
+) -> None:  # fmt: skip
+    """Write what `search` finds to cost [s] the least with each option of the first parcel.
+
+    Args:
+        options: (kinds + 1, most) of a library, and a row that is written to, all -1 but its first.
+        queue: (parcels,) as `search` has it; the first is written to.
+    """
+    last = options.shape[0] - 1
+    kind = queue[0]
+    queue[0] = last
+    for o in range(options.shape[1]):
+        cost[o] = np.inf
+        if options[kind, o] >= 0:
+            options[last, 0] = options[kind, o]
+            search(gaps, delay, options, queue, booked, entered, now, space)
+            cost[o] = space.cost[queue.shape[0] - 1, 0]
+
+
+class DecidingScheduler(Scheduler):
+    """Scheduler that decides once for each parcel at the gate, among its candidates.
+
+    Args:
+        config: of the environment, with a gate and actions "parcels".
+        library: of maneuvers; None: one is made of lone parcels on a surface as it should be.
+    """
+
+    def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
+        made = make_model_library(config) if library is None else library
+        super().__init__(config, made)
+        close = made.with_one_speed().with_clearance(0.0, 0.0)
+        wide = made.with_clearance(MARGIN, config.control_period / made.lead.ahead)
+        self.tight = np.minimum(close.gaps, LONGEST_GAP)
+        self.wide = np.clip(wide.gaps, self.tight, LONGEST_GAP)
+        self._gaps = self.tight + LEVELS[USUAL] * (self.wide - self.tight)
+        self._delay = find_delay(self._gaps, made.options)
+        self._options = np.pad(made.options, ((0, 1), (0, 0)), constant_values=NOBODY)
+        self._features = Features(config, made, self._delay)
+        self._mean_gap = HOUR / entrance_bound(config)  # [s]
+
+    @abstractmethod
+    def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
+        """Choose (decisions,) an option and a level for each."""
+
+    def _predict(
+        self, batch: Singles, state: Any, episode_start: Any, **_: bool
+    ) -> tuple[Integers, Any]:
+        num_envs = len(batch)
+        book, watched = self._start(num_envs), self._features.start(num_envs)
+        chosen = Chosen(np.full(num_envs, NOBODY), np.zeros(num_envs))
+        if state is not None:
+            fresh = is_fresh(num_envs, state, episode_start)
+            book = Book(*renew(book, state[0], fresh))
+            watched = Watched(*renew(watched, state[1], fresh))
+            chosen = Chosen(*renew(chosen, state[2], fresh))
+        book = self._follow(batch, book)
+        watched = self._features.watch(batch, book, watched)
+        chosen = self._decide(batch, book, watched, chosen)
+        opens, book, chosen = self._let_in(batch, book, chosen)
+        actions, stands = self.library.lead.choose(
+            batch, self.library.maneuvers, book.rows, book.stands
+        )
+        book = book._replace(clock=book.clock + self._period, stands=stands)
+        return np.concatenate([actions, opens[:, np.newaxis]], axis=1), (book, watched, chosen)
+
+    def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
+        """Decide for parcels at the gate that may enter now and are undecided."""
+        waits = tables[:, self._parcels, task.PRESENT] > 0.5
+        maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
+        found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
+        if found is not None:
+            option, level = self.choose(self._describe(tables, book, watched, found))
+            each = np.arange(len(option))
+            maneuver[found.env] = self.library.options[found.queue[:, 0], option]
+            entry[found.env] = found.entry[each, option, level]
+        return Chosen(maneuver, entry)
+
+    def _let_in(self, tables: Singles, book: Book, chosen: Chosen) -> tuple[Integers, Book, Chosen]:
+        """Open the gate (num_envs,) for those whose entry is due, and book them."""
+        opens = np.full(len(tables), SHUT)
+        step = np.ceil((chosen.entry - book.clock) / self._dt - 1e-6).astype(np.int64).clip(1)
+        now = (chosen.maneuver != NOBODY) & (step <= self._steps)
+        opens[now] = step[now]
+        booked, entered, came = book.booked.copy(), book.entered.copy(), book.due.copy()
+        booked[now] = np.roll(booked[now], 1, axis=1)
+        entered[now] = np.roll(entered[now], 1, axis=1)
+        booked[now, 0] = chosen.maneuver[now]
+        entered[now, 0] = book.clock[now] + self._dt * step[now]
+        waited = tables[now, self._parcels, TIME].astype(np.float64)
+        came[now] = book.clock[now] + HORIZON * waited
+        book = book._replace(booked=booked, entered=entered, due=came, pending=now)
+        return opens, book, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
+
+    def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
+        """Collect the candidates of those that may enter within the period at the tightest level;
+        None where nobody may.
+        """
+        most = self.library.options.shape[1]
+        found = []
+        for i in undecided.tolist():
+            waiting = tables[i, self._parcels : self._parcels + DEPTH]
+            queue = self._recognise(waiting[waiting[:, task.PRESENT] > 0.5])
+            entry, binding = np.empty((most, len(LEVELS))), np.empty((most, len(LEVELS)), np.int64)
+            options, now = self.library.options[queue[0]], book.clock[i] + self._dt
+            find_entries(
+                self.tight, self.wide, LEVELS, options, book.booked[i], book.entered[i], now, entry,
+                binding,
+            )  # fmt: skip
+            there = options >= 0
+            if entry[there, 0].min() > book.clock[i] + self._period:
+                continue
+            cost = np.empty(most)
+            find_costs(
+                self._gaps, self._delay, self._options, queue.copy(), book.booked[i],
+                book.entered[i], now, self._space, cost,
+            )  # fmt: skip
+            whole = np.full(DEPTH, NOBODY)
+            whole[: len(queue)] = queue
+            cost = np.where(there, cost - cost.min(), 1.0)
+            found.append(Candidates(np.array(i), whole, entry, binding[:, USUAL], cost))
+        return Candidates(*map(np.array, zip(*found, strict=True))) if found else None
+
+    def _describe(
+        self, tables: Singles, book: Book, watched: Watched, found: Candidates
+    ) -> Decisions:
+        later = found.entry - found.entry[..., USUAL, np.newaxis]
+        spent = (found.cost[..., np.newaxis] + later) / self._mean_gap
+        spent[self.library.options[found.queue[:, 0]] == NOBODY] = ABSENT
+        token, shown = self._features.tokens(tables, book, watched, found)
+        return Decisions(
+            found.env,
+            spent.astype(np.float32),
+            self._features.options(tables, book, watched, found),
+            token,
+            shown,
+            np.tile(self._features.about, (len(found.env), 1)),
+        )
+
+
+def make_model_library(config: EnvConfig) -> Library:
+    """Make the library of a surface as it should be, whatever varies and errs."""
+    actuators = replace(config.actuators, stuck_share=0.0)
+    model = config.replace(sensors=Exact(), randomisation=Randomisation(), actuators=actuators)
+    return make_library(model, margin=0.0, slack=0.0)

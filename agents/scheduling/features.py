@@ -1,0 +1,210 @@
+"""What a network is shown of a decision: candidates, other parcels and the line, in numbers alone.
+
+None of them depends on how many exits, places or parcels there are, so one set of weights serves
+any line.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.config import EnvConfig
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.sensors import Exact
+from surface_gym.tasks.sort import HORIZON
+
+from ..base import Booleans, Integers, Numbers, Singles
+from .bounds import entrance_bound
+from .maneuvers import PAST_START, SPEED, UNIT, Library, find_rears
+from .scheduler import DEPTH, NOBODY, TIME, Book
+from .trajectories import DT, SIGNATURE, SPEED_STEP
+
+# Levels of clearance, from what keeps parcels just apart (0) to a margin and a control period (1).
+LEVELS = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0, 1.5, 2.5, 4.0])
+USUAL = 4  # place of the level that costs are counted at
+GONE = 6  # parcels that left last, which are shown
+TOKENS = 24  # at most: those that wait, those on the line, and the latest gone
+
+STATIC, SEEN = 10, 3  # features of a maneuver; deviations from its trajectory: x, y, speed
+TOKEN = 3 + 1 + STATIC + 4 + SEEN
+OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
+ABOUT = 9
+ACROSS = 0.3  # [m] in which a row says how far a parcel is aside
+# Units of features, which are about 1 in most.
+GAP, LENGTH, SIZE, SPEED_MEAN = 0.1, 6.0, 0.35, 1.5  # [s], [m], [m], [m/s]
+DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
+MOST = 5.0  # that a feature is at most, and least -5
+AT_SPEED = SIGNATURE.index(SPEED)
+
+
+class Candidates(NamedTuple):
+    """Maneuvers that the parcel at the gate may take, in environments where it may enter soon."""
+
+    env: Integers  # (decisions,) environment of each
+    queue: Integers  # (decisions, DEPTH) kinds of those that wait, the next first; NOBODY: none
+    entry: Numbers  # (decisions, options, levels) [s] when it would enter
+    binding: Integers  # (decisions, options) of the booked, the one that it waits for; NOBODY
+    cost: Numbers  # (decisions, options) [s] by which later ones enter later than with the best
+
+
+class Watched(NamedTuple):
+    """What is remembered of parcels on the line, and of those that left it last."""
+
+    held: Integers  # (num_envs, parcels) maneuver of the parcel in each row
+    seen: Numbers  # (num_envs, parcels, SEEN) its deviation
+    gone: Integers  # (num_envs, GONE) maneuvers of those that left last
+    left: Numbers  # (num_envs, GONE) [s] when
+    last: Numbers  # (num_envs, GONE, SEEN) their last deviation
+
+
+class Features:
+    """Describes candidates and parcels.
+
+    Args:
+        delay: (maneuvers,) [s], as `Library.delay` has it, at the usual clearance.
+    """
+
+    def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
+        lead, own, run = library.lead, library.maneuvers, library.runs[0][0]
+        self._library = library
+        self._parcels = config.stream_task.max_parcels
+        exits = [config.exits.exits[config.exits.place(name)] for _, _, name in lead.kinds]
+        self._kind_side = np.array([each.side for each in exits])
+        self._side = self._kind_side[own.kind]
+        across = (run.pose[..., 1] - config.chosen_line.line_y) * self._side[:, np.newaxis]
+        speed = np.gradient(run.pose[..., 0], DT, axis=1)
+        self._path = np.stack([find_rears(run), across, speed], axis=2)  # (.., moments, SEEN)
+        self._moments, self._origin = run.moments, lead.origin[own.kind]
+        straight = ~np.isfinite(own.place)
+        place = np.where(straight, 0.0, own.place) + self._origin
+        last = np.array([min(each.last, config.rotors_end) for each in exits])[own.kind]
+        angles = np.abs((np.array(config.chosen_orientations) + np.pi / 2) % np.pi - np.pi / 2)
+        size = np.array([np.ptp(parcel.base.outline, axis=0) for parcel, _, _ in lead.kinds])
+        entering = np.array([speed for _, speed, _ in lead.kinds])
+        end = speed[np.arange(len(own.kind)), np.maximum(0, run.moments - 2)]
+        static = [
+            np.where(straight, 0.0, place / LENGTH),
+            straight,
+            angles[own.choice] / (0.5 * np.pi),
+            DT * run.moments / HORIZON,
+            *(size[own.kind] / SIZE - 1.0).T,
+            entering[own.kind] - SPEED_MEAN,
+            delay / GAP,
+            end - SPEED_MEAN,
+            np.where(straight, 0.0, (last - place) / 2.0),
+        ]
+        self._static = np.stack(static, axis=1).clip(-3.0, 3.0).astype(np.float32)
+        self._of_kind = self._static[library.options[:, 0]]
+        self._of_kind[:, [0, 2, 3, 7, 8]] = 0.0  # what depends on the maneuver
+        drawn, actuators = config.randomisation, config.actuators
+        about = [
+            0.5 * math.pi / actuators.axis_speed / 0.1,
+            config.control_period / 0.04 - 1.0,
+            len(angles) / 4.0 - 1.0,
+            float(isinstance(config.sensors, Exact)),
+            drawn.friction / 0.2,
+            drawn.com_offset / 0.2,
+            actuators.stuck_share / 0.02,
+            HOUR / entrance_bound(config) / 0.3 - 1.0,
+            (config.rotors_end - lead.zone_x) / LENGTH,
+        ]
+        self.about = np.array(about, dtype=np.float32)
+
+    def start(self, num_envs: int) -> Watched:
+        """Return what is remembered as an episode begins."""
+        rows, gone = (num_envs, self._parcels), (num_envs, GONE)
+        return Watched(
+            np.full(rows, NOBODY), np.zeros((*rows, SEEN)),
+            np.full(gone, NOBODY), np.zeros(gone), np.zeros((*gone, SEEN)),
+        )  # fmt: skip
+
+    def watch(self, tables: Singles, book: Book, before: Watched) -> Watched:
+        """See how parcels deviate from their trajectories, and which have left."""
+        seen, gone = before.seen.copy(), before.gone.copy()
+        left, last = before.left.copy(), before.last.copy()
+        was_here = (before.held != NOBODY) & (book.rows != before.held)
+        for env, place in np.argwhere(was_here).tolist():
+            gone[env], left[env] = np.roll(gone[env], 1), np.roll(left[env], 1)
+            last[env] = np.roll(last[env], 1, axis=0)
+            gone[env, 0], left[env, 0] = before.held[env, place], book.clock[env]
+            last[env, 0] = seen[env, place]
+        i, row = np.nonzero(book.rows != NOBODY)
+        own, rows = book.rows[i, row], tables[i, row].astype(np.float64)
+        moment = np.rint(HORIZON * rows[:, TIME] / DT).astype(np.int64)
+        rear = UNIT * rows[:, PAST_START] + self._origin[own]
+        now = np.stack([rear, ACROSS * rows[:, 0], 1.0 + rows[:, SPEED]], axis=1)
+        known = moment < self._moments[own]
+        path = self._path[own, moment.clip(0, self._moments[own] - 1)]
+        deviation = ((now - path) / DEVIATION).clip(-3.0, 3.0)
+        seen[i, row] = np.where(known[:, np.newaxis], deviation, seen[i, row])
+        seen[book.rows == NOBODY] = 0.0
+        return Watched(book.rows, seen, gone, left, last)
+
+    def options(self, tables: Singles, book: Book, watched: Watched, given: Candidates) -> Singles:
+        """Describe (decisions, options, OPTION) each candidate, and the booked parcel that it would
+        wait for.
+        """
+        env, each = given.env, given.env[:, np.newaxis]
+        head = given.queue[:, 0]
+        options = self._library.options[head]
+        usual = given.entry[..., USUAL]
+        tightest = np.where(options >= 0, given.entry[..., 0], np.inf).min(axis=1)
+        # The booked one, and how it deviates, if it is on the line.
+        behind = given.binding.clip(0)
+        ahead, entered = book.booked[each, behind], book.entered[each, behind]
+        since = book.clock[each] - HORIZON * tables[env, : self._parcels, TIME]
+        same = np.abs(since[:, np.newaxis] - entered[..., np.newaxis]) < 0.1
+        same &= book.rows[env][:, np.newaxis] == ahead[..., np.newaxis]
+        deviation = watched.seen[each, same.argmax(axis=2)] * same.any(axis=2)[..., np.newaxis]
+        faster = tables[env, self._parcels, SPEED] - self._library.signature[head, AT_SPEED]
+        binds = given.binding != NOBODY
+        of_ahead = [
+            binds[..., np.newaxis],
+            self._static[ahead],
+            (self._side[ahead] * self._kind_side[head][:, np.newaxis])[..., np.newaxis],
+            (usual - entered)[..., np.newaxis],
+            deviation,
+        ]
+        parts = [
+            self._static[options.clip(0)],
+            (given.entry[..., 1:] - given.entry[..., :1]) / GAP,
+            (given.entry[..., :1] - tightest[:, np.newaxis, np.newaxis]) / GAP,
+            given.cost[..., np.newaxis] / GAP,
+            (usual - book.clock[each])[..., np.newaxis] / GAP,
+            *(binds[..., np.newaxis] * part for part in of_ahead),
+            np.broadcast_to((faster / SPEED_STEP)[:, np.newaxis, np.newaxis], (*usual.shape, 1)),
+        ]
+        found: Singles = np.concatenate(parts, axis=2).clip(-MOST, MOST).astype(np.float32)
+        return found
+
+    def tokens(
+        self, tables: Singles, book: Book, watched: Watched, given: Candidates
+    ) -> tuple[Singles, Booleans]:
+        """Describe (decisions, TOKENS, TOKEN) parcels that wait, on the line and gone, and say
+        which of these (decisions, TOKENS) there are.
+        """
+        env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
+        gone, rows = watched.gone[env], book.rows[env]
+        kinds = np.concatenate([given.queue, rows, gone], axis=1)
+        shown = kinds != NOBODY
+        token = np.zeros((*kinds.shape, TOKEN), dtype=np.float32)
+        waiting, line = slice(DEPTH), slice(DEPTH, DEPTH + self._parcels)
+        left = slice(DEPTH + self._parcels, None)
+        for column, part in enumerate((line, left, waiting)):
+            token[:, part, column] = 1.0
+        sides = self._kind_side[given.queue], self._side[rows], self._side[gone]
+        static = self._of_kind[given.queue], self._static[rows], self._static[gone]
+        token[..., 3] = np.concatenate(sides, axis=1) * side
+        token[..., 4 : 4 + STATIC] = np.concatenate(static, axis=1)
+        moving = tables[env, : self._parcels][..., [TIME, PAST_START, 0, SPEED]]
+        unit = np.array([1.0, 0.1, 1.0, 1.0], dtype=np.float32)
+        token[:, line, 4 + STATIC : 8 + STATIC] = moving * unit
+        token[:, left, 4 + STATIC] = (book.clock[env][:, np.newaxis] - watched.left[env]) / HORIZON
+        token[:, line, -SEEN:], token[:, left, -SEEN:] = watched.seen[env], watched.last[env]
+        # None but the longest gone is left out.
+        order = np.argsort(~shown, axis=1, kind="stable")[:, :TOKENS]
+        shown = np.take_along_axis(shown, order, axis=1)
+        token = np.take_along_axis(token, order[..., np.newaxis], axis=1)
+        token[~shown] = 0.0
+        return token.clip(-MOST, MOST), shown
