@@ -21,6 +21,7 @@ from surface_gym.state import RUNNING
 
 from ..base import Controller, Numbers
 from ..scheduling.bounds import entrance_bound
+from ..scheduling.scheduler import begin_streams
 from .benchmark import SEED, half_interval
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
@@ -190,10 +191,7 @@ def measure_stream(
     Args:
         least_right: [-] of deliveries; once fewer are sure, or anything jams, it ends with None.
     """
-    batch = StreamBatch(config, REPLICATIONS)
-    for k in range(REPLICATIONS):
-        batch.seed(k, np.random.default_rng((SEED, k)))
-    batch.reset(np.arange(REPLICATIONS))
+    batch = begin_streams(config, REPLICATIONS, SEED)
     counted = counted_time(config.stream_task.duration, rate)
     begin = config.stream_task.duration - counted
     most_wrong = (1.0 - least_right) * int(batch.streams.arrivals.sum())

@@ -26,8 +26,8 @@ from ..scheduling.bounds import entrance_bound
 from ..scheduling.decisions import make_model_library
 from ..scheduling.scheduler import Scheduler, find_plain
 from .benchmark import Advance, compute_kept, half_interval
-from .capacity import SECONDS, Measurement, measure_stream
-from .streams import LEARNED, QUEUE, SIX
+from .capacity import SECONDS, STREAM_PRESETS, Measurement, measure_stream
+from .streams import LEARNED, SIX
 from .tables import Table, bold, write_markdown, write_numbers
 
 NAME = "flow-generalisation"
@@ -76,7 +76,8 @@ def scenarios() -> list[Scenario]:
     """List the scenarios of the comparison."""
     late = sg.Actuators(axis_speed=LATE)
     stuck = sg.Actuators(stuck_share=0.02)
-    camera = {"sensors": LAB["sensors"], "randomisation": sg.Randomisation(friction=0.2)}
+    preset = STREAM_PRESETS["camera"]
+    camera = {"sensors": preset.sensors, "randomisation": preset.randomisation}
     held_out = (
         ("exits “chutes”", BOXES, {"exits": "chutes"}, 0.0),
         ("exits staggered", ("S",), {"exits": STAGGERED}, 0.0),
@@ -117,7 +118,13 @@ def _config(
     stream = Stream(law(1.0), parcels=tuple(parcels), speeds=speeds)
     whole = {"exits": "sides", **given}
     config = EnvConfig(
-        "flow", stream=stream, actions="parcels", duration=SECONDS, gate=True, queue=QUEUE, **whole
+        "flow",
+        stream=stream,
+        actions="parcels",
+        duration=SECONDS,
+        gate=True,
+        queue=library.QUEUE,
+        **whole,
     )
     return config.replace(stream=stream.with_rate(entrance_bound(config)))
 

@@ -368,14 +368,7 @@ def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResu
     methods = [
         scheduler,
         *(
-            StreamMethod(
-                f"seed {k}",
-                "parcels",
-                True,
-                partial(_read, each),
-                control_period=period,
-                queue=library.QUEUE,
-            )
+            streams.learned_method(f"seed {k}", period, partial(_read, each))
             for k, each in files.items()
         ),
     ]

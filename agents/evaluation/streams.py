@@ -56,7 +56,6 @@ STEPS = (
 )  # fmt: skip
 
 SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())
-QUEUE = library.QUEUE  # waiting parcels that a scheduler is shown
 SHORTEST = 4  # columns of a zone; fewer are nearly columns by themselves
 SHORTEST_OF_MANY = 5  # of zones in series: shorter ones are no zones, since a parcel is over two
 WIDEST = 20  # columns of a zone that is tried
@@ -88,13 +87,17 @@ def stream_methods() -> list[StreamMethod]:
         StreamMethod(EACH, "parcels", False, SortEach, ("exact",)),
     ]
     if LEARNED in library.names():
-        period = library.load(LEARNED).card.control_period
-        found.append(
-            StreamMethod(
-                LEARNED, "parcels", True, _learned, control_period=period, queue=library.QUEUE
-            )
-        )  # fmt: skip
+        found.append(learned_method(LEARNED, library.load(LEARNED).card.control_period, _learned))
     return found
+
+
+def learned_method(
+    name: str, control_period: float, make: Callable[[EnvConfig], Controller]
+) -> StreamMethod:
+    """Make the method of a policy on a schedule, which decides each control period [s]."""
+    return StreamMethod(
+        name, "parcels", True, make, control_period=control_period, queue=library.QUEUE
+    )
 
 
 def _rung(
@@ -103,7 +106,7 @@ def _rung(
     make: Callable[[EnvConfig], Controller | None],
     orientations: tuple[float, ...] | None = None,
 ) -> StreamMethod:
-    return StreamMethod(name, actions, True, make, orientations=orientations, queue=QUEUE)
+    return StreamMethod(name, actions, True, make, orientations=orientations, queue=library.QUEUE)
 
 
 def _schedule(groups: ColumnGroups | None, config: EnvConfig) -> Scheduler | None:

@@ -21,6 +21,7 @@ from surface_gym.flow.stream import Stream
 from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers
+from ..library import QUEUE
 from ..policy import check_like, load_optimizer
 from ..schedule_policy import NetworkScheduler, ScheduleNetwork, as_tensors
 from ..scheduling.bounds import entrance_bound
@@ -67,7 +68,7 @@ def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
         control_period=control_period,
         duration=DURATION,
         gate=True,
-        queue=4,
+        queue=QUEUE,
         sensors=sg.sensors.Camera() if camera else sg.sensors.Exact(),
         randomisation=sg.Randomisation(
             friction=float(rng.uniform(0.0, 0.25)) if camera else 0.0,

@@ -16,24 +16,12 @@ from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.physics.jit import compiled
 from surface_gym.sensors import Exact
-from surface_gym.tasks.sort import HORIZON
 
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh
 from .bounds import entrance_bound
 from .features import LEVELS, USUAL, Candidates, Features, Watched
 from .maneuvers import MARGIN, Library, find_delay, make_library
-from .scheduler import (
-    DEPTH,
-    LONGEST_GAP,
-    NOBODY,
-    SHUT,
-    TIME,
-    Book,
-    Scheduler,
-    Workspace,
-    renew,
-    search,
-)
+from .scheduler import DEPTH, LONGEST_GAP, NOBODY, SHUT, Book, Scheduler, Workspace, renew, search
 
 ABSENT = 1e6  # cost of an option that is none
 
@@ -105,7 +93,7 @@ class DecidingScheduler(Scheduler):
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
         made = make_model_library(config) if library is None else library
         super().__init__(config, made)
-        close = made.with_one_speed().with_clearance(0.0, 0.0)
+        close = made.with_one_speed(0.0, 0.0)
         wide = made.with_clearance(MARGIN, config.control_period / made.lead.ahead)
         self.tight = np.minimum(close.gaps, LONGEST_GAP)
         self.wide = np.clip(wide.gaps, self.tight, LONGEST_GAP)
@@ -134,11 +122,8 @@ class DecidingScheduler(Scheduler):
         watched = self._features.watch(batch, book, watched)
         chosen = self._decide(batch, book, watched, chosen)
         opens, book, chosen = self._let_in(batch, book, chosen)
-        actions, stands = self.library.lead.choose(
-            batch, self.library.maneuvers, book.rows, book.stands
-        )
-        book = book._replace(clock=book.clock + self._period, stands=stands)
-        return np.concatenate([actions, opens[:, np.newaxis]], axis=1), (book, watched, chosen)
+        actions, book = self._act(batch, book, opens)
+        return actions, (book, watched, chosen)
 
     def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
         """Decide for parcels at the gate that may enter now and are undecided."""
@@ -158,14 +143,7 @@ class DecidingScheduler(Scheduler):
         step = np.ceil((chosen.entry - book.clock) / self._dt - 1e-6).astype(np.int64).clip(1)
         now = (chosen.maneuver != NOBODY) & (step <= self._steps)
         opens[now] = step[now]
-        booked, entered, came = book.booked.copy(), book.entered.copy(), book.due.copy()
-        booked[now] = np.roll(booked[now], 1, axis=1)
-        entered[now] = np.roll(entered[now], 1, axis=1)
-        booked[now, 0] = chosen.maneuver[now]
-        entered[now, 0] = book.clock[now] + self._dt * step[now]
-        waited = tables[now, self._parcels, TIME].astype(np.float64)
-        came[now] = book.clock[now] + HORIZON * waited
-        book = book._replace(booked=booked, entered=entered, due=came, pending=now)
+        book = self._enter(tables, book, chosen.maneuver, opens)
         return opens, book, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:

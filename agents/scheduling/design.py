@@ -15,7 +15,6 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Steady
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import PITCH, Exits, flow_line
 from surface_gym.flow.state import JAM, RIGHT, TURNS, WRONG, compute_statistics
 from surface_gym.flow.stream import Stream
@@ -26,7 +25,7 @@ from surface_gym.state import RUNNING
 from ..base import Numbers
 from .bounds import entrance_bound
 from .maneuvers import ColumnGroups, Library, make_library
-from .scheduler import CLEARANCES, Scheduler, make_scheduler, predict_rate
+from .scheduler import CLEARANCES, Scheduler, begin_streams, make_scheduler, predict_rate
 from .trajectories import list_asked
 
 ARRANGED, FOLLOWED, SERIES, COLUMNS, MODULES = HARDWARE = (
@@ -153,10 +152,8 @@ class Run:
 
 def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Run:
     """Run a scheduler, with a share of the modules stuck at 90 deg that it does not know."""
-    batch = StreamBatch(config.replace(actuators=Actuators(stuck_share=stuck)), REPLICATIONS)
-    for k in range(REPLICATIONS):
-        batch.seed(k, np.random.default_rng((SEED, k)))
-    batch.reset(np.arange(REPLICATIONS))
+    failing = config.replace(actuators=Actuators(stuck_share=stuck))
+    batch = begin_streams(failing, REPLICATIONS, SEED)
     streams, state = batch.streams, None
     angles = np.array(config.chosen_orientations)
     at = np.zeros(len(angles))

@@ -249,12 +249,12 @@ class Library:
             _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
         return replace(self, gaps=gaps, margin=margin, slack=slack)
 
-    def with_one_speed(self) -> "Library":
-        """Return the same maneuvers, with gaps as if every parcel had the least speed of its kind,
-        and all entered at the same moment of a control period.
+    def with_one_speed(self, margin: float, slack: float) -> "Library":
+        """Return the same maneuvers at another clearance, with gaps as if every parcel had the
+        least speed of its kind, and all entered at the same moment of a control period.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
-        return usual.with_clearance(self.margin, self.slack)
+        return usual.with_clearance(margin, slack)
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:

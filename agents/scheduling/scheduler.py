@@ -191,8 +191,12 @@ class Scheduler(BatchController):
             book = Book(*renew(book, state, fresh))
         book = self._follow(batch, book)
         opens, book = self._open(batch, book)
+        return self._act(batch, book, opens)
+
+    def _act(self, tables: Singles, book: Book, opens: Integers) -> tuple[Integers, Book]:
+        """Lead the parcels on the line for a control period, and open the gate (num_envs,)."""
         actions, stands = self.library.lead.choose(
-            batch, self.library.maneuvers, book.rows, book.stands
+            tables, self.library.maneuvers, book.rows, book.stands
         )
         book = book._replace(clock=book.clock + self._period, stands=stands)
         return np.concatenate([actions, opens[:, np.newaxis]], axis=1), book
@@ -219,27 +223,33 @@ class Scheduler(BatchController):
 
     def _open(self, tables: Singles, book: Book) -> tuple[Integers, Book]:
         """Choose when the gate opens (num_envs,), and book it."""
-        opens = np.full(len(tables), SHUT)
+        opens, maneuver = np.full(len(tables), SHUT), np.full(len(tables), NOBODY)
         waiting = tables[:, self._parcels :]
         waits = waiting[:, :DEPTH, task.PRESENT] > 0.5
-        booked, entered, due = book.booked.copy(), book.entered.copy(), book.due.copy()
         library, space = self.library, self._space
         for i in np.nonzero(waits[:, 0])[0].tolist():
             clock = book.clock[i]
             queue = self._recognise(waiting[i, : waits[i].sum()])
             chosen, time = search(
-                library.gaps, library.delay, library.options, queue, booked[i], entered[i],
-                clock + self._dt, space,
+                library.gaps, library.delay, library.options, queue, book.booked[i],
+                book.entered[i], clock + self._dt, space,
             )  # fmt: skip
             step = int(np.ceil((time - clock) / self._dt - 1e-6))
-            if step > self._steps:
-                continue
-            opens[i] = step
-            booked[i], entered[i] = np.roll(booked[i], 1), np.roll(entered[i], 1)
-            booked[i, 0] = chosen
-            entered[i, 0] = clock + self._dt * step
-            due[i] = clock + HORIZON * float(waiting[i, 0, TIME])
-        return opens, book._replace(booked=booked, entered=entered, due=due, pending=opens != SHUT)
+            if step <= self._steps:
+                opens[i], maneuver[i] = step, chosen
+        return opens, self._enter(tables, book, maneuver, opens)
+
+    def _enter(self, tables: Singles, book: Book, maneuver: Integers, opens: Integers) -> Book:
+        """Book a maneuver (num_envs,) for those for whom the gate opens."""
+        now = opens != SHUT
+        booked, entered, due = book.booked.copy(), book.entered.copy(), book.due.copy()
+        booked[now] = np.roll(booked[now], 1, axis=1)
+        entered[now] = np.roll(entered[now], 1, axis=1)
+        booked[now, 0] = maneuver[now]
+        entered[now, 0] = book.clock[now] + self._dt * opens[now]
+        waited = tables[now, self._parcels, TIME].astype(np.float64)
+        due[now] = book.clock[now] + HORIZON * waited
+        return book._replace(booked=booked, entered=entered, due=due, pending=now)
 
     def _recognise(self, rows: Singles) -> Integers:
         """Recognise (parcels,) the kind of each parcel, by what is seen of it."""
@@ -319,13 +329,22 @@ def find_plain(
     they vary or for one of each kind, whichever delivers more; see `find_quiet`.
     """
 
-    def make(whole: Library, place: int) -> Scheduler:
-        found = whole.with_clearance(MARGIN, SLACKS[place])
+    def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:
+        found = apart(MARGIN, SLACKS[place])
         return Scheduler(config, replace(found, gaps=np.minimum(found.gaps, LONGEST_GAP)))
 
-    several = (library, library.with_one_speed())
+    several = (library.with_clearance, library.with_one_speed)
     found = [find_quiet(config, partial(make, each), len(SLACKS), most_touches) for each in several]
     return max(found, key=itemgetter(1))
+
+
+def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
+    """Begin episodes of a stream, each seeded by the seed and its place."""
+    batch = StreamBatch(config, count)
+    for i in range(count):
+        batch.seed(i, np.random.default_rng((seed, i)))
+    batch.reset(np.arange(count))
+    return batch
 
 
 class Trial(NamedTuple):
@@ -343,10 +362,7 @@ def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> T
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))
-    batch = StreamBatch(busy, TRIED)
-    for i in range(TRIED):
-        batch.seed(i, np.random.default_rng((TRIAL_SEED, i)))
-    batch.reset(np.arange(TRIED))
+    batch = begin_streams(busy, TRIED, TRIAL_SEED)
     tally, state = batch.streams.tally, None
     half, early = 0.5 * busy.stream_task.duration, 0
     while (batch.outcome == RUNNING).any() and tally[:, TOUCHES].sum() <= most_touches:
