@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
 from surface_gym.flow.exits import Exits, exits_option
+from surface_gym.flow.singulate import Singulate
 from surface_gym.flow.task import Flow, StreamTask
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
@@ -101,7 +102,8 @@ LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
-ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
+# that have an environment, by name
+ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow, "singulate": Singulate}
 
 
 @dataclass(frozen=True, init=False)

@@ -225,7 +225,8 @@ DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "arrivals", "coming", "due", "entered", "left", "taken",
     "touches", "number", "present", "touched_at", "clock", "steps", "still", "waited", "obeys",
-    "tally", "outcome",
+    "tally", "outcome", "right", "gap", "final", "passed", "demand", "changes", "belt", "pressing",
+    "impulse", "squeeze",
 )  # fmt: skip
 TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 

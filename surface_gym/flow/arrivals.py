@@ -37,6 +37,8 @@ class Arrivals:
     kinds: tuple[Parcel, ...]
     speed: Numbers  # (parcels,) [m/s] along the line
     exit: Places  # (parcels,) index among the exits
+    aside: Numbers  # (parcels,) [-] across the line: -1 at its edge y < 0, 0 in the middle, 1 left
+    turned: Numbers  # (parcels,) [rad] theta
 
     def __len__(self) -> int:
         return len(self.time)
@@ -237,6 +239,8 @@ class Trace:
             kinds=kinds,
             speed=np.array([each.speed for each in self.arrivals]),
             exit=np.array([name[each.exit] for each in self.arrivals]),
+            aside=np.zeros(len(self.arrivals)),
+            turned=np.zeros(len(self.arrivals)),
         )
 
     def check(self, exits: Exits) -> None:
@@ -255,6 +259,8 @@ class Trace:
             kinds=recorded.kinds,
             speed=recorded.speed[:count].copy(),
             exit=place[recorded.exit[:count]],
+            aside=recorded.aside[:count].copy(),
+            turned=recorded.turned[:count].copy(),
         )
 
 

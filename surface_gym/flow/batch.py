@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -86,7 +87,10 @@ class BodyPool:
 def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
-    names = "begin exit_taken reward observe observe_neighbour observe_no_neighbour"
+    names = (
+        "begin outside has_room has_left exit_taken judge inform reward observe observe_neighbour "
+        "observe_no_neighbour"
+    )
     return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
         **compiled_functions(task, StreamTask, names),
@@ -104,7 +108,8 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
     return fs.StreamParams(
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
         ahead=task.ahead, duration=task.duration, patience=task.patience,
-        queue=task.rows - task.max_parcels, touching=task.touching,
+        queue=task.rows - task.max_parcels, take_away=task.take_away, gap=task.gap,
+        alignment=task.alignment, touching=task.touching,
         waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
@@ -115,8 +120,19 @@ def _rear(parcel: Parcel, theta: float) -> float:
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
-FIGURES = tuple(f"episode_{name}" for name in fs.NAMES)  # in infos
-NO_FIGURES = dict.fromkeys(FIGURES, 0.0)  # of an episode that runs
+def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
+    """[m] y of its frame's origin from the middle of a room [m], as `Stream.aside` says."""
+    outline = parcel.base.outline
+    across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
+    low, high = float(across.min()), float(across.max())
+    return aside * max(0.0, 0.5 * (room - high + low)) - 0.5 * (high + low)
+
+
+def list_figures(task: StreamTask) -> tuple[str, ...]:
+    """List the names, in infos, of the statistics of an episode."""
+    return tuple(f"episode_{each.name}" for each in fields(task.statistics))
+
+
 COUNTS = ("entered", "right", "wrong", "touches", "turns")  # as the columns of the tally
 
 
@@ -141,8 +157,11 @@ class StreamBatch(BaseBatch):
             obeys = np.repeat(obeys, num_envs, axis=0)
         shape = self.surfaces.axis.shape[1:]
         self.streams: fs.StreamState = fs.make_streams(
-            num_envs, self.rows, shape, len(task.terms), obeys
-        )
+            num_envs, self.rows, shape, len(task.terms), obeys, len(config.exits),
+            task.most_changes,
+        )  # fmt: skip
+        self.figures = list_figures(task)
+        self._no_figures = dict.fromkeys(self.figures, 0.0)  # of an episode that runs
         self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
         self._generators: list[np.random.Generator | None] = [None] * num_envs
 
@@ -204,7 +223,7 @@ class StreamBatch(BaseBatch):
         present, number = streams.present[env_index], streams.number[env_index]
         runs = streams.outcome.item(env_index) == st.RUNNING
         return {
-            **(NO_FIGURES if runs else self._end(env_index)),
+            **(self._no_figures if runs else self._end(env_index)),
             "time": streams.clock.item(env_index),
             "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
             **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
@@ -213,18 +232,18 @@ class StreamBatch(BaseBatch):
 
     def _figures(self) -> Infos:
         """Collect the figures of the episodes that have ended, by name; 0 in the others."""
-        figures = np.zeros((len(FIGURES), self.num_envs))
+        figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
-        return dict(zip(FIGURES, figures, strict=True))
+        return dict(zip(self.figures, figures, strict=True))
 
     def _end(self, i: int) -> dict[str, float]:
         """Compute the figures of an episode that has ended, by name."""
         obeys = self.streams.obeys
         obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
         jammed = bool(self.streams.outcome[i] == fs.JAM)
-        found = vars(fs.compute_statistics(self.streams, i, jammed, obeying)).values()
-        return dict(zip(FIGURES, map(float, found), strict=True))
+        found = self.task.compute_statistics(self.streams, i, jammed, obeying)
+        return dict(zip(self.figures, map(float, vars(found).values()), strict=True))
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
         return self._pool.parcel(int(self.parcels.body[env_index * self.rows + row]))
@@ -235,7 +254,8 @@ class StreamBatch(BaseBatch):
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Draw an episode for each of the chosen surfaces (count,), from its generator: the
-        surface, the stream, the parcels, the stuck modules and the sensors' noise, in that order.
+        surface, the stream, the parcels, the stuck modules, the sensors' noise and the take-away's
+        stops, in that order.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):
@@ -252,6 +272,9 @@ class StreamBatch(BaseBatch):
                 # No row behind the next parcel's, so that the queue's length changes no number.
                 for row in range(self.rows - self.task.queue + 1):
                     draw_noise(self.parcels, i * self.rows + row, rng)
+            changes = self.task.draw_demand(rng)
+            self.streams.demand[i] = np.inf
+            self.streams.demand[i, : len(changes)] = changes
 
     def _draw_surface(self, i: int, rng: np.random.Generator) -> None:
         randomisation = self.config.randomisation
@@ -273,7 +296,9 @@ class StreamBatch(BaseBatch):
             ("entered", np.nan), ("left", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", st.STARTING),
+            ("tally", 0), ("outcome", st.STARTING), ("right", False), ("gap", np.nan),
+            ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0), ("pressing", 0.0),
+            ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows
@@ -283,25 +308,32 @@ class StreamBatch(BaseBatch):
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
         """Return rows of the body table (arrivals,) and states (arrivals, STATE_SIZE) of parcels as
-        they enter: the rear at the line's edge, on its middle, but for the randomisation.
+        they enter: the rear at the line's edge, where the stream and the randomisation place it.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
+        placed = bool(arrivals.aside.any() or arrivals.turned.any())
         middle = self.config.chosen_line.line_y
         _, _, low, high = self.config.chosen_line.extent
         room = (low - middle, high - middle)
         self._pool.give_back(self._used[i])
         self._used[i] = []
-        if randomisation.varies_parcels or randomisation.lateral or randomisation.heading:
+        if placed or randomisation.varies_parcels or randomisation.lateral or randomisation.heading:
             drawn = [
                 randomisation.draw_entry(rng, arrivals.kinds[kind], room)
                 for kind in arrivals.parcel.tolist()
             ]
             parcels = [parcel for parcel, _, _ in drawn]
             aside = np.array([aside for _, aside, _ in drawn])
-            turned = np.array([turned for _, _, turned in drawn])
+            turned = arrivals.turned + [turned for _, _, turned in drawn]
+            if placed:
+                zone_rows = self.config.site.zone[1] * self.config.chosen_line.pitch_y
+                aside = aside + [
+                    _place_across(*each, zone_rows)
+                    for each in zip(parcels, turned, arrivals.aside, strict=True)
+                ]
             body = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
             self._used[i] = body.tolist()
-            rear = np.array([_rear(parcel, theta) for parcel, _, theta in drawn])
+            rear = np.array([_rear(*each) for each in zip(parcels, turned, strict=True)])
             centre = np.array([parcel.centre_of_mass for parcel in parcels]).reshape(-1, 2)
         else:
             rows = [self._pool.take(kind) for kind in arrivals.kinds]

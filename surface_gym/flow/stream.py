@@ -1,5 +1,6 @@
 """Streams of parcels: their arrivals, kinds, speeds and destinations."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,6 +49,10 @@ class Stream:
     # odds of exits by name, as a mapping or as pairs; None: equal odds of all exits
     destinations: Any = None
     speeds: Any = 1.5  # [m/s] of every parcel, or the bounds of a uniform draw
+    # [-] where across the line each enters: -1 with its side at the edge y < 0, 0 in the middle,
+    # 1 at the other edge; or the bounds of a uniform draw
+    aside: Any = 0.0
+    turned: Any = 0.0  # [rad] how each is turned as it enters, or the bounds of a uniform draw
 
     def __post_init__(self) -> None:
         checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
@@ -55,7 +60,9 @@ class Stream:
         set_field(self, "parcels", _parcels(self.parcels))
         if self.destinations is not None:
             set_field(self, "destinations", _destinations(self.destinations))
-        set_field(self, "speeds", _speeds(self.speeds))
+        set_field(self, "speeds", _bounds("speeds", self.speeds, laws.check_speed))
+        set_field(self, "aside", _bounds("aside", self.aside, _check_aside))
+        set_field(self, "turned", _bounds("turned", self.turned, _check_turned))
         if isinstance(self.arrivals, Trace):
             _check_nothing_beside(self)
 
@@ -91,7 +98,8 @@ class Stream:
         """Draw the arrivals of an episode of a duration [s].
 
         All times are drawn first, then three numbers a parcel, of its kind, its exit and its speed,
-        even where there is no choice: another mix or other speeds leave all else as it was.
+        even where there is no choice: another mix or other speeds leave all else as it was. Two
+        more follow where either is drawn: of where across the line it enters and how it is turned.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits)
@@ -99,12 +107,16 @@ class Stream:
             return self.arrivals.within(duration, exits)
         time = self.arrivals.times(rng, duration)
         kind, leaving, speed = rng.random((len(time), 3)).T
+        drawn = isinstance(self.aside, tuple) or isinstance(self.turned, tuple)
+        aside, turned = rng.random((len(time), 2)).T if drawn else np.zeros((2, len(time)))
         return Arrivals(
             time=time,
             parcel=_drawn([odds for _, odds in self.parcels], kind),
             kinds=self.kinds,
-            speed=self._speed(speed),
+            speed=_between(self.speeds, speed),
             exit=self._exit(exits, leaving),
+            aside=_between(self.aside, aside),
+            turned=_between(self.turned, turned),
         )
 
     def _exit(self, exits: Exits, number: Numbers) -> Places:
@@ -113,9 +125,11 @@ class Stream:
         place = np.array([exits.place(name) for name, _ in self.destinations])
         return place[_drawn([odds for _, odds in self.destinations], number)]
 
-    def _speed(self, number: Numbers) -> Numbers:
-        low, high = self.speeds if isinstance(self.speeds, tuple) else (self.speeds, self.speeds)
-        return low + (high - low) * number
+
+def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
+    """Return values (n,) between two bounds, by numbers (n,) uniform in [0, 1)."""
+    low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
+    return low + (high - low) * number
 
 
 def _drawn(odds: list[float], number: Numbers) -> Places:
@@ -127,7 +141,7 @@ def _drawn(odds: list[float], number: Numbers) -> Places:
 def _check_nothing_beside(stream: Stream) -> None:
     """Raise a ValueError if parcels, destinations or speeds are given beside a trace."""
     usual = Stream()
-    for name in ("parcels", "destinations", "speeds"):
+    for name in ("parcels", "destinations", "speeds", "aside", "turned"):
         if getattr(stream, name) != getattr(usual, name):
             raise ValueError(
                 f"{name} must be left out with a Trace, which has its own, "
@@ -168,12 +182,22 @@ def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, fl
     return check(pair[0]), checks.positive(f"odds of {name}", pair[1], *checks.ODDS)
 
 
-def _speeds(given: Any) -> float | tuple[float, float]:
+def _bounds(
+    name: str, given: Any, check: Callable[[str, Any], float]
+) -> float | tuple[float, float]:
     if not isinstance(given, (tuple, list)):
-        return laws.check_speed("speeds", given)
+        return check(name, given)
     if len(given) != 2:
-        raise ValueError(f"speeds must be one number or two, least and greatest, got {given!r}")
-    low, high = (laws.check_speed("speeds", speed) for speed in given)
+        raise ValueError(f"{name} must be one number or two, least and greatest, got {given!r}")
+    low, high = (check(name, each) for each in given)
     if low > high:
-        raise ValueError(f"speeds must be the least and then the greatest, got {given!r}")
+        raise ValueError(f"{name} must be the least and then the greatest, got {given!r}")
     return low, high
+
+
+def _check_aside(name: str, value: Any) -> float:
+    return checks.within(name, value, -1.0, 1.0)
+
+
+def _check_turned(name: str, value: Any) -> float:
+    return checks.angle(name, value, -math.pi, math.pi)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
+from surface_gym.flow.entry import bars
 from surface_gym.flow.exits import flow_line
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.jit import inlined
-from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
 from surface_gym.tasks.base import Feature, Task
@@ -92,8 +93,18 @@ class StreamTask(Task):
     and write the `EnvState` of one parcel:
 
     - `begin(state)`, as it enters: set `state.memory` from OWN_MEMORY on.
-    - `exit_taken(params, state) -> int`, where no rotor bears it any more: the exit by which it has
-      left, or BETWEEN them.
+    - `outside(state, x, y) -> float`: [m] by which a module in the parcel's box counts as outside
+      its base, where another may bear it; by default 0.
+    - `has_room(params, state, other) -> bool`: whether one that is about to enter, as in
+      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
+    - `has_left(params, state) -> bool`, after every physics step: by default where no rotor bears it.
+    - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
+    - `judge(params, state, taken, passed, belt, runs) -> (bool, float)`, then: whether it has left
+      as it was to, by default by its exit; and the gap [m] to the one before it on the take-away,
+      by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
+      `belt` [m] how far the take-away has moved, and `runs` whether it does.
+    - `inform(params, state, passed, belt, runs)`, before it is observed: write into `state.goal`
+      what it may know of the exits (exits, PASSED_SIZE) and the take-away; by default nothing.
     - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
       The outcome is RUNNING, LEFT_RIGHT or LEFT_WRONG; `state.memory[TOUCHED]` counts touches.
     - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
@@ -129,6 +140,11 @@ class StreamTask(Task):
     options = ("stream",)
     goals = 4
     memories = 1
+    statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
+    # The take-away after the surface; without one no speed, and nothing is asked of gaps.
+    take_away: float = field(default=0.0, init=False, repr=False)  # [m/s]
+    gap: float = field(default=0.0, init=False, repr=False)  # [m]
+    alignment: float = field(default=math.inf, init=False, repr=False)  # [rad]
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
@@ -150,6 +166,55 @@ class StreamTask(Task):
             raise ValueError(f"queue must be 1 without a gate, got {self.queue}")
         if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
             raise ValueError(f"max_parcels must be at most {MOST_PARCELS}, got {self.max_parcels}")
+
+    @staticmethod
+    @inlined
+    def outside(state: EnvState, x: float, y: float) -> float:
+        """Return 0: the box of a parcel counts as its base."""
+        return 0.0
+
+    @staticmethod
+    @inlined
+    def has_room(params: fs.StreamParams, state: EnvState, other: EnvState) -> bool:
+        """Return whether one that enters is as wide as it is and `entry_gap` ahead clear of another."""
+        return not bars(other, state, params.entry_gap)
+
+    @staticmethod
+    @inlined
+    def has_left(params: fs.StreamParams, state: EnvState) -> bool:
+        """Return whether no rotor bears the parcel."""
+        return not state.on_rotors
+
+    @staticmethod
+    @inlined
+    def judge(
+        params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
+    ) -> tuple[bool, float]:
+        """Return whether a parcel has left by its own exit; nothing takes it away."""
+        return taken == int(state.goal[fs.EXIT]), math.nan
+
+    @staticmethod
+    @inlined
+    def inform(
+        params: fs.StreamParams, state: EnvState, passed: Array, belt: float, runs: bool
+    ) -> None:
+        """Show nothing of the exits."""
+
+    @property
+    def most_changes(self) -> int:
+        """Stops and starts of the take-away in an episode at most."""
+        return 0
+
+    def compute_statistics(
+        self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
+    ) -> Any:
+        """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+        return fs.compute_statistics(streams, surface, jammed, obeying)
+
+    def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw when the take-away stops, and starts, in turn (changes,) [s]; by default never."""
+        del rng
+        return np.zeros(0)
 
     @property
     def rows(self) -> int:
@@ -459,10 +524,9 @@ class Flow(StreamTask):
         straight = rear > last_column or truth[X] > params.rotors_end
         towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
         side = 0.0 if straight else towards
+        where = truth[Y] - state.elements.line_y if straight else truth[X]
         for k in range(params.exits.shape[0]):
-            if params.exits[k, 0] == side and (
-                straight or params.exits[k, 1] <= truth[X] < params.exits[k, 2]
-            ):
+            if params.exits[k, 0] == side and params.exits[k, 1] <= where < params.exits[k, 2]:
                 return k
         return fs.BETWEEN
 

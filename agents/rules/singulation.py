@@ -1,0 +1,497 @@
+"""Rules that single parcels out on a slope: time slots at the end, and hold-and-release.
+
+Both see the table of parcels and choose, for each, the modules ahead of its centre and those behind
+it. They turn parcels and lead them to the mouth alike, and differ in how they brake.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.physics.jit import compiled, inlined, linked
+from surface_gym.physics.types import GRAVITY
+
+from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
+
+NOBODY = -1
+ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choices
+
+
+class Slope(NamedTuple):
+    """The surface, the take-away and what is asked, as rules reckon with them."""
+
+    length: float  # [m] of the rotors
+    half_width: float  # [m] of the surface
+    rolls: float  # [m/s^2] gained by a parcel that rolls
+    brakes: float  # [m/s^2] that full braking takes from that
+    take_away: float  # [m/s]
+    gap: float  # [m]
+    alignment: float  # [rad]
+    period: float  # [s] between decisions
+    mouths: Numbers  # (mouths, 2) [m] y of their sides from the line's middle
+
+
+class Tuning(NamedTuple):
+    """Constants of the rules, found by search: see docs/singulation.md."""
+
+    swap: float = 0.11  # [m] that a parcel must be ahead of another to go first
+    margin: float = 0.005  # [m] kept from the sides of a mouth
+    spare_gap: float = 0.02  # [m] beyond the asked gap
+    shift_time: float = 0.033  # [s] that it costs to be led aside,
+    shift_cost: float = 0.79  # [s/m] and for each metre
+    turn_cost: float = 0.25  # [s/rad] that it costs to be turned
+    clear: float = 0.075  # [m] between two, one behind the other
+    following: float = 0.24  # [-] share of full braking that one counts on that follows another
+    shifting: float = 0.7  # [-] and one that waits to be led aside
+    shift_room: float = 0.55  # [m] before the end by which it must be led aside
+    least_speed: float = 0.12  # [m/s] at which modules may turn a parcel
+    turned: float = 0.1  # [rad] that a parcel is left turned by
+    unturning: float = 11.8  # [rad/s^2] at which a turn can be stopped
+    most_turning: float = 5.8  # [rad/s]
+    ahead: float = 0.17  # [m] to be clear ahead of one that is led aside,
+    behind: float = 0.145  # [m] behind it,
+    beside: float = 0.02  # [m] and beside it
+    merged: float = 0.56  # [-] of the length, by which parcels for one mouth follow each other
+    headway: float = 0.1  # [s] that they then are apart
+    yielding: float = 1.05  # [1/m] share of its speed that one yields that is too near
+
+
+class Parcels(NamedTuple):
+    """Parcels of a surface, decoded from their rows; an array (rows,) each."""
+
+    x: Numbers  # [m] along the line from the surface's start
+    y: Numbers  # [m] from its middle
+    vx: Numbers  # [m/s]
+    vy: Numbers  # [m/s]
+    omega: Numbers  # [rad/s]
+    along: Numbers  # [m] half of its extent along x
+    across: Numbers  # [m] half of its extent along y
+    shift: Numbers  # [m] to be led aside, positive to the left; 0: it is within a mouth
+    turn: Numbers  # [rad] to be turned
+    mouth: Integers  # nearest mouth
+    clear: Numbers  # [m] that its mouth's last parcel is past the asked gap
+    runs: Booleans  # whether the take-away runs
+
+
+class Slots(NamedTuple):
+    """The last slots given away, an array (mouths,) each."""
+
+    ready: Numbers  # [s] until that parcel's centre passes the end; -inf: none was given away
+    reach: Numbers  # [m] half of its extent along x
+
+
+@inlined
+def forget_slots(slots: Slots) -> None:
+    """Forget all slots that were given away."""
+    for mouth in range(slots.ready.shape[0]):
+        slots.ready[mouth] = -math.inf
+
+
+@linked
+def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels) -> None:
+    """Decode the rows of a table (rows, features) that hold a parcel."""
+    for k in range(table.shape[0]):
+        row = table[k]
+        if row[ta.PRESENT] < 0.5 or row[ta.WAITS] > 0.5:
+            continue
+        parcels.x[k] = slope.length - row[ta.END]
+        parcels.y[k] = 0.5 * row[ta.OFFSET]
+        parcels.vx[k] = row[ta.FORWARD] + 1.0
+        parcels.vy[k] = 0.5 * row[ta.LATERAL]
+        parcels.omega[k] = 3.0 * row[ta.TURNING]
+        parcels.along[k] = 0.2 + 0.1 * row[ta.ALONG]
+        parcels.across[k] = 0.2 + 0.1 * row[ta.ACROSS]
+        parcels.turn[k] = 0.25 * math.pi * row[ta.TO_TURN]
+        parcels.clear[k] = 0.5 * row[ta.CLEAR]
+        parcels.runs[k] = row[ta.TAKES_AWAY] > 0.5
+        nearest, least = 0, math.inf
+        for m in range(slope.mouths.shape[0]):
+            low, high = slope.mouths[m, 0], slope.mouths[m, 1]
+            away = max(low - parcels.y[k], parcels.y[k] - high)
+            if away < least:
+                nearest, least = m, away
+        parcels.mouth[k] = nearest
+        reach = parcels.across[k] + tuning.margin
+        low, high = slope.mouths[nearest, 0] + reach, slope.mouths[nearest, 1] - reach
+        if low > high:
+            low = high = 0.5 * (low + high)
+        parcels.shift[k] = max(0.0, low - parcels.y[k]) - max(0.0, parcels.y[k] - high)
+
+
+@inlined
+def rolling_time(slope: Slope, distance: float, speed: float) -> float:
+    """[s] over a distance [m] for one that rolls until it has the take-away's speed and keeps it."""
+    start = max(0.0, speed)
+    if start >= slope.take_away:
+        return distance / slope.take_away
+    gained = (slope.take_away * slope.take_away - start * start) / (2.0 * slope.rolls)
+    if gained >= distance:
+        return (math.sqrt(start * start + 2.0 * slope.rolls * distance) - start) / slope.rolls
+    return (slope.take_away - start) / slope.rolls + (distance - gained) / slope.take_away
+
+
+@inlined
+def speed_for(slope: Slope, distance: float, time: float) -> float:
+    """[m/s] from which one that rolls covers a distance [m] in a time [s]; negative: hold it."""
+    spare = slope.take_away * time - distance
+    if spare <= 0.0:
+        return slope.take_away
+    less = math.sqrt(2.0 * slope.rolls * spare)
+    if less <= slope.rolls * time:
+        return slope.take_away - less
+    return distance / time - 0.5 * slope.rolls * time
+
+
+@linked
+def sort_by_progress(
+    table: Singles, parcels: Parcels, order: Integers, came: Numbers, swap: float
+) -> int:
+    """Keep the order (rows,) in which parcels are to leave; return how many there are.
+
+    Those that left are dropped, those that came are last, and one that is far enough ahead of the
+    one before it goes first. `came` (rows,) is the time since each entered, as seen last.
+    """
+    count = 0
+    for place in range(order.shape[0]):
+        k = order[place]
+        if k == NOBODY:
+            break
+        row = table[k]
+        if row[ta.PRESENT] > 0.5 and row[ta.WAITS] < 0.5 and row[ta.TIME] > came[k]:
+            order[count] = k
+            count += 1
+        else:
+            came[k] = -math.inf
+    for k in range(table.shape[0]):
+        row = table[k]
+        if row[ta.PRESENT] < 0.5 or row[ta.WAITS] > 0.5:
+            came[k] = -math.inf
+            continue
+        if came[k] == -math.inf:
+            order[count] = k
+            count += 1
+        came[k] = row[ta.TIME]
+    for place in range(count, order.shape[0]):
+        order[place] = NOBODY
+    for place in range(1, count):
+        j = place
+        while j > 0 and parcels.x[order[j]] > parcels.x[order[j - 1]] + swap:
+            order[j], order[j - 1] = order[j - 1], order[j]
+            j -= 1
+    return count
+
+
+@inlined
+def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
+    """[m/s] at most for one that follows another of a speed [m/s] with room [m] between them."""
+    if room <= 0.0:
+        return 0.9 * speed
+    return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
+
+
+@linked
+def limit_speed(
+    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, place: int
+) -> float:
+    """[m/s] at most for the parcel at a place of the order.
+
+    It keeps off the ones ahead of it, follows the one that goes before it into the same mouth more
+    closely the farther it has come, waits where it could no longer be led aside, and stays on the
+    surface while the take-away stands.
+    """
+    k = order[place]
+    x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
+    limit = math.inf
+    for other in range(count):
+        j = order[other]
+        beside = abs(parcels.y[j] - y) >= parcels.across[j] + parcels.across[k] - 0.01
+        if j == k or parcels.x[j] <= x or beside:
+            continue
+        room = parcels.x[j] - x - parcels.along[j] - parcels.along[k] - tuning.clear
+        limit = min(limit, follow(slope, tuning, room, max(0.0, parcels.vx[j])))
+    for before in range(place - 1, -1, -1):
+        j = order[before]
+        meet = abs(parcels.y[j] + parcels.shift[j] - y - parcels.shift[k])
+        if parcels.mouth[j] != parcels.mouth[k]:
+            continue
+        if meet < parcels.across[j] + parcels.across[k]:
+            near = min(1.0, max(0.0, (x - 0.3) / (tuning.merged * slope.length)))
+            room = (parcels.along[j] + parcels.along[k]) * (2.0 * near - 1.0)
+            room += near * (tuning.clear + tuning.headway * max(0.0, vx))
+            room = parcels.x[j] - x - room
+            speed = max(0.0, parcels.vx[j])
+            if room > 0.0:
+                limit = min(limit, follow(slope, tuning, room, speed))
+            else:
+                limit = min(limit, max(0.0, speed * (1.0 + tuning.yielding * room)))
+        break
+    if parcels.shift[k] != 0.0:
+        room = slope.length - tuning.shift_room - x - abs(parcels.shift[k])
+        limit = min(limit, math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room)))
+    if not parcels.runs[k]:
+        room = slope.length - tuning.clear - x
+        limit = min(limit, math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room)))
+    return limit
+
+
+@inlined
+def is_way_clear(
+    tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int
+) -> bool:
+    """Whether no other is beside a parcel, or where it would be led to."""
+    shift = parcels.shift[k]
+    for place in range(count):
+        j = order[place]
+        if j == k:
+            continue
+        ahead, aside = parcels.x[j] - parcels.x[k], parcels.y[j] - parcels.y[k]
+        long, wide = parcels.along[j] + parcels.along[k], parcels.across[j] + parcels.across[k]
+        if not -(long + tuning.behind) < ahead < long + tuning.ahead + abs(shift):
+            continue
+        if (aside > 0.0) != (shift > 0.0) or abs(aside) >= abs(shift) + wide + tuning.beside:
+            continue
+        if ahead > long and parcels.vx[j] > parcels.vx[k]:
+            continue
+        return False
+    return True
+
+
+@linked
+def choose_halves(
+    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int,
+    speed: float, credit: Numbers, halves: Integers,
+) -> None:  # fmt: skip
+    """Choose (2,) for the modules ahead of a parcel's centre and behind it.
+
+    Args:
+        speed: [m/s] that it is to have after the control period.
+        credit: (rows,) of brakes that are due, which a choice of two halves rounds.
+    """
+    vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
+    shift, turn = parcels.shift[k], parcels.turn[k]
+    share = ((vx - speed) / slope.period + slope.rolls) / slope.brakes
+    credit[k] += 2.0 * min(1.0, max(0.0, share))
+    braked = min(2, int(credit[k]))
+    credit[k] = min(1.0, credit[k] - braked)
+    halves[0] = BRAKE if braked > 0 else ROLL
+    halves[1] = BRAKE if braked > 1 else ROLL
+    tolerance = min(tuning.turned, slope.alignment)
+    # With no alignment asked parcels stay as they are.
+    if slope.alignment < ta.EIGHTH - 1e-9 and vx > tuning.least_speed:
+        if abs(turn) > tolerance or abs(omega) > 0.8:
+            asked = math.sqrt(2.0 * tuning.unturning * max(0.0, abs(turn) - 0.5 * tolerance))
+            asked = math.copysign(min(asked, tuning.most_turning), turn)
+            if abs(asked - omega) > 0.35:
+                if (asked - omega) * asked > 0.0 and abs(asked) > abs(omega):
+                    _turn(halves, asked > 0.0, shift)
+                else:  # rolling stops a turn
+                    halves[0] = halves[1] = ROLL
+                return
+    if shift != 0.0 and is_way_clear(tuning, parcels, order, count, k):
+        coasts = vy * vy / 8.0 + abs(vy) * slope.period  # [m] until rolling has stopped it
+        if vy * shift > 0.0 and abs(shift) <= coasts:
+            halves[0] = halves[1] = ROLL
+        elif braked < 2:
+            halves[0] = halves[1] = TO_LEFT if shift > 0.0 else TO_RIGHT
+
+
+@inlined
+def _turn(halves: Integers, left: bool, shift: float) -> None:
+    """Turn a parcel anti-clockwise or clockwise: by one half where that leads it aside, too."""
+    ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
+    halves[0], halves[1] = ahead, behind
+    if shift != 0.0 and (shift > 0.0) == left:
+        halves[1] = ROLL
+    elif shift != 0.0:
+        halves[0] = ROLL
+    else:
+        halves[1] = ROLL
+
+
+@compiled
+def choose_by_slots(
+    tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
+    order: Integers, came: Numbers, credit: Numbers, halves: Integers,
+) -> None:  # fmt: skip
+    """Choose halves (num_envs, rows, 2) that bring each parcel to the end at its time slot.
+
+    A slot begins as soon as a parcel can be there, and after that of the one before it as the asked
+    gap wants. Who would be early is braked, so much that it then rolls in on time at the
+    take-away's speed.
+    """
+    for i in range(tables.shape[0]):
+        read_parcels(tables[i], slope, tuning, parcels)
+        count = sort_by_progress(tables[i], parcels, order[i], came[i], tuning.swap)
+        forget_slots(slots)
+        for place in range(count):
+            k = order[i, place]
+            mouth = parcels.mouth[k]
+            distance = slope.length - parcels.x[k]
+            late = 0.0  # [s] for what is yet to be done with it
+            if parcels.shift[k] != 0.0:
+                late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
+            if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
+                late += tuning.turn_cost * abs(parcels.turn[k])
+            slot = rolling_time(slope, distance, parcels.vx[k]) + late
+            if slots.ready[mouth] == -math.inf:
+                after = (parcels.along[k] + tuning.spare_gap - parcels.clear[k]) / slope.take_away
+            else:
+                between = parcels.along[k] + slots.reach[mouth] + slope.gap + tuning.spare_gap
+                after = slots.ready[mouth] + between / slope.take_away
+            slot = max(slot, after)
+            slots.ready[mouth], slots.reach[mouth] = slot, parcels.along[k]
+            # A little early, as what comes late cannot be made up for.
+            time = slot - late - min(0.02, 0.02 * distance)
+            speed = speed_for(slope, distance, time)
+            speed = min(slope.take_away, max(0.0, speed + (slope.rolls * slope.period if speed > 0.0 else 0.0)))
+            speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
+            choose_halves(
+                slope, tuning, parcels, order[i], count, k, speed, credit[i], halves[i, k]
+            )
+
+
+@compiled
+def choose_by_release(
+    tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
+    order: Integers, came: Numbers, credit: Numbers, halves: Integers, hold: float,
+) -> None:  # fmt: skip
+    """Choose halves (num_envs, rows, 2) that hold parcels a distance [m] before the end, and let
+    one after the other go from there.
+
+    It is let go as soon as it will leave with the asked gap behind the one before it.
+    """
+    for i in range(tables.shape[0]):
+        read_parcels(tables[i], slope, tuning, parcels)
+        count = sort_by_progress(tables[i], parcels, order[i], came[i], tuning.swap)
+        forget_slots(slots)
+        for place in range(count):
+            k = order[i, place]
+            mouth = parcels.mouth[k]
+            distance = slope.length - parcels.x[k]
+            if slots.ready[mouth] == -math.inf:
+                after = (parcels.along[k] + tuning.spare_gap - parcels.clear[k]) / slope.take_away
+            else:
+                between = parcels.along[k] + slots.reach[mouth] + slope.gap + tuning.spare_gap
+                after = slots.ready[mouth] + between / slope.take_away
+            slot = rolling_time(slope, distance, parcels.vx[k])
+            room = distance - hold - parcels.along[k]
+            speed = slope.take_away
+            if room > -0.02 and (slot < after or parcels.shift[k] != 0.0):
+                speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
+            slots.ready[mouth], slots.reach[mouth] = max(slot, after), parcels.along[k]
+            speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
+            choose_halves(
+                slope, tuning, parcels, order[i], count, k, speed, credit[i], halves[i, k]
+            )
+
+
+class SlopeMemory(NamedTuple):
+    """What a rule remembers, an array (num_envs, rows) each."""
+
+    order: Integers  # rows in which parcels are to leave; NOBODY: no more
+    came: Numbers  # time since each entered, as seen last; -inf: nobody
+    credit: Numbers  # [-] of brakes that are due
+
+
+class SlopeRule(BatchController):
+    """A rule for tasks on a slope with a take-away, by `actions="parcels"`."""
+
+    _dims = 2
+
+    def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
+        checks.one_of("actions", config.actions, ("parcels",))
+        checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
+        if config.action_kind.continuous:
+            raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
+        axes = find_axes(config)
+        self._choices = np.array([axes.roll, axes.brake, axes.left, axes.right])
+        self._slope = read_slope(config)
+        self._tuning = Tuning() if tuning is None else tuning
+        rows = config.rows
+        numbers = {name: np.zeros(rows) for name in Parcels._fields}
+        numbers["mouth"] = np.zeros(rows, dtype=np.int64)
+        numbers["runs"] = np.zeros(rows, dtype=np.bool_)
+        self._parcels = Parcels(**numbers)
+        self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
+
+    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
+        """Write halves (num_envs, rows, 2), of which those of free rows stay."""
+        raise NotImplementedError
+
+    def _predict(
+        self, batch: Singles, state: Any, episode_start: Any, **_: bool
+    ) -> tuple[Integers, SlopeMemory]:
+        num_envs, rows, _features = batch.shape
+        fresh = is_fresh(num_envs, state, episode_start)
+        if state is None:
+            memory = SlopeMemory(
+                np.full((num_envs, rows), NOBODY),
+                np.full((num_envs, rows), -np.inf),
+                np.zeros((num_envs, rows)),
+            )
+        else:
+            memory = SlopeMemory(*(values.copy() for values in state))
+        for values, value in zip(memory, (NOBODY, -np.inf, 0.5), strict=True):
+            values[fresh] = value
+        halves = np.full((num_envs, rows, 2), ROLL)
+        self._choose(np.ascontiguousarray(batch), memory, halves)
+        return self._choices[halves].reshape(num_envs, -1), memory
+
+
+def read_slope(config: EnvConfig) -> Slope:
+    """Read the surface, the take-away and what is asked from a configuration."""
+    task, line = config.stream_task, config.chosen_line
+    low, high = line.extent[2] - line.line_y, line.extent[3] - line.line_y
+    sine, cosine = math.sin(task.tilt), math.cos(task.tilt)
+    along, across = float(np.max(line.mu_max)), float(np.max(line.mu_min))
+    rolls, brakes = GRAVITY * (sine - across * cosine), GRAVITY * cosine * (along - across)
+    if rolls <= 0.0 or rolls >= brakes:
+        raise ValueError(
+            f"tilt must let parcels roll, and be held by braking, got {math.degrees(task.tilt):g} deg"
+        )
+    return Slope(
+        length=config.rotors_end - config.entry_x,
+        half_width=0.5 * (high - low),
+        rolls=rolls,
+        brakes=brakes,
+        take_away=task.take_away,
+        gap=task.gap,
+        alignment=task.alignment,
+        period=config.control_period,
+        mouths=np.clip([(each.first, each.last) for each in config.exits], low, high),
+    )
+
+
+class TimeSlots(SlopeRule):
+    """Give each parcel a time slot at the end, and brake those that would be early."""
+
+    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
+        choose_by_slots(tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
+
+
+HOLD = 0.5  # [m] before the end
+
+
+class HoldAndRelease(SlopeRule):
+    """Hold parcels before the end, and let them go one by one: zero-pressure accumulation.
+
+    Args:
+        hold: [m] from where a parcel's front is held to the end.
+    """
+
+    def __init__(
+        self, config: EnvConfig, tuning: Tuning | None = None, hold: float = HOLD
+    ) -> None:
+        super().__init__(config, tuning)
+        self._hold = checks.not_negative("hold", hold, self._slope.length)
+
+    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
+        choose_by_release(
+            tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves, self._hold
+        )
