@@ -8,7 +8,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -24,7 +23,7 @@ ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choic
 
 
 class Slope(NamedTuple):
-    """The surface, the take-away and what is asked, as rules reckon with them."""
+    """The surface, the take-away and what is asked, as rules count on them."""
 
     length: float  # [m] of the rotors
     half_width: float  # [m] of the surface
@@ -79,6 +78,14 @@ class Parcels(NamedTuple):
     runs: Booleans  # whether the take-away runs
 
 
+def make_parcels(rows: int) -> Parcels:
+    """Make room for the parcels of a surface."""
+    kinds = Parcels.__annotations__
+    types = {"mouth": np.int64, "runs": np.bool_}
+    arrays: dict[str, Any] = {name: np.zeros(rows, types.get(name, np.float64)) for name in kinds}
+    return Parcels(**arrays)
+
+
 class Slots(NamedTuple):
     """The last slots given away, an array (mouths,) each."""
 
@@ -126,7 +133,7 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels)
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """[s] over a distance [m] for one that rolls until it has the take-away's speed and keeps it."""
+    """[s] over a distance [m] for one that rolls until it has the take-away's speed, and keeps it."""
     start = max(0.0, speed)
     if start >= slope.take_away:
         return distance / slope.take_away
@@ -241,9 +248,7 @@ def limit_speed(
 
 
 @inlined
-def is_way_clear(
-    tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int
-) -> bool:
+def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int) -> bool:
     """Whether no other is beside a parcel, or where it would be led to."""
     shift = parcels.shift[k]
     for place in range(count):
@@ -283,16 +288,16 @@ def choose_halves(
     halves[1] = BRAKE if braked > 1 else ROLL
     tolerance = min(tuning.turned, slope.alignment)
     # With no alignment asked parcels stay as they are.
-    if slope.alignment < ta.EIGHTH - 1e-9 and vx > tuning.least_speed:
-        if abs(turn) > tolerance or abs(omega) > 0.8:
-            asked = math.sqrt(2.0 * tuning.unturning * max(0.0, abs(turn) - 0.5 * tolerance))
-            asked = math.copysign(min(asked, tuning.most_turning), turn)
-            if abs(asked - omega) > 0.35:
-                if (asked - omega) * asked > 0.0 and abs(asked) > abs(omega):
-                    _turn(halves, asked > 0.0, shift)
-                else:  # rolling stops a turn
-                    halves[0] = halves[1] = ROLL
-                return
+    turns = slope.alignment < ta.EIGHTH - 1e-9 and vx > tuning.least_speed
+    if turns and (abs(turn) > tolerance or abs(omega) > 0.8):
+        asked = math.sqrt(2.0 * tuning.unturning * max(0.0, abs(turn) - 0.5 * tolerance))
+        asked = math.copysign(min(asked, tuning.most_turning), turn)
+        if abs(asked - omega) > 0.35:
+            if (asked - omega) * asked > 0.0 and abs(asked) > abs(omega):
+                _turn(halves, asked > 0.0, shift)
+            else:  # rolling stops a turn
+                halves[0] = halves[1] = ROLL
+            return
     if shift != 0.0 and is_way_clear(tuning, parcels, order, count, k):
         coasts = vy * vy / 8.0 + abs(vy) * slope.period  # [m] until rolling has stopped it
         if vy * shift > 0.0 and abs(shift) <= coasts:
@@ -349,7 +354,7 @@ def choose_by_slots(
             # A little early, as what comes late cannot be made up for.
             time = slot - late - min(0.02, 0.02 * distance)
             speed = speed_for(slope, distance, time)
-            speed = min(slope.take_away, max(0.0, speed + (slope.rolls * slope.period if speed > 0.0 else 0.0)))
+            speed = min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             choose_halves(
                 slope, tuning, parcels, order[i], count, k, speed, credit[i], halves[i, k]
@@ -413,11 +418,7 @@ class SlopeRule(BatchController):
         self._choices = np.array([axes.roll, axes.brake, axes.left, axes.right])
         self._slope = read_slope(config)
         self._tuning = Tuning() if tuning is None else tuning
-        rows = config.rows
-        numbers = {name: np.zeros(rows) for name in Parcels._fields}
-        numbers["mouth"] = np.zeros(rows, dtype=np.int64)
-        numbers["runs"] = np.zeros(rows, dtype=np.bool_)
-        self._parcels = Parcels(**numbers)
+        self._parcels = make_parcels(config.rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
     def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
@@ -453,7 +454,7 @@ def read_slope(config: EnvConfig) -> Slope:
     rolls, brakes = GRAVITY * (sine - across * cosine), GRAVITY * cosine * (along - across)
     if rolls <= 0.0 or rolls >= brakes:
         raise ValueError(
-            f"tilt must let parcels roll, and be held by braking, got {math.degrees(task.tilt):g} deg"
+            f"tilt must let parcels roll, and brakes hold them, got {math.degrees(task.tilt):g} deg"
         )
     return Slope(
         length=config.rotors_end - config.entry_x,
@@ -472,7 +473,9 @@ class TimeSlots(SlopeRule):
     """Give each parcel a time slot at the end, and brake those that would be early."""
 
     def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
-        choose_by_slots(tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
+        choose_by_slots(
+            tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves
+        )
 
 
 HOLD = 0.5  # [m] before the end
@@ -485,13 +488,18 @@ class HoldAndRelease(SlopeRule):
         hold: [m] from where a parcel's front is held to the end.
     """
 
-    def __init__(
-        self, config: EnvConfig, tuning: Tuning | None = None, hold: float = HOLD
-    ) -> None:
+    def __init__(self, config: EnvConfig, tuning: Tuning | None = None, hold: float = HOLD) -> None:
         super().__init__(config, tuning)
         self._hold = checks.not_negative("hold", hold, self._slope.length)
 
     def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
         choose_by_release(
-            tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves, self._hold
+            tables,
+            self._slope,
+            self._tuning,
+            self._parcels,
+            self._slots,
+            *memory,
+            halves,
+            self._hold,
         )

@@ -88,8 +88,8 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
     names = (
-        "begin outside has_room has_left exit_taken judge inform reward observe observe_neighbour "
-        "observe_no_neighbour"
+        "begin outside has_room has_left exit_taken deliver inform reward observe "
+        "observe_neighbour observe_no_neighbour"
     )
     return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",

@@ -73,9 +73,11 @@ def claiming(outside: Function) -> Any:
     """Build `claim_modules`, by the task's `outside(state, x, y)`."""
 
     @inlined
-    def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float) -> None:
-        """Let the parcel in a slot claim every module of the zone that bears it, or that it will be the
-        first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
+    def claim_modules(
+        owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
+    ) -> None:
+        """Let the parcel in a slot claim every module of the zone that bears it, or that it will be
+        the first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -233,7 +235,7 @@ class StreamFunctions(NamedTuple):
     has_room: Function
     has_left: Function
     exit_taken: Function
-    judge: Function
+    deliver: Function
     inform: Function
     reward: Function
     observe: Function
@@ -344,7 +346,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     period, and those that have ended stay. It returns how many have a fault.
     """
     task_begin, task_reward, task_exit = functions.begin, functions.reward, functions.exit_taken
-    has_left, judge, let_in = functions.has_left, functions.judge, entering(functions.has_room)
+    has_left, deliver, let_in = functions.has_left, functions.deliver, entering(functions.has_room)
     sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
     sensor_read, watches = functions.read_sensor, functions.watches
     _, turn, straighten, turns = functions.actuation
@@ -432,7 +434,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         if has_left(stream_params, state):
                             st.read_truth(state)
                             taken = task_exit(stream_params, state)
-                            right, gap = judge(
+                            right, gap = deliver(
                                 stream_params, state, taken, streams.passed[i, max(taken, 0)],
                                 streams.belt[i], takes_away(streams, i),
                             )  # fmt: skip

@@ -27,8 +27,8 @@ class Singulate(TakeAwayTask):
     `stream` says when parcels come, which, and how: see `surface_gym.flow.stream`. By default boxes
     of 0.2 to 0.45 m x 0.2 to 0.4 m at random, 9000 an hour, at 0.8 m/s, anywhere across the surface
     and turned by any angle. A parcel enters with its rear at the upper edge when its time has come
-    and its base is `entry_gap` clear of all others, at most one a physics step; until then it waits,
-    and so do those after it. `Schedule` makes slugs, clumps with pauses; a `Trace` is a recorded
+    and its base is `entry_gap` clear of all others, at most one a physics step; until then it
+    waits, and so do those after it. `Schedule` makes slugs, clumps with pauses; a `Trace` is a recorded
     stream.
 
     ### The end
@@ -55,8 +55,8 @@ class Singulate(TakeAwayTask):
     | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
 
     At 0 deg modules brake a parcel, at 90 deg it rolls on, at -45 deg they lead it to y > 0 and at
-    45 deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels" a module obeys
-    the parcel that it bears, or else the one that will bear on it first, if within `ahead` seconds:
+    45 deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels" a module
+    obeys the parcel that it bears, or else the one that will bear on it first, if within `ahead` seconds:
     by the parcels' boxes as they are sensed and move on; of two that it bears at once, the one with
     the nearer centre. A module that no parcel claims stays as it is.
 
@@ -100,8 +100,8 @@ class Singulate(TakeAwayTask):
     order they came, -1 for a free one; `entered`, `right`, `wrong`, `touches`, `turns` so far and
     how many are `waiting`; the terms of the reward, each as `reward_` and its name. As an episode
     ends its figures come, 0 before: the fields of `surface_gym.flow.take_away.TakeAwayStatistics`,
-    each as `episode_` and its name: parcels an hour, share of right gaps, gaps, touches, the largest
-    impulse and squeeze, times.
+    each as `episode_` and its name: parcels an hour, share of right gaps, gaps, touches, the
+    largest impulse and squeeze, times.
 
     `reset(options={"stream": ...})` gives an episode a stream of its own. Sensors and randomisation
     are those of each parcel, but friction and stiffness, which are the surface's.

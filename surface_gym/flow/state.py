@@ -56,7 +56,9 @@ class StreamState(NamedTuple):
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
-    passed: Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that left by each
+    passed: (
+        Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that left by each
+    )
     demand: Array  # (surfaces, changes) [s] when the take-away stops, and starts, in turn
     changes: Integers  # (surfaces,) of these that have come
     belt: Array  # (surfaces,) [m] that the take-away has moved
@@ -230,8 +232,10 @@ def compute_statistics(
 
 
 def mean(values: np.ndarray) -> float:
+    """Return the mean of values (n,); nan where there are none."""
     return float(values.mean()) if values.size else np.nan
 
 
 def percentile(values: np.ndarray, share: float) -> float:
+    """Return the percentile [%] of values (n,); nan where there are none."""
     return float(np.percentile(values, share)) if values.size else np.nan

@@ -298,7 +298,9 @@ class TakeAwayTask(StreamTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         set_field = object.__setattr__
-        set_field(self, "take_away", checks.positive("take_away", self.take_away, most=checks.SPEED))
+        set_field(
+            self, "take_away", checks.positive("take_away", self.take_away, most=checks.SPEED)
+        )
         set_field(self, "gap", checks.not_negative("gap", self.gap, checks.LENGTH[1]))
         set_field(self, "alignment", checks.angle("alignment", self.alignment, 0.0, EIGHTH))
         checks.instance("demand", self.demand, Stops | None, "Stops, or None")
@@ -318,8 +320,9 @@ class TakeAwayTask(StreamTask):
     def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
         if self.demand is None:
             return np.zeros(0)
-        times = rng.uniform(*np.transpose([self.demand.run, self.demand.stop]), (self.most_changes // 2, 2))
-        return np.cumsum(times.ravel())
+        count = self.most_changes // 2
+        times = [rng.uniform(*bounds, count) for bounds in (self.demand.run, self.demand.stop)]
+        return np.cumsum(np.transpose(times).ravel())
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
@@ -378,7 +381,7 @@ class TakeAwayTask(StreamTask):
 
     @staticmethod
     @inlined
-    def judge(
+    def deliver(
         params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
     ) -> tuple[bool, float]:
         """Return whether a parcel has left through a mouth, with its gap, aligned, while the
@@ -447,12 +450,9 @@ class TakeAwayTask(StreamTask):
         extent = reach_along(state, theta, 1.0, 0.0) + reach_along(state, theta, -1.0, 0.0)
         # How far it must move so that neither of its sides is beyond the mouth's, or both alike.
         below, above = goal[LOW] - (offset - right), goal[HIGH] - (offset + left)
-        to_mouth = 0.0
-        if below > 0.0 or above < 0.0:
-            if below > above:
-                to_mouth = 0.5 * (below + above)
-            else:
-                to_mouth = below if below > 0.0 else above
+        to_mouth = max(0.0, below) + min(0.0, above)
+        if below > above:  # it is wider than the mouth
+            to_mouth = 0.5 * (below + above)
         acceleration = state.surface[st.GRAVITY_ALONG] - 0.01 * state.surface[st.GRAVITY_NORMAL]
         see = state.observation
         see[END] = min(1000.0, max(-20.0, distance))

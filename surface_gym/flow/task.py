@@ -99,7 +99,7 @@ class StreamTask(Task):
       `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
     - `has_left(params, state) -> bool`, after every physics step: by default where no rotor bears it.
     - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
-    - `judge(params, state, taken, passed, belt, runs) -> (bool, float)`, then: whether it has left
+    - `deliver(params, state, taken, passed, belt, runs) -> (bool, float)`, then: whether it has left
       as it was to, by default by its exit; and the gap [m] to the one before it on the take-away,
       by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
       `belt` [m] how far the take-away has moved, and `runs` whether it does.
@@ -187,7 +187,7 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
-    def judge(
+    def deliver(
         params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
     ) -> tuple[bool, float]:
         """Return whether a parcel has left by its own exit; nothing takes it away."""

@@ -21,9 +21,8 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.resets import place_parcel
 from surface_gym.flow.arrivals import Schedule
 from surface_gym.flow.batch import BodyPool, list_figures
-from surface_gym.flow.task import Flow
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import FEATURES
+from surface_gym.flow.task import FEATURES, Flow
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import FLOW
 from surface_gym.vector_env import SmartSurfaceVectorEnv

@@ -112,8 +112,8 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varied: dict[s
         assert len(seen) >= 3
         numbers = np.nonzero(~np.isnan(kept[0]))[0].tolist()
         assert {number: kept[0, number] for number in numbers} == pytest.approx(seen)
-    figures = {name: info[f"episode_{name}"] for name in names}
     found = fs.compute_statistics(streams, 0, jammed=False, obeying=4 * 15)
+    figures = {name: info[f"episode_{name}"] for name in vars(found)}
     assert figures == pytest.approx(dataclasses.asdict(found), nan_ok=True)
     assert figures["turns_per_hour"] == pytest.approx(3600.0 * turns / (4 * 15 * info["time"]))
     # Of who touched whom only those that have left count, each for its half.
