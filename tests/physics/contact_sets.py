@@ -60,7 +60,7 @@ def make_contacts(
 def make_grid(along: float = 0.0) -> ph.Grid:
     """A grid of one element, for functions that read no more than gravity."""
     return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
-        gravity_along=along, gravity_normal=WEIGHT
+        gravity_x=along, gravity_y=0.0, gravity_normal=WEIGHT
     )
 
 

@@ -37,7 +37,7 @@ class Problem:
     @property
     def free_velocity(self) -> np.ndarray:
         """Velocity after the step without friction."""
-        return self.velocity + np.array([self.dt * self.grid.gravity_along, 0.0, 0.0])
+        return self.velocity + self.dt * np.array([self.grid.gravity_x, self.grid.gravity_y, 0.0])
 
     @property
     def slides(self) -> tuple[np.ndarray, np.ndarray]:
