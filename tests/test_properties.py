@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 import surface_gym as sg
+from tests import worlds
 from tests.strategies import COLUMNS, ROWS, Scene, scenes
 
 
@@ -36,18 +37,10 @@ def mirrored(scene: Scene) -> Scene:
 
 def quarter_turned(scene: Scene) -> Scene:
     """The scene turned by 90 deg about the origin, its slope with it."""
-    surface = scene.surface
     x, y, theta = scene.pose
     vx, vy, omega = scene.velocity
     return Scene(
-        surface=replace(
-            surface,
-            axis=surface.axis.T[:, ::-1] + math.pi / 2,
-            rotor=surface.rotor.T[:, ::-1],
-            stiffness=None if surface.stiffness is None else surface.stiffness.T[:, ::-1],
-            origin=(-surface.y[-1], surface.x[0]),
-            tilt_direction=surface.tilt_direction + math.pi / 2,
-        ),
+        surface=worlds.quarter_turned(scene.surface),
         parcel=scene.parcel,
         pose=(-y, x, theta + math.pi / 2),
         velocity=(-vy, vx, omega),
