@@ -56,7 +56,7 @@ def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
     np.testing.assert_allclose(runs[0].pose[-1], runs[1].pose[-1], atol=tolerance)
 
 
-@pytest.mark.parametrize("tilt_direction", [0.0, 2.0])
+@pytest.mark.parametrize("tilt_direction", [0.0, 1.0])
 def test_any_layout_and_parcel_agree_with_simulate(tilt_direction):
     rng = np.random.default_rng(3)
     axis, rotor = rng.uniform(-math.pi, math.pi, (20, 40)), rng.random((20, 40)) < 0.7
