@@ -13,7 +13,7 @@ from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.types import RADIUS, VX, Array, Integers
 from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
-from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState
+from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -92,8 +92,8 @@ class _ParcelHistory:
         ]
         if outcome != RUNNING:
             readings.append(("end", batch.outcomes[outcome]))
-        conditions = batch.surfaces.conditions[i]
-        steepness = conditions[GRAVITY_ALONG] / float(np.hypot(*conditions[3:5]))
+        downhill, normal = batch.surfaces.conditions[i, [GRAVITY_X, GRAVITY_NORMAL]]
+        steepness = downhill / float(np.hypot(downhill, normal))
         return Scene(
             axis=batch.axes(i),
             rotor=view.rotor,
@@ -184,6 +184,7 @@ class _StreamHistory:
             origin=line.origin,
             zone=config.site.zone,
             tilt=batch.task.tilt,
+            tilt_direction=batch.task.tilt_direction,
             title=type(batch.task).__name__ if title is None else title,
             readings=self._readings(),
         )

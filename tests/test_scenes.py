@@ -253,10 +253,10 @@ class TestExits:
 
 class TestReadings:
     def test_axes_zone_and_tilt_are_the_surfaces(self):
-        batch, renderer = running((0.0, "left"), tilt=0.05)
+        batch, renderer = running((0.0, "left"), tilt=0.05, tilt_direction=1.2)
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
-        assert (scene.title, scene.tilt) == ("env 0", 0.05)
+        assert (scene.title, scene.tilt, scene.tilt_direction) == ("env 0", 0.05, 1.2)
         assert scene.zone == batch.config.site.zone
         expected = np.where(scene.obeys & scene.rotor, math.pi / 4, math.pi / 2)
         np.testing.assert_allclose(scene.axis, expected)

@@ -20,8 +20,8 @@ from surface_gym.flow.arrivals import Arrivals
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
-from surface_gym.physics.step import com_states
-from surface_gym.physics.types import GRAVITY, Array, Integers
+from surface_gym.physics.step import com_states, split_gravity
+from surface_gym.physics.types import Array, Integers
 from surface_gym.sensors.base import Sensor
 
 _FIRST_ROOM = 16
@@ -149,8 +149,8 @@ class StreamBatch(BaseBatch):
         self.rows = task.rows
         self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
-        self.surfaces.conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
-        self.surfaces.conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
+        gravity = split_gravity(task.tilt, task.tilt_direction)
+        self.surfaces.conditions[:, st.GRAVITY_COLUMNS] = gravity
         self._pool = BodyPool(partial(place_in, config), task.parcels[0])
         obeys = self._pool.bodies.obeys
         if config.actuators.stuck_share > 0.0:

@@ -121,9 +121,10 @@ class StreamTask(Task):
     exits: Any = "chutes"  # a preset, or `Exits`
     duration: float = 60.0  # [s] of an episode
     max_parcels: int = 24  # on the line at once
-    # [rad] downhill towards +x; the default makes up for what rolling costs: a parcel of 1 m/s
-    # would not reach the end of 6 m of a level line
+    # [rad] downhill towards `tilt_direction`; the default makes up for what rolling costs: a parcel
+    # of 1 m/s would not reach the end of 6 m of a level line
     tilt: float = LEVELLING
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
     restitution: float = 0.0  # [-] of sides that touch
     side_friction: float = 0.3  # [-] between them
     gate: bool = False  # whether an action says when the next parcel may enter
@@ -160,6 +161,7 @@ class StreamTask(Task):
         ):
             set_field(self, name, checks.not_negative(name, getattr(self, name), most))
         set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
+        set_field(self, "tilt_direction", checks.angle("tilt_direction", self.tilt_direction))
         set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
         checks.one_of("gate", self.gate, (False, True))
         if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:

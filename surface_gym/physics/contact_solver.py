@@ -228,7 +228,9 @@ def _continue(
         k = island.member[n]
         for axis in range(3):
             scratch.target[k, axis] = scratch.start[k, axis]
-        scratch.target[k, 0] += (dt - scratch.since[k]) * grid.gravity_along
+        rest = dt - scratch.since[k]
+        scratch.target[k, 0] += rest * grid.gravity_x
+        scratch.target[k, 1] += rest * grid.gravity_y
     islands.solve_velocities(island, material.friction)
     _apply_impulses(scratch, island)
 

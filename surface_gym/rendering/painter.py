@@ -72,7 +72,7 @@ class Strips:
         end = self._write_scale(canvas, area, layout)
         if scene.tilt != 0.0:
             place = (end - self.margin, self._middle_below(area))
-            end = self._write_tilt(canvas, scene.tilt, place)
+            end = self._write_tilt(canvas, scene.tilt, scene.tilt_direction, place)
         self.write_legend(canvas, area, [scene], end - self.margin)
 
     def write_legend(
@@ -154,14 +154,17 @@ class Strips:
         text = ink.write(canvas, f"{metres:g} m", self.small, ink.INK, midbottom=place)
         return min(bar.left, text.left)
 
-    def _write_tilt(self, canvas: pygame.Surface, tilt: float, midright: tuple[int, int]) -> int:
+    def _write_tilt(
+        self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
+    ) -> int:
         """Write the tilt with an arrow that points downhill; the x where it begins."""
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
         tip, begin = area.left - 8, area.left - 8 - 2 * self.small
-        ends = np.array([[begin, area.centery], [tip, area.centery]], dtype=np.float64)
-        tail, head = ends if tilt > 0.0 else ends[::-1]
-        ink.arrow(canvas, tail, head, 0.13 * self.small, ink.INK)
+        middle = np.array([0.5 * (begin + tip), area.centery])
+        half = math.copysign(0.5 * (tip - begin), tilt)  # pixels count downwards, y upwards
+        way = half * np.array([math.cos(direction), -math.sin(direction)])
+        ink.arrow(canvas, middle - way, middle + way, 0.13 * self.small, ink.INK)
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:

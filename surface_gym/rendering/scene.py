@@ -166,7 +166,8 @@ class Scene:
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
     zone: Zone | None = None  # the modules that obey a controller; None: all do
-    tilt: float = 0.0  # [rad] downhill towards +x
+    tilt: float = 0.0  # [rad] downhill towards `tilt_direction`
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
     title: str = ""
     readings: tuple[tuple[str, str], ...] = ()  # label and text of each number shown
 
@@ -182,6 +183,7 @@ class Scene:
         _set(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
         _set(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
         _set(self, tilt=checks.number("tilt", self.tilt))
+        _set(self, tilt_direction=checks.angle("tilt_direction", self.tilt_direction))
         if self.zone is not None:
             _set(self, zone=_checked_zone(self.zone, self.rows, self.columns))
         if self.goal is not None and not isinstance(self.goal, Goal):

@@ -206,7 +206,8 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = recipe.friction_stiffening
     option.tolerance = recipe.tolerance
-    option.gravity = [GRAVITY * math.sin(surface.tilt), 0.0, -GRAVITY * math.cos(surface.tilt)]
+    grid = surface.grid
+    option.gravity = [grid.gravity_x, grid.gravity_y, -grid.gravity_normal]
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:

@@ -141,7 +141,8 @@ def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     axis = np.full(settings.site.rotor.shape, math.pi / 2)
     axis[first_row : first_row + rows, first : first + columns] = angle
     level = settings.chosen_line.surface(axis, settings.site.rotor)
-    return dataclasses.replace(level, tilt=settings.stream_task.tilt)
+    task = settings.stream_task
+    return dataclasses.replace(level, tilt=task.tilt, tilt_direction=task.tilt_direction)
 
 
 def assert_alike(first: Any, second: Any) -> None:

@@ -25,6 +25,7 @@ def test_a_wrong_field_is_named(busy):
         ({"pitch": 0.0}, "pitch must be greater than 0"),
         ({"origin": (0.05,)}, "origin must have the shape"),
         ({"tilt": "steep"}, "tilt must be a finite number"),
+        ({"tilt_direction": 90.0}, "tilt_direction must be between"),
         ({"zone": (3, 16)}, "zone must be first row, rows"),
         ({"zone": (9, 0, 3, 16)}, "zone's rows must be a whole number"),
         ({"zone": (9, 2, 60, 16)}, "zone must lie within"),
