@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
+from surface_gym.flow.state import BETWEEN, ENTERED, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.types import RADIUS, VX, Array, Integers
 from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
 from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
@@ -177,7 +177,7 @@ class _StreamHistory:
                 self._exits,
                 tuple(delivered.tolist()),
                 missorted=int(streams.tally[i, WRONG]),
-                waiting=int(streams.due[i] - streams.coming[i]),
+                waiting=int(streams.due[i] - streams.tally[i, ENTERED]),
             ),
             touching=self._touching(slots, len(departed)),
             pitch=line.pitch,

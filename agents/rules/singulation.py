@@ -133,7 +133,7 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels)
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """[s] over a distance [m] for one that rolls until it has the take-away's speed, and keeps it."""
+    """[s] over a distance [m] for one that rolls, but no faster than the take-away."""
     start = max(0.0, speed)
     if start >= slope.take_away:
         return distance / slope.take_away

@@ -17,10 +17,11 @@ from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
 from surface_gym.flow import kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
+from surface_gym.flow.inlets import EDGE
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
-from surface_gym.physics.step import com_states, split_gravity
+from surface_gym.physics.step import axis_direction, com_states, split_gravity
 from surface_gym.physics.types import Array, Integers
 from surface_gym.sensors.base import Sensor
 
@@ -108,8 +109,8 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
     return fs.StreamParams(
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
         ahead=task.ahead, duration=task.duration, patience=task.patience,
-        queue=task.rows - task.max_parcels, take_away=task.take_away, gap=task.gap,
-        alignment=task.alignment, touching=task.touching,
+        inlets=len(config.inlets), queue=task.rows - task.max_parcels,
+        take_away=task.take_away, gap=task.gap, alignment=task.alignment, touching=task.touching,
         waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
@@ -212,7 +213,7 @@ class StreamBatch(BaseBatch):
             "time": streams.clock.copy(),
             "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
             **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
-            "waiting": streams.due - streams.coming,
+            "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
@@ -227,7 +228,7 @@ class StreamBatch(BaseBatch):
             "time": streams.clock.item(env_index),
             "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
             **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
-            "waiting": streams.due.item(env_index) - streams.coming.item(env_index),
+            "waiting": streams.due.item(env_index) - streams.tally.item(env_index, fs.ENTERED),
         }
 
     def _figures(self) -> Infos:
@@ -262,7 +263,8 @@ class StreamBatch(BaseBatch):
             rng = self._generator(i)
             self._draw_surface(i, rng)
             stream = option.get("stream", self.task.stream)
-            arrivals = stream.draw(rng, self.task.duration, self.config.exits)
+            config = self.config
+            arrivals = stream.draw(rng, self.task.duration, config.exits, config.inlets)
             self._write(i, arrivals, rng)
             share = self.config.actuators.stuck_share
             if share > 0.0:
@@ -289,6 +291,8 @@ class StreamBatch(BaseBatch):
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
         streams.exit[i, :count] = arrivals.exit
+        streams.inlet[i, :count] = arrivals.inlet
+        streams.order[i, :count] = arrivals.number
         streams.arrivals[i] = count
         body, streams.start[i, :count] = self._entries(i, arrivals, rng)
         streams.body[i, :count] = body
@@ -296,8 +300,8 @@ class StreamBatch(BaseBatch):
             ("entered", np.nan), ("left", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", st.STARTING), ("right", False), ("gap", np.nan),
-            ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0), ("pressing", 0.0),
+            ("tally", 0), ("outcome", st.STARTING), ("past", False), ("right", False),
+            ("gap", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0), ("pressing", 0.0),
             ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
@@ -311,7 +315,8 @@ class StreamBatch(BaseBatch):
         they enter: the rear at the line's edge, where the stream and the randomisation place it.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
-        placed = bool(arrivals.aside.any() or arrivals.turned.any())
+        entrances = self.config.entrances
+        placed = bool(arrivals.aside.any() or arrivals.turned.any() or self.config.inlets != EDGE)
         middle = self.config.chosen_line.line_y
         _, _, low, high = self.config.chosen_line.extent
         room = (low - middle, high - middle)
@@ -326,10 +331,10 @@ class StreamBatch(BaseBatch):
             aside = np.array([aside for _, aside, _ in drawn])
             turned = arrivals.turned + [turned for _, _, turned in drawn]
             if placed:
-                zone_rows = self.config.site.zone[1] * self.config.chosen_line.pitch_y
+                widths = np.array([each.width for each in entrances])[arrivals.inlet]
                 aside = aside + [
-                    _place_across(*each, zone_rows)
-                    for each in zip(parcels, turned, arrivals.aside, strict=True)
+                    _place_across(*each)
+                    for each in zip(parcels, turned, arrivals.aside, widths, strict=True)
                 ]
             body = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
             self._used[i] = body.tolist()
@@ -345,6 +350,14 @@ class StreamBatch(BaseBatch):
         pose = np.stack([self.config.entry_x + rear, middle + aside, turned], axis=-1)
         velocity = np.zeros((count, 3))
         velocity[:, 0] = arrivals.speed
+        for k, entrance in enumerate(entrances if placed else ()):
+            here = arrivals.inlet == k
+            way = np.array(axis_direction(entrance.heading))
+            across = np.array([-way[1], way[0]])
+            place = np.array([entrance.x, entrance.y])
+            pose[here, :2] = place + np.outer(rear[here], way) + np.outer(aside[here], across)
+            pose[here, 2] += entrance.heading
+            velocity[here, :2] = np.outer(arrivals.speed[here], way)
         return body, com_states(centre, pose, velocity)
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:

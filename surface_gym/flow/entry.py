@@ -4,6 +4,7 @@ A surface has a fixed number of slots, each a row of the batch's arrays that one
 has. With a gate more rows show the parcels that wait.
 """
 
+import math
 from typing import Any
 
 from surface_gym import state as st
@@ -37,6 +38,12 @@ def _free_slot(streams: StreamState, i: int, slots: int) -> int:
         if streams.number[i, slot] == fs.NOBODY:
             return slot
     return fs.NOBODY
+
+
+@inlined
+def count_waiting(streams: StreamState, i: int) -> int:
+    """Count the parcels whose time has come and that have not entered."""
+    return streams.due[i] - streams.tally[i, fs.ENTERED]
 
 
 @inlined
@@ -87,6 +94,8 @@ def _put(
     parcels.goal[row, fs.SIDE] = stream_params.exits[asked, 0]
     parcels.goal[row, fs.FIRST] = stream_params.exits[asked, 1]
     parcels.goal[row, fs.LAST] = stream_params.exits[asked, 2]
+    parcels.goal[row, fs.INLET] = streams.inlet[i, arrival]
+    parcels.goal[row, fs.ORDER] = streams.order[i, arrival]
     parcels.clock[row] = 0.0
     parcels.period[row] = 0.0
     parcels.steps[row] = 0
@@ -136,31 +145,49 @@ def entering(has_room: Function) -> Any:
         streams: StreamState,
         i: int,
     ) -> int:
-        """Let the next parcel that is due enter if there is room, and give its slot, or NOBODY.
+        """Let the next parcel of an inlet that is due enter if there is room, the one whose time
+        came first; give its slot, or NOBODY.
 
         Its task and its sensor have yet to begin.
         """
-        arrival = streams.coming[i]
-        if arrival == streams.due[i]:
-            return fs.NOBODY
         slot = _free_slot(streams, i, count_slots(stream_params, streams))
-        if slot == fs.NOBODY:
+        if slot == fs.NOBODY or count_waiting(streams, i) == 0:
             return fs.NOBODY
         first = i * streams.number.shape[1]
-        _put(stream_params, streams, parcels, i, slot, arrival)
-        state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
-        st.read_truth(state)
-        for k in range(streams.number.shape[1]):
-            if streams.present[i, k]:
-                other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-                st.read_truth(other)
-                if not has_room(stream_params, state, other):
-                    return fs.NOBODY
+        barred = 0  # a bit an inlet
+        left = stream_params.inlets  # that are not barred
+        arrival = streams.coming[i]
+        enters = False
+        while left > 0 and arrival < streams.due[i]:
+            inlet = 1 << streams.inlet[i, arrival]
+            if barred & inlet == 0 and math.isnan(streams.entered[i, arrival]):
+                _put(stream_params, streams, parcels, i, slot, arrival)
+                state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+                st.read_truth(state)
+                enters = True
+                for k in range(streams.number.shape[1]):
+                    if streams.present[i, k]:
+                        row = first + k
+                        other = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+                        st.read_truth(other)
+                        if not has_room(stream_params, state, other):
+                            enters = False
+                            break
+                if enters:
+                    break
+                barred |= inlet
+                left -= 1
+            arrival += 1
+        if not enters:
+            return fs.NOBODY
         streams.number[i, slot] = arrival
         streams.present[i, slot] = True
         streams.entered[i, arrival] = streams.clock[i]
-        streams.coming[i] = arrival + 1
         streams.tally[i, fs.ENTERED] += 1
+        while streams.coming[i] < streams.due[i] and not math.isnan(
+            streams.entered[i, streams.coming[i]]
+        ):
+            streams.coming[i] += 1
         for k in range(streams.number.shape[1]):
             streams.touched_at[i, slot, k] = fs.NEVER
             streams.touched_at[i, k, slot] = fs.NEVER
@@ -184,6 +211,12 @@ def leave(
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     arrival = streams.number[i, slot]
     row = i * streams.number.shape[1] + slot
+    streams.past[i, streams.order[i, arrival]] = True
+    left_before = int(streams.passed[i, 0, fs.NEXT])
+    while left_before < streams.arrivals[i] and streams.past[i, left_before]:
+        left_before += 1
+    for k in range(streams.passed.shape[1]):
+        streams.passed[i, k, fs.NEXT] = left_before
     streams.right[i, arrival] = right
     streams.gap[i, arrival] = gap
     for k in range(parcels.truth.shape[1]):

@@ -173,7 +173,7 @@ def _check_apart(one: Exit, other: Exit) -> None:
         return
     if max(one.first, other.first) < min(one.last, other.last):
         raise ValueError(
-            f"exits must not overlap on one side or straight on, got {one.name!r} "
+            f"exits must not overlap on one side, got {one.name!r} "
             f"from {one.first:g} to {one.last:g} m and {other.name!r} "
             f"from {other.first:g} to {other.last:g} m"
         )

@@ -17,6 +17,7 @@ from surface_gym.flow import state as fs
 from surface_gym.flow.entry import (
     count_due,
     count_slots,
+    count_waiting,
     entering,
     leave,
     move_take_away,
@@ -442,7 +443,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         elif watches:
                             st.read_truth(state)
                             sensor_update(params.sensor, state, physics)
-                    waiting = streams.due[i] - streams.coming[i]
+                    waiting = count_waiting(streams, i)
                     streams.waited[i] += dt * waiting
                     streams.terms[i, waiting_term] += stream_params.waiting_reward * dt * waiting
                 count_due(streams, i)

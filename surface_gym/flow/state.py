@@ -21,13 +21,15 @@ JAM = 3  # the outcome of a surface, beside those of every environment; a stream
 LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
 
 ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
-EXIT, SIDE, FIRST, LAST = range(4)  # places in a parcel's goal: exit, and its side and span
+# Places in a parcel's goal: exit, its side and span; where it comes from, its place in the order
+EXIT, SIDE, FIRST, LAST, INLET, ORDER = range(6)
+GOALS = 6
 TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
 NEVER = -1_000_000  # `touched_at` of two that have not touched
-# Columns of `passed`: whether any parcel has left by the exit, and of the last that did [m] where
-# on the take-away its rear end lies
-ANY, REAR = range(2)
-PASSED_SIZE = 2
+# Columns of `passed`: whether any parcel has left by the exit, of the last that did [m] where on
+# the take-away its rear end lies, and the least place in the order that has not left by any exit
+ANY, REAR, NEXT = range(3)
+PASSED_SIZE = 3
 
 
 class StreamState(NamedTuple):
@@ -37,8 +39,11 @@ class StreamState(NamedTuple):
     start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
     body: Integers  # (surfaces, arrivals) its row in the body table
     exit: Integers  # (surfaces, arrivals) that it is to leave by
+    inlet: Integers  # (surfaces, arrivals) that it comes by
+    order: Integers  # (surfaces, arrivals) its place in the order in which parcels are to leave
+    past: Booleans  # (surfaces, arrivals) whether the parcel of each place in the order has left
     arrivals: Integers  # (surfaces,) how many there are
-    coming: Integers  # (surfaces,) the next to enter
+    coming: Integers  # (surfaces,) before which all have entered
     due: Integers  # (surfaces,) the next whose time has not come: those between the two wait
     entered: Array  # (surfaces, arrivals) [s] when it did; nan before
     left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
@@ -85,6 +90,7 @@ class StreamParams(NamedTuple):
     ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
     duration: float  # [s] of an episode
     patience: float  # [s] without any motion that make a jam
+    inlets: int  # how many there are
     queue: int  # rows of parcels that wait at the gate; 0 without one
     take_away: float  # [m/s] speed of the conveyor after the surface; 0: there is none
     gap: float  # [m] that the task asks for between parcels on it
@@ -157,6 +163,9 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
         "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
         "left": np.full(shape, np.nan),
+        "inlet": np.zeros(shape, dtype=np.int64),
+        "order": np.zeros(shape, dtype=np.int64),
+        "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
         "right": np.zeros(shape, dtype=np.bool_),
         "gap": np.full(shape, np.nan),

@@ -147,7 +147,7 @@ AT_LEAST = 1e-3  # [m/s] speed of one that leaves, for where it was as its centr
 QUARTER, EIGHTH = 0.5 * math.pi, 0.25 * math.pi  # [rad]
 
 # Places in a parcel's goal, after those of every stream.
-LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, GAP = range(fs.LAST + 1, fs.LAST + 7)
+LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
 BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
 
 
@@ -291,7 +291,7 @@ class TakeAwayTask(StreamTask):
     parcel_terms = PARCEL_TERMS
     terms = (*PARCEL_TERMS, "waiting", "jam")
     waiting_reward: ClassVar[float] = 0.0
-    goals = fs.LAST + 7
+    goals = fs.GOALS + 7
     memories = 2
     statistics = TakeAwayStatistics
 
@@ -426,6 +426,7 @@ class TakeAwayTask(StreamTask):
         goal[RUNS] = 1.0 if runs else 0.0
         goal[SLOPE_END] = params.rotors_end
         goal[GAP] = params.gap
+        goal[NEXT] = passed[0, fs.NEXT]
 
     @staticmethod
     @inlined
@@ -453,7 +454,7 @@ class TakeAwayTask(StreamTask):
         to_mouth = max(0.0, below) + min(0.0, above)
         if below > above:  # it is wider than the mouth
             to_mouth = 0.5 * (below + above)
-        acceleration = state.surface[st.GRAVITY_ALONG] - 0.01 * state.surface[st.GRAVITY_NORMAL]
+        acceleration = state.surface[st.GRAVITY_X] - 0.01 * state.surface[st.GRAVITY_NORMAL]
         see = state.observation
         see[END] = min(1000.0, max(-20.0, distance))
         see[OFFSET] = min(20.0, max(-20.0, offset / 0.5))

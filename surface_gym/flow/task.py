@@ -14,6 +14,7 @@ from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import bars
 from surface_gym.flow.exits import flow_line
+from surface_gym.flow.inlets import EDGE, inlets_option
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
@@ -113,12 +114,13 @@ class StreamTask(Task):
       the features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
 
     A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
-    its span of x.
+    its span; then INLET, by which it came, and ORDER, its place in the order of leaving.
     """
 
     parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
     stream: Stream = Stream()  # when parcels come, which, how fast, where to
     exits: Any = "chutes"  # a preset, or `Exits`
+    inlets: Any = EDGE  # where parcels come onto the surface: `Inlets`
     duration: float = 60.0  # [s] of an episode
     max_parcels: int = 24  # on the line at once
     # [rad] downhill towards `tilt_direction`; the default makes up for what rolling costs: a parcel
@@ -139,7 +141,7 @@ class StreamTask(Task):
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
     outcomes = ("jam",)
     options = ("stream",)
-    goals = 4
+    goals = fs.GOALS
     memories = 1
     statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
     # The take-away after the surface; without one no speed, and nothing is asked of gaps.
@@ -151,6 +153,7 @@ class StreamTask(Task):
         checks.instance("stream", self.stream, Stream, STREAM)
         set_field = object.__setattr__
         set_field(self, "parcels", self.stream.kinds)
+        set_field(self, "inlets", inlets_option(self.inlets))
         super().__post_init__()
         for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
             set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
@@ -256,6 +259,9 @@ class StreamTask(Task):
                 f"duration must be at least a control period, {config.control_period:g} s, "
                 f"got {self.duration!r}"
             )
+        if self.gate and len(self.inlets) > 1:
+            raise ValueError(f"gate must be False with several inlets, got {len(self.inlets)}")
+        _ = config.entrances
         if self.gate and config.orientations == ANY:
             raise ValueError("gate must be False where orientations are 'any', got True")
         if not config.site.rotor.any():
@@ -278,7 +284,7 @@ class StreamTask(Task):
     def check_stream(self, stream: Any, config: Any) -> None:
         """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
         checks.instance("stream", stream, Stream, STREAM)
-        stream.check(config.exits)
+        stream.check(config.exits, config.inlets)
         line: BaseLine = config.chosen_line
         for parcel in stream.kinds:
             largest = config.randomisation.largest(parcel.base)
