@@ -15,6 +15,8 @@ from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
 from surface_gym.flow.exits import Exits, exits_option
 from surface_gym.flow.inlets import Entrance, Inlets, find_entrance
+from surface_gym.flow.merge import Merge
+from surface_gym.flow.sequence import Sequence
 from surface_gym.flow.singulate import Singulate
 from surface_gym.flow.task import Flow, StreamTask
 from surface_gym.lines import BaseLine, Site
@@ -104,7 +106,9 @@ INFOS = ("axes", "normal_forces")  # that `info` carries on request
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
 # that have an environment, by name
-ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow, "singulate": Singulate}
+ENV_TASKS: dict[str, type[Task]] = {
+    **TASKS, "flow": Flow, "singulate": Singulate, "merge": Merge, "sequence": Sequence,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, init=False)

@@ -269,13 +269,14 @@ def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, 
 
 @linked
 def choose_halves(
-    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int,
-    speed: float, credit: Numbers, halves: Integers,
+    slope: Slope, tuning: Tuning, parcels: Parcels, k: int, speed: float, clear: bool,
+    credit: Numbers, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose (2,) for the modules ahead of a parcel's centre and behind it.
 
     Args:
         speed: [m/s] that it is to have after the control period.
+        clear: whether it may be led aside.
         credit: (rows,) of brakes that are due, which a choice of two halves rounds.
     """
     vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
@@ -298,7 +299,7 @@ def choose_halves(
             else:  # rolling stops a turn
                 halves[0] = halves[1] = ROLL
             return
-    if shift != 0.0 and is_way_clear(tuning, parcels, order, count, k):
+    if shift != 0.0 and clear:
         coasts = vy * vy / 8.0 + abs(vy) * slope.period  # [m] until rolling has stopped it
         if vy * shift > 0.0 and abs(shift) <= coasts:
             halves[0] = halves[1] = ROLL
@@ -356,9 +357,8 @@ def choose_by_slots(
             speed = speed_for(slope, distance, time)
             speed = min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
-            choose_halves(
-                slope, tuning, parcels, order[i], count, k, speed, credit[i], halves[i, k]
-            )
+            clear = is_way_clear(tuning, parcels, order[i], count, k)
+            choose_halves(slope, tuning, parcels, k, speed, clear, credit[i], halves[i, k])
 
 
 @compiled
@@ -391,9 +391,8 @@ def choose_by_release(
                 speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
             slots.ready[mouth], slots.reach[mouth] = max(slot, after), parcels.along[k]
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
-            choose_halves(
-                slope, tuning, parcels, order[i], count, k, speed, credit[i], halves[i, k]
-            )
+            clear = is_way_clear(tuning, parcels, order[i], count, k)
+            choose_halves(slope, tuning, parcels, k, speed, clear, credit[i], halves[i, k])
 
 
 class SlopeMemory(NamedTuple):

@@ -225,8 +225,8 @@ DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
     "entered", "left", "taken", "touches", "number", "present", "touched_at", "clock", "steps",
-    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "final", "passed", "demand", "changes", "belt", "pressing",
-    "impulse", "squeeze",
+    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "final", "passed",
+    "demand", "changes", "belt", "pressing", "impulse", "squeeze",
 )  # fmt: skip
 TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 

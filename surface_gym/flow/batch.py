@@ -301,8 +301,8 @@ class StreamBatch(BaseBatch):
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
             ("tally", 0), ("outcome", st.STARTING), ("past", False), ("right", False),
-            ("gap", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0), ("pressing", 0.0),
-            ("impulse", 0.0), ("squeeze", 0.0),
+            ("gap", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0),
+            ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows

@@ -29,6 +29,8 @@ from surface_gym.physics.types import (
     VX,
     VY,
     Array,
+    Booleans,
+    Integers,
     X,
     Y,
 )
@@ -96,7 +98,7 @@ class Stops:
             object.__setattr__(self, name, (low, high))
 
 
-# Features of a row of the table: of the parcel itself, and of a neighbour.
+# Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
 FEATURES: tuple[Feature, ...] = (
     Feature("to the end", -20.0, 1000.0, "from its centre along x / 1 m"),
     Feature("offset", -20.0, 20.0, "of its centre from the line's middle, y / 0.5 m"),
@@ -223,6 +225,8 @@ class TakeAwayStatistics:
     time_mean: float  # [s] on the surface
     time_95: float  # [s] its 95th percentile
     waiting_mean: float  # [s] at the entry, of those that have entered
+    unfairness: float  # [s] largest mean wait of an inlet, less the smallest
+    order_errors: float  # [-] share, of those that left, that did before one of a lower place
     turns_per_hour: float  # [1/h] of a module's axis, mean over those that obey: its wear
 
 
@@ -244,6 +248,10 @@ def compute_statistics(
     stay = (left - entered)[gone]
     off = np.abs(theta - QUARTER * np.round(theta / QUARTER))[through]
     inside = ~np.isnan(entered)
+    inlet = streams.inlet[surface, :count]
+    waits = [
+        float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
+    ]
     per_parcel = 1000.0 / delivered if delivered else np.nan
     turns = HOUR * float(streams.tally[surface, fs.TURNS])
     return TakeAwayStatistics(
@@ -262,8 +270,19 @@ def compute_statistics(
         time_mean=fs.mean(stay),
         time_95=fs.percentile(stay, 95.0),
         waiting_mean=fs.mean((entered - time)[inside]),
+        unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
+        order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], left[gone])),
         turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
     )
+
+
+def _is_early(order: Integers, left: Array) -> Booleans:
+    """Return (parcels,) which of those that left did so before one of a lower place had."""
+    by_time = np.argsort(left, kind="stable")
+    after = np.minimum.accumulate(order[by_time][::-1])[::-1]
+    early = np.zeros(len(order), dtype=np.bool_)
+    early[by_time[:-1]] = order[by_time[:-1]] > after[1:]
+    return early
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,13 @@ STRAIGHT = Exit("straight", 0)
 def test_chutes_are_two_to_either_side_and_sides_as_long_as_the_line() -> None:
     exits = chutes()
     assert exits.names == ("left 1", "left 2", "right 1", "right 2", "straight")
-    expected = [[1, 0.6, 2.8], [1, 3.2, 5.8], [-1, 0.6, 2.8], [-1, 3.2, 5.8], [0, 0.0, math.inf]]
+    expected = [
+        [1, 0.6, 2.8],
+        [1, 3.2, 5.8],
+        [-1, 0.6, 2.8],
+        [-1, 3.2, 5.8],
+        [0, -math.inf, math.inf],
+    ]
     np.testing.assert_allclose(exits.table, expected)
     exits = sides(4.5)
     assert exits.names == ("left", "right", "straight")
@@ -74,7 +80,9 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
     assert exits_option([LEFT], 3.0) == Exits((LEFT,))
     assert exits_option(sides(), 3.0) == sides()
     for value in ("doors", None, 3):
-        with pytest.raises(ValueError, match="exits must be one of 'chutes', 'sides', 'end', 'mouth', 'mouths'"):
+        with pytest.raises(
+            ValueError, match="exits must be one of 'chutes', 'sides', 'end', 'mouth', 'mouths'"
+        ):
             exits_option(value, 3.0)
 
 
