@@ -7,7 +7,6 @@ on where nobody is ahead, or through the passage.
 import math
 from typing import NamedTuple
 
-
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
@@ -31,7 +30,6 @@ from .singulation import (
     rolling_time,
     speed_for,
 )
-
 
 HELD = 0.1  # [m/s] slower than this, all modules hold a parcel that is to stand
 

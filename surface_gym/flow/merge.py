@@ -45,8 +45,8 @@ class Merge(TakeAwayTask):
     ### Lines
 
     `inlets` says where the lines end: `lanes(3)`, the default, three side by side at the upper
-    edge, 0.46 m from middle to middle; an `Inlet` may lie on any edge. `stream` says when parcels come,
-    which, and by its `origins` how many on each line: by default 6000 an hour, at equal odds.
+    edge, 0.46 m from middle to middle; an `Inlet` may lie on any edge. `stream` says when parcels
+    come, which, and by its `origins` how many on each line: by default 6000 an hour, at equal odds.
 
     ### Observation
 
