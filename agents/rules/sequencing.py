@@ -151,7 +151,7 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: Parcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether no other is beside a parcel where it is to be led, or will be as it gets there.
+    """Return whether no other is beside a parcel where it is to be led, or will be by then.
 
     Those that it would meet as it is are none of these: it follows them, or they follow it.
     """
@@ -206,7 +206,7 @@ def choose_in_order(
                 most = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
                 speed = min(speed, most)
             else:
-                _lead_out(slope, parking, parcels, order[i], count, place)
+                _lead_out(parking, parcels, order[i], count, place)
                 free = is_free(parcels, order[i], count, k)
                 late = abs(parcels.shift[k]) * tuning.shift_cost
                 mouth = parcels.mouth[k]
@@ -230,9 +230,7 @@ def choose_in_order(
 
 
 @inlined
-def _lead_out(
-    slope: Slope, parking: Parking, parcels: Parcels, order: Integers, count: int, place: int
-) -> None:
+def _lead_out(parking: Parking, parcels: Parcels, order: Integers, count: int, place: int) -> None:
     """Let a parcel that goes be led into the passage if one that waits is ahead of it."""
     k = order[place]
     for after in range(place + 1, count):
