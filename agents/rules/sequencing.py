@@ -17,6 +17,7 @@ from ..base import Integers, Numbers, Singles
 from .singulation import (
     BRAKE,
     NOBODY,
+    Brakes,
     Parcels,
     Slope,
     SlopeMemory,
@@ -172,7 +173,7 @@ def is_free(parcels: Parcels, order: Integers, count: int, k: int) -> bool:
 @compiled
 def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: Parcels,
-    slots: Slots, order: Integers, came: Numbers, credit: Numbers, halves: Integers,
+    slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that let parcels leave in their order."""
     for i in range(tables.shape[0]):
@@ -181,7 +182,7 @@ def choose_in_order(
         count = sort_by_place(table, order[i])
         for k in range(table.shape[0]):
             if table[k, ta.PRESENT] > 0.5 and table[k, ta.TIME] < came[i, k]:
-                credit[i, k] = 0.5
+                brakes.due[i, k] = 0.5
             came[i, k] = table[k, ta.TIME]
         ready = 0  # so many of the first in the order are all there
         while ready < count and 8.0 * table[order[i, ready], PLACE] < ready + 0.5:
@@ -223,7 +224,7 @@ def choose_in_order(
                 speed = gained if speed > 0.0 else 0.0
             limit = limit_in_order(slope, tuning, parcels, order[i], count, k, free)
             speed = min(speed, limit)
-            choose_halves(slope, tuning, parcels, k, speed, free, credit[i], halves[i, k])
+            choose_halves(slope, tuning, parcels, k, speed, free, brakes, i, halves[i, k])
             aside = free and parcels.shift[k] != 0.0
             if not aside and speed < 0.2 * HELD and parcels.vx[k] < HELD:
                 halves[i, k, 0] = halves[i, k, 1] = BRAKE

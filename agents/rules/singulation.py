@@ -4,6 +4,7 @@ Both see the table of parcels and choose, for each, the modules ahead of its cen
 it. They turn parcels and lead them to the mouth alike, and differ in how they brake.
 """
 
+import copy
 import math
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ class Slope(NamedTuple):
     gap: float  # [m]
     alignment: float  # [rad]
     period: float  # [s] between decisions
+    dwell: int  # control periods for which a choice of brakes stays
     mouths: Numbers  # (mouths, 2) [m] y of their sides from the line's middle
 
 
@@ -267,24 +269,52 @@ def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, 
     return True
 
 
+class Brakes(NamedTuple):
+    """How parcels are braked, an array (num_envs, rows) each."""
+
+    due: Numbers  # halves that are yet to be braked, as a choice of none, one or both rounds
+    halves: Integers  # that are braked
+    since: Integers  # control periods since that was chosen
+
+
+@inlined
+def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
+    """Choose how many halves of a parcel are to be braked, so that they make up a share over time.
+
+    A choice stays for some control periods, unless all or nothing is to be braked.
+    """
+    brakes.since[i, k] += 1
+    if share <= 0.0 or share >= 1.0:
+        if dwell > 1:
+            brakes.halves[i, k] = 0 if share <= 0.0 else 2
+            brakes.since[i, k] = dwell
+            return brakes.halves[i, k]
+    elif brakes.since[i, k] < dwell:
+        return brakes.halves[i, k]
+    brakes.since[i, k] = 0
+    brakes.due[i, k] += 2.0 * min(1.0, max(0.0, share))
+    brakes.halves[i, k] = min(2, int(brakes.due[i, k]))
+    brakes.due[i, k] = min(1.0, brakes.due[i, k] - brakes.halves[i, k])
+    return brakes.halves[i, k]
+
+
 @linked
 def choose_halves(
     slope: Slope, tuning: Tuning, parcels: Parcels, k: int, speed: float, clear: bool,
-    credit: Numbers, halves: Integers,
+    brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose (2,) for the modules ahead of a parcel's centre and behind it.
 
     Args:
         speed: [m/s] that it is to have after the control period.
         clear: whether it may be led aside.
-        credit: (rows,) of brakes that are due, which a choice of two halves rounds.
+        brakes: of all environments.
+        i: the environment.
     """
     vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
     shift, turn = parcels.shift[k], parcels.turn[k]
     share = ((vx - speed) / slope.period + slope.rolls) / slope.brakes
-    credit[k] += 2.0 * min(1.0, max(0.0, share))
-    braked = min(2, int(credit[k]))
-    credit[k] = min(1.0, credit[k] - braked)
+    braked = choose_brakes(brakes, i, k, share, slope.dwell)
     halves[0] = BRAKE if braked > 0 else ROLL
     halves[1] = BRAKE if braked > 1 else ROLL
     tolerance = min(tuning.turned, slope.alignment)
@@ -323,7 +353,7 @@ def _turn(halves: Integers, left: bool, shift: float) -> None:
 @compiled
 def choose_by_slots(
     tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
-    order: Integers, came: Numbers, credit: Numbers, halves: Integers,
+    order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that bring each parcel to the end at its time slot.
 
@@ -358,13 +388,13 @@ def choose_by_slots(
             speed = min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
-            choose_halves(slope, tuning, parcels, k, speed, clear, credit[i], halves[i, k])
+            choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
 
 
 @compiled
 def choose_by_release(
     tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
-    order: Integers, came: Numbers, credit: Numbers, halves: Integers, hold: float,
+    order: Integers, came: Numbers, brakes: Brakes, halves: Integers, hold: float,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that hold parcels a distance [m] before the end, and let
     one after the other go from there.
@@ -392,7 +422,7 @@ def choose_by_release(
             slots.ready[mouth], slots.reach[mouth] = max(slot, after), parcels.along[k]
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
-            choose_halves(slope, tuning, parcels, k, speed, clear, credit[i], halves[i, k])
+            choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
 
 
 class SlopeMemory(NamedTuple):
@@ -400,7 +430,26 @@ class SlopeMemory(NamedTuple):
 
     order: Integers  # rows in which parcels are to leave; NOBODY: no more
     came: Numbers  # time since each entered, as seen last; -inf: nobody
-    credit: Numbers  # [-] of brakes that are due
+    brakes: Brakes
+
+
+def make_memory(num_envs: int, rows: int) -> SlopeMemory:
+    """Make the memory of a rule."""
+    shape = (num_envs, rows)
+    zeros = np.zeros(shape, dtype=np.int64)
+    return SlopeMemory(
+        np.full(shape, NOBODY),
+        np.full(shape, -np.inf),
+        Brakes(np.zeros(shape), zeros, zeros.copy()),
+    )
+
+
+def forget(memory: SlopeMemory, fresh: Booleans) -> None:
+    """Forget the parcels of environments (num_envs,) that have begun anew."""
+    memory.order[fresh] = NOBODY
+    memory.came[fresh] = -np.inf
+    memory.brakes.due[fresh] = 0.5
+    memory.brakes.halves[fresh] = memory.brakes.since[fresh] = 0
 
 
 class SlopeRule(BatchController):
@@ -429,19 +478,14 @@ class SlopeRule(BatchController):
     ) -> tuple[Integers, SlopeMemory]:
         num_envs, rows, _features = batch.shape
         fresh = is_fresh(num_envs, state, episode_start)
-        if state is None:
-            memory = SlopeMemory(
-                np.full((num_envs, rows), NOBODY),
-                np.full((num_envs, rows), -np.inf),
-                np.zeros((num_envs, rows)),
-            )
-        else:
-            memory = SlopeMemory(*(values.copy() for values in state))
-        for values, value in zip(memory, (NOBODY, -np.inf, 0.5), strict=True):
-            values[fresh] = value
+        memory = make_memory(num_envs, rows) if state is None else copy.deepcopy(state)
+        forget(memory, fresh)
         halves = np.full((num_envs, rows, 2), ROLL)
         self._choose(np.ascontiguousarray(batch), memory, halves)
         return self._choices[halves].reshape(num_envs, -1), memory
+
+
+DWELL = 1.0 * math.pi  # [rad] that an axis could turn while a choice of brakes stays
 
 
 def read_slope(config: EnvConfig) -> Slope:
@@ -450,6 +494,7 @@ def read_slope(config: EnvConfig) -> Slope:
     low, high = line.extent[2] - line.line_y, line.extent[3] - line.line_y
     sine, cosine = math.sin(task.tilt), math.cos(task.tilt)
     along, across = float(np.max(line.mu_max)), float(np.max(line.mu_min))
+    speed = config.actuators.axis_speed
     rolls, brakes = GRAVITY * (sine - across * cosine), GRAVITY * cosine * (along - across)
     if rolls <= 0.0 or rolls >= brakes:
         raise ValueError(
@@ -464,6 +509,7 @@ def read_slope(config: EnvConfig) -> Slope:
         gap=task.gap,
         alignment=task.alignment,
         period=config.control_period,
+        dwell=1 if math.isinf(speed) else 1 + math.ceil(DWELL / speed / config.control_period),
         mouths=np.clip([(each.first, each.last) for each in config.exits], low, high),
     )
 
