@@ -15,7 +15,6 @@ from surface_gym.physics.jit import compiled, inlined, linked
 
 from ..base import Integers, Numbers, Singles
 from .singulation import (
-    BRAKE,
     NOBODY,
     Brakes,
     Parcels,
@@ -25,14 +24,16 @@ from .singulation import (
     Slots,
     Tuning,
     choose_halves,
+    find_distance,
+    find_slot,
     follow,
     forget_slots,
+    give_slot,
+    hold,
     read_parcels,
     rolling_time,
     speed_for,
 )
-
-HELD = 0.1  # [m/s] slower than this, all modules hold a parcel that is to stand
 
 
 class Parking(NamedTuple):
@@ -190,7 +191,7 @@ def choose_in_order(
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
-            distance = slope.length - parcels.x[k]
+            distance = find_distance(slope, parcels, k)
             parcels.shift[k] = 0.0
             waits = _must_wait(parcels, order[i], ready, place)
             if waits:
@@ -210,14 +211,9 @@ def choose_in_order(
                 _lead_out(parking, parcels, order[i], count, place)
                 free = is_free(parcels, order[i], count, k)
                 late = abs(parcels.shift[k]) * tuning.shift_cost
-                mouth = parcels.mouth[k]
                 slot = rolling_time(slope, distance, parcels.vx[k]) + late
-                after = (parcels.along[k] + tuning.spare_gap - parcels.clear[k]) / slope.take_away
-                if slots.ready[mouth] > -math.inf:
-                    between = parcels.along[k] + slots.reach[mouth] + slope.gap + tuning.spare_gap
-                    after = slots.ready[mouth] + between / slope.take_away
-                slot = max(slot, after)
-                slots.ready[mouth], slots.reach[mouth] = slot, parcels.along[k]
+                slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
+                give_slot(slope, parcels, slots, k, slot)
                 time = slot - late - min(0.02, 0.02 * distance)
                 speed = speed_for(slope, distance, time)
                 gained = min(slope.take_away, speed + slope.rolls * slope.period)
@@ -225,9 +221,8 @@ def choose_in_order(
             limit = limit_in_order(slope, tuning, parcels, order[i], count, k, free)
             speed = min(speed, limit)
             choose_halves(slope, tuning, parcels, k, speed, free, brakes, i, halves[i, k])
-            aside = free and parcels.shift[k] != 0.0
-            if not aside and speed < 0.2 * HELD and parcels.vx[k] < HELD:
-                halves[i, k, 0] = halves[i, k, 1] = BRAKE
+            if not free or parcels.shift[k] == 0.0:
+                hold(parcels, k, speed, halves[i, k])
 
 
 @inlined

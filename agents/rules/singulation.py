@@ -20,6 +20,8 @@ from surface_gym.physics.types import GRAVITY
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
 
 NOBODY = -1
+HELD = 0.1  # [m/s] slower than this, all modules may hold a parcel
+HOLD_AT = 0.15  # [m] before the end, of a parcel's middle while the take-away stands
 ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choices
 
 
@@ -66,11 +68,13 @@ class Tuning(NamedTuple):
 class Parcels(NamedTuple):
     """Parcels of a surface, decoded from their rows; an array (rows,) each."""
 
-    x: Numbers  # [m] along the line from the surface's start
-    y: Numbers  # [m] from its middle
+    x: Numbers  # [m] along the line from the surface's start, of the middle of its extent
+    y: Numbers  # [m] from the line's middle, of the middle of its extent
     vx: Numbers  # [m/s]
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
+    front: Numbers  # [m] from its centre along x
+    rear: Numbers  # [m] from its centre against x
     along: Numbers  # [m] half of its extent along x
     across: Numbers  # [m] half of its extent along y
     shift: Numbers  # [m] to be led aside, positive to the left; 0: it is within a mouth
@@ -92,7 +96,8 @@ class Slots(NamedTuple):
     """The last slots given away, an array (mouths,) each."""
 
     ready: Numbers  # [s] until that parcel's centre passes the end; -inf: none was given away
-    reach: Numbers  # [m] half of its extent along x
+    # [m] from where its centre would be on the take-away, without sliding, to its rear
+    reach: Numbers
 
 
 @inlined
@@ -100,6 +105,39 @@ def forget_slots(slots: Slots) -> None:
     """Forget all slots that were given away."""
     for mouth in range(slots.ready.shape[0]):
         slots.ready[mouth] = -math.inf
+
+
+@inlined
+def find_distance(slope: Slope, parcels: Parcels, k: int) -> float:
+    """Find how far [m] a parcel's centre is from the end."""
+    return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
+
+
+@inlined
+def find_slot(slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots, k: int) -> float:
+    """Find how soon [s] a parcel's centre may pass the end, for the gap to those before it."""
+    mouth = parcels.mouth[k]
+    front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
+    if slots.ready[mouth] == -math.inf:
+        return (front - parcels.clear[k]) / slope.take_away
+    between = front + slots.reach[mouth] + slope.gap
+    return slots.ready[mouth] + between / slope.take_away
+
+
+@inlined
+def find_lag(slope: Slope, parcels: Parcels, k: int) -> float:
+    """Find how far [m] a parcel falls back on the take-away until it has its speed."""
+    gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
+    speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
+    slower = max(0.0, slope.take_away - speed)
+    return slower * slower / (2.0 * ta.GRIP * GRAVITY)
+
+
+@inlined
+def give_slot(slope: Slope, parcels: Parcels, slots: Slots, k: int, slot: float) -> None:
+    """Give a parcel a slot [s] from now."""
+    slots.ready[parcels.mouth[k]] = slot
+    slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
 
 @linked
@@ -114,8 +152,12 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels)
         parcels.vx[k] = row[ta.FORWARD] + 1.0
         parcels.vy[k] = 0.5 * row[ta.LATERAL]
         parcels.omega[k] = 3.0 * row[ta.TURNING]
-        parcels.along[k] = 0.2 + 0.1 * row[ta.ALONG]
-        parcels.across[k] = 0.2 + 0.1 * row[ta.ACROSS]
+        front, rear = 0.2 + 0.1 * row[ta.FRONT], 0.2 + 0.1 * row[ta.REAR]
+        left, right = 0.2 + 0.1 * row[ta.LEFT], 0.2 + 0.1 * row[ta.RIGHT]
+        parcels.front[k], parcels.rear[k] = front, rear
+        parcels.along[k], parcels.across[k] = 0.5 * (front + rear), 0.5 * (left + right)
+        parcels.x[k] += 0.5 * (front - rear)
+        parcels.y[k] += 0.5 * (left - right)
         parcels.turn[k] = 0.25 * math.pi * row[ta.TO_TURN]
         parcels.clear[k] = 0.5 * row[ta.CLEAR]
         parcels.runs[k] = row[ta.TAKES_AWAY] > 0.5
@@ -244,7 +286,7 @@ def limit_speed(
         room = slope.length - tuning.shift_room - x - abs(parcels.shift[k])
         limit = min(limit, math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room)))
     if not parcels.runs[k]:
-        room = slope.length - tuning.clear - x
+        room = slope.length - HOLD_AT - x
         limit = min(limit, math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room)))
     return limit
 
@@ -338,6 +380,13 @@ def choose_halves(
 
 
 @inlined
+def hold(parcels: Parcels, k: int, speed: float, halves: Integers) -> None:
+    """Let all modules hold a parcel that is to stand, so that it does not creep."""
+    if speed < 0.2 * HELD and parcels.vx[k] < HELD:
+        halves[0] = halves[1] = BRAKE
+
+
+@inlined
 def _turn(halves: Integers, left: bool, shift: float) -> None:
     """Turn a parcel anti-clockwise or clockwise: by one half where that leads it aside, too."""
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
@@ -367,21 +416,16 @@ def choose_by_slots(
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
-            mouth = parcels.mouth[k]
-            distance = slope.length - parcels.x[k]
+            distance = find_distance(slope, parcels, k)
             late = 0.0  # [s] for what is yet to be done with it
             if parcels.shift[k] != 0.0:
                 late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
             if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
                 late += tuning.turn_cost * abs(parcels.turn[k])
             slot = rolling_time(slope, distance, parcels.vx[k]) + late
-            if slots.ready[mouth] == -math.inf:
-                after = (parcels.along[k] + tuning.spare_gap - parcels.clear[k]) / slope.take_away
-            else:
-                between = parcels.along[k] + slots.reach[mouth] + slope.gap + tuning.spare_gap
-                after = slots.ready[mouth] + between / slope.take_away
+            after = find_slot(slope, tuning, parcels, slots, k)
             slot = max(slot, after)
-            slots.ready[mouth], slots.reach[mouth] = slot, parcels.along[k]
+            give_slot(slope, parcels, slots, k, slot)
             # A little early, as what comes late cannot be made up for.
             time = slot - late - min(0.02, 0.02 * distance)
             speed = speed_for(slope, distance, time)
@@ -389,6 +433,8 @@ def choose_by_slots(
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
             choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
+            if not parcels.runs[k]:
+                hold(parcels, k, speed, halves[i, k])
 
 
 @compiled
@@ -407,22 +453,19 @@ def choose_by_release(
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
-            mouth = parcels.mouth[k]
-            distance = slope.length - parcels.x[k]
-            if slots.ready[mouth] == -math.inf:
-                after = (parcels.along[k] + tuning.spare_gap - parcels.clear[k]) / slope.take_away
-            else:
-                between = parcels.along[k] + slots.reach[mouth] + slope.gap + tuning.spare_gap
-                after = slots.ready[mouth] + between / slope.take_away
+            distance = find_distance(slope, parcels, k)
+            after = find_slot(slope, tuning, parcels, slots, k)
             slot = rolling_time(slope, distance, parcels.vx[k])
             room = distance - hold - parcels.along[k]
             speed = slope.take_away
             if room > -0.02 and (slot < after or parcels.shift[k] != 0.0):
                 speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
-            slots.ready[mouth], slots.reach[mouth] = max(slot, after), parcels.along[k]
+            give_slot(slope, parcels, slots, k, max(slot, after))
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
             choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
+            if not parcels.runs[k]:
+                hold(parcels, k, speed, halves[i, k])
 
 
 class SlopeMemory(NamedTuple):

@@ -225,7 +225,7 @@ DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
     "entered", "left", "taken", "touches", "number", "present", "touched_at", "clock", "steps",
-    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "final", "passed",
+    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "off", "final", "passed",
     "demand", "changes", "belt", "pressing", "impulse", "squeeze",
 )  # fmt: skip
 TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}

@@ -110,7 +110,8 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
         ahead=task.ahead, duration=task.duration, patience=task.patience,
         inlets=len(config.inlets), queue=task.rows - task.max_parcels,
-        take_away=task.take_away, gap=task.gap, alignment=task.alignment, touching=task.touching,
+        take_away=task.take_away, gap=task.gap, alignment=task.alignment,
+        notice=task.notice, touching=task.touching,
         waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
@@ -301,8 +302,8 @@ class StreamBatch(BaseBatch):
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
             ("tally", 0), ("outcome", st.STARTING), ("past", False), ("right", False),
-            ("gap", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0), ("belt", 0.0),
-            ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
+            ("gap", np.nan), ("off", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0),
+            ("belt", 0.0), ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows

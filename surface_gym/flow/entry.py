@@ -53,12 +53,19 @@ def takes_away(streams: StreamState, i: int) -> bool:
 
 
 @inlined
+def changes_within(streams: StreamState, i: int, time: float) -> bool:
+    """Return whether the take-away stops or starts within a time [s]."""
+    changes = streams.changes[i]
+    soon = streams.clock[i] + time
+    return changes < streams.demand.shape[1] and streams.demand[i, changes] <= soon
+
+
+@inlined
 def move_take_away(stream_params: StreamParams, streams: StreamState, i: int, dt: float) -> None:
     """Move the take-away by a physics step, and let it stop or start at its time."""
     if takes_away(streams, i):
         streams.belt[i] += stream_params.take_away * dt
-    changes = streams.changes[i]
-    if changes < streams.demand.shape[1] and streams.demand[i, changes] <= streams.clock[i]:
+    if changes_within(streams, i, 0.0):
         streams.changes[i] += 1
 
 
@@ -207,6 +214,7 @@ def leave(
     taken: int,
     right: bool,
     gap: float,
+    off: float,
 ) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     arrival = streams.number[i, slot]
@@ -219,6 +227,7 @@ def leave(
         streams.passed[i, k, fs.NEXT] = left_before
     streams.right[i, arrival] = right
     streams.gap[i, arrival] = gap
+    streams.off[i, arrival] = off
     for k in range(parcels.truth.shape[1]):
         streams.final[i, arrival, k] = parcels.truth[row, k]
     streams.present[i, slot] = False

@@ -15,6 +15,7 @@ from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import (
+    changes_within,
     count_due,
     count_slots,
     count_waiting,
@@ -310,6 +311,7 @@ def _observing(functions: StreamFunctions) -> Any:
         slots = count_slots(stream_params, streams)
         first = i * rows
         runs = takes_away(streams, i)
+        stops = runs and changes_within(streams, i, stream_params.notice)
         for k in range(rows):
             state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             waits = k >= slots and streams.number[i, k] != fs.NOBODY
@@ -317,7 +319,7 @@ def _observing(functions: StreamFunctions) -> Any:
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
                 continue
-            inform(stream_params, state, streams.passed[i], streams.belt[i], runs)
+            inform(stream_params, state, streams.passed[i], streams.belt[i], runs, stops)
             observe(state, waits)
             x, theta = state.sensed[ph.X], state.sensed[ph.THETA]
             front = x + st.reach_along(state, theta, 1.0, 0.0)
@@ -435,11 +437,11 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         if has_left(stream_params, state):
                             st.read_truth(state)
                             taken = task_exit(stream_params, state)
-                            right, gap = deliver(
+                            right, gap, off = deliver(
                                 stream_params, state, taken, streams.passed[i, max(taken, 0)],
                                 streams.belt[i], takes_away(streams, i),
                             )  # fmt: skip
-                            leave(streams, parcels, i, k, taken, right, gap)
+                            leave(streams, parcels, i, k, taken, right, gap, off)
                         elif watches:
                             st.read_truth(state)
                             sensor_update(params.sensor, state, physics)

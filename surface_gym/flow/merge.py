@@ -52,8 +52,8 @@ class Merge(TakeAwayTask):
 
     | feature | meaning |
     | --- | --- |
-    | 0 to 26 | what Singulate shows |
-    | 27 | the line it came by / 8 |
+    | 0 to 28 | what Singulate shows |
+    | 29 | the line it came by / 8 |
 
     ### Info
 

@@ -52,8 +52,8 @@ class Sequence(TakeAwayTask):
 
     | feature | meaning |
     | --- | --- |
-    | 0 to 26 | what Singulate shows |
-    | 27 | how many are to leave before it, of those that have not / 8 |
+    | 0 to 28 | what Singulate shows |
+    | 29 | how many are to leave before it, of those that have not / 8 |
 
     ### Example
 
@@ -89,10 +89,12 @@ class Sequence(TakeAwayTask):
     @inlined
     def deliver(
         params: StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float]:
-        """Return whether a parcel has left as Singulate asks, and in its turn; and its gap [m]."""
-        right, gap = _deliver(params, state, taken, passed, belt, runs)
-        return right and state.goal[fs.ORDER] <= passed[fs.NEXT], gap
+    ) -> tuple[bool, float, float]:
+        """Return whether a parcel has left as Singulate asks, and in its turn; its gap [m] and
+        [rad] how it is turned.
+        """
+        right, gap, off = _deliver(params, state, taken, passed, belt, runs)
+        return right and state.goal[fs.ORDER] <= passed[fs.NEXT], gap, off
 
     @staticmethod
     @inlined

@@ -42,8 +42,8 @@ class Singulate(TakeAwayTask):
     - on the take-away there is `gap` between its base and that of the one before it;
     - its sides are within `alignment` of the line's, one way or the other; 45 deg, the default,
       allows any angle;
-    - the take-away runs: with `demand=Stops()` it stops now and then, and parcels are to be held on
-      the surface until it runs again.
+    - the take-away runs: with `demand=Stops()` it stops now and then, a second after it has said
+      so, and parcels are to be held on the surface until it runs again.
 
     ### Actions
 
@@ -68,14 +68,14 @@ class Singulate(TakeAwayTask):
     | feature | meaning |
     | --- | --- |
     | 0 to 6 | where it is, how it is turned, how it moves |
-    | 7 to 10 | its half length and width, and half of its extent along x and y as it is turned |
-    | 11, 12 | how far it must move along y to be within the nearest mouth, and turn to be aligned |
-    | 13 | how long it takes to leave if it rolls |
-    | 14 | how far the last that left by that mouth is past the asked gap |
-    | 15 | 1 where the take-away runs |
-    | 16 to 18 | time since it entered; 1 for a parcel, 0 for a free row; 1 for one at the gate |
-    | 19 to 22 | the next parcel ahead along x: gap, speed, lateral offset, extent |
-    | 23 to 26 | the next one behind |
+    | 7 to 12 | its half length and width, and how far it reaches ahead, back, left and right as it is turned |
+    | 13, 14 | how far it must move along y to be within the nearest mouth, and turn to be aligned |
+    | 15 | how long it takes to leave if it rolls |
+    | 16 | how far the last that left by that mouth is past the asked gap |
+    | 17 | 1 where the take-away runs and goes on |
+    | 18 to 20 | time since it entered; 1 for a parcel, 0 for a free row; 1 for one at the gate |
+    | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
+    | 25 to 28 | the next one behind |
 
     ### Reward
 

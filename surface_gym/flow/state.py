@@ -50,6 +50,7 @@ class StreamState(NamedTuple):
     taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
     right: Booleans  # (surfaces, arrivals) whether it left as it was to
     gap: Array  # (surfaces, arrivals) [m] behind the one before it on the take-away; nan: none
+    off: Array  # (surfaces, arrivals) [rad] by which it was turned from the line as it left
     final: Array  # (surfaces, arrivals, 6) pose and velocity with which it left, as `truth`
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
     # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
@@ -95,6 +96,7 @@ class StreamParams(NamedTuple):
     take_away: float  # [m/s] speed of the conveyor after the surface; 0: there is none
     gap: float  # [m] that the task asks for between parcels on it
     alignment: float  # [rad] by which a parcel may be turned as it leaves
+    notice: float  # [s] before the take-away stops from which on parcels are told
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more
@@ -169,6 +171,7 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
         "taken": np.full(shape, ON_ITS_WAY),
         "right": np.zeros(shape, dtype=np.bool_),
         "gap": np.full(shape, np.nan),
+        "off": np.full(shape, np.nan),
         "final": np.zeros((*shape, 6)),
         "touches": np.zeros(shape, dtype=np.int64),
     }

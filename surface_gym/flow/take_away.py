@@ -86,6 +86,7 @@ class Stops:
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
+    notice: float = 1.0  # [s] before each stop from which on parcels are told that it stands
 
     def __post_init__(self) -> None:
         for name in ("run", "stop"):
@@ -96,6 +97,8 @@ class Stops:
                     f"to {checks.EPISODE:g} s, got {getattr(self, name)!r}"
                 )
             object.__setattr__(self, name, (low, high))
+        notice = checks.not_negative("notice", self.notice, self.run[0])
+        object.__setattr__(self, "notice", notice)
 
 
 # Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
@@ -109,13 +112,15 @@ FEATURES: tuple[Feature, ...] = (
     Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
     Feature("length", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m"),
     Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
-    Feature("along", -10.0, 100.0, "(half of its extent along x, turned as it is - 0.2 m) / 0.1 m"),
-    Feature("across", -10.0, 100.0, "(half of its extent along y - 0.2 m) / 0.1 m"),
+    Feature("front", -10.0, 100.0, "(reach of its base along x, turned as it is - 0.2 m) / 0.1 m"),
+    Feature("rear", -10.0, 100.0, "of its base against x, in the same way"),
+    Feature("left", -10.0, 100.0, "of its base along y"),
+    Feature("right", -10.0, 100.0, "of its base against y"),
     Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth / 0.3 m"),
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line / 45 deg"),
     Feature("rolling", 0.0, 20.0, "time until it has left if it rolls / 4 s"),
     Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap / 0.5 m"),
-    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands"),
+    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     Feature("time", -1000.0, 1000.0, "since it entered / 4 s; negative: since its time came"),
     Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
     Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface"),
@@ -131,7 +136,8 @@ FEATURES: tuple[Feature, ...] = (
     ),
 )
 END, OFFSET, SINE, COSINE, FORWARD, LATERAL, TURNING, LENGTH, WIDTH = range(9)
-ALONG, ACROSS, TO_MOUTH, TO_TURN, ROLLS, CLEAR, TAKES_AWAY, TIME, PRESENT, WAITS = range(9, 19)
+FRONT, REAR, LEFT, RIGHT, TO_MOUTH, TO_TURN, ROLLS, CLEAR = range(9, 17)
+TAKES_AWAY, TIME, PRESENT, WAITS = range(17, 21)
 NEIGHBOUR = WAITS + 1  # place of the first number of the neighbour ahead
 NEIGHBOUR_SIZE = 4
 FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
@@ -240,13 +246,11 @@ def compute_statistics(
         for values in (streams.time, streams.entered, streams.left, streams.gap)
     )
     taken, right = streams.taken[surface, :count], streams.right[surface, :count]
-    theta = streams.final[surface, :count, THETA]
-    clock = float(streams.clock[surface])
+    clock, off = float(streams.clock[surface]), streams.off[surface, :count]
     gone, through = ~np.isnan(left), taken >= 0
     delivered = int(gone.sum())
     gaps = gap[through & np.isfinite(gap)]
     stay = (left - entered)[gone]
-    off = np.abs(theta - QUARTER * np.round(theta / QUARTER))[through]
     inside = ~np.isnan(entered)
     inlet = streams.inlet[surface, :count]
     waits = [
@@ -261,7 +265,7 @@ def compute_statistics(
         gap_mean=fs.mean(gaps),
         gap_5=fs.percentile(gaps, 5.0),
         gap_spread=float(gaps.std()) if gaps.size else np.nan,
-        aligned=fs.mean(off <= task.alignment),
+        aligned=fs.mean(np.abs(off[through]) <= task.alignment + ROUND_OFF),
         beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
         touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
         jams_per_1000=float(jammed) * per_parcel,
@@ -336,6 +340,10 @@ class TakeAwayTask(StreamTask):
             return 0
         return 2 * math.ceil(self.duration / (self.demand.run[0] + self.demand.stop[0])) + 2
 
+    @property
+    def notice(self) -> float:
+        return 0.0 if self.demand is None else self.demand.notice
+
     def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
         if self.demand is None:
             return np.zeros(0)
@@ -402,12 +410,13 @@ class TakeAwayTask(StreamTask):
     @inlined
     def deliver(
         params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float]:
+    ) -> tuple[bool, float, float]:
         """Return whether a parcel has left through a mouth, with its gap, aligned, while the
-        take-away runs; and its gap [m], nan where none came before it.
+        take-away runs; its gap [m], nan where none came before it; and [rad] how it is turned.
         """
+        off = misalignment(state, state.truth[THETA])
         if taken == fs.BETWEEN:
-            return False, math.nan
+            return False, math.nan, off
         truth = state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
         beyond = speed - params.take_away
@@ -423,13 +432,18 @@ class TakeAwayTask(StreamTask):
             offset + reach_along(state, theta, 0.0, 1.0) <= params.exits[taken, 2]
             and offset - reach_along(state, theta, 0.0, -1.0) >= params.exits[taken, 1]
         )
-        aligned = abs(misalignment(state, theta)) <= params.alignment + ROUND_OFF
-        return runs and inside and aligned and not gap < params.gap - ROUND_OFF, gap
+        aligned = abs(off) <= params.alignment + ROUND_OFF
+        return runs and inside and aligned and not gap < params.gap - ROUND_OFF, gap, off
 
     @staticmethod
     @inlined
     def inform(
-        params: fs.StreamParams, state: EnvState, passed: Array, belt: float, runs: bool
+        params: fs.StreamParams,
+        state: EnvState,
+        passed: Array,
+        belt: float,
+        runs: bool,
+        stops: bool,
     ) -> None:
         """Write the nearest mouth, and where the last parcel that left by it is, into the goal."""
         offset = state.sensed[Y] - state.elements.line_y
@@ -442,7 +456,7 @@ class TakeAwayTask(StreamTask):
         goal[LOW] = params.exits[nearest, 1]
         goal[HIGH] = params.exits[nearest, 2]
         goal[LAST_REAR] = belt + passed[nearest, fs.REAR] if passed[nearest, fs.ANY] else math.inf
-        goal[RUNS] = 1.0 if runs else 0.0
+        goal[RUNS] = 1.0 if runs and not stops else 0.0
         goal[SLOPE_END] = params.rotors_end
         goal[GAP] = params.gap
         goal[NEXT] = passed[0, fs.NEXT]
@@ -467,7 +481,6 @@ class TakeAwayTask(StreamTask):
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
         left, right = reach_along(state, theta, 0.0, 1.0), reach_along(state, theta, 0.0, -1.0)
-        extent = reach_along(state, theta, 1.0, 0.0) + reach_along(state, theta, -1.0, 0.0)
         # How far it must move so that neither of its sides is beyond the mouth's, or both alike.
         below, above = goal[LOW] - (offset - right), goal[HIGH] - (offset + left)
         to_mouth = max(0.0, below) + min(0.0, above)
@@ -484,8 +497,10 @@ class TakeAwayTask(StreamTask):
         see[TURNING] = min(50.0, max(-50.0, sensed[OMEGA] / 3.0))
         see[LENGTH] = (state.body[HALF_LENGTH] - 0.175) / 0.05
         see[WIDTH] = (reach_along(state, 0.0, 0.0, 1.0) - 0.175) / 0.05
-        see[ALONG] = (0.5 * extent - 0.2) / 0.1
-        see[ACROSS] = (0.5 * (left + right) - 0.2) / 0.1
+        see[FRONT] = (reach_along(state, theta, 1.0, 0.0) - 0.2) / 0.1
+        see[REAR] = (reach_along(state, theta, -1.0, 0.0) - 0.2) / 0.1
+        see[LEFT] = (left - 0.2) / 0.1
+        see[RIGHT] = (right - 0.2) / 0.1
         see[TO_MOUTH] = min(20.0, max(-20.0, to_mouth / 0.3))
         see[TO_TURN] = min(1.0, max(-1.0, -misalignment(state, theta) / EIGHTH))
         see[ROLLS] = min(20.0, rolling_time(max(0.0, distance), sensed[VX], acceleration) / 4.0)

@@ -100,12 +100,13 @@ class StreamTask(Task):
       `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
     - `has_left(params, state) -> bool`, after every physics step: by default where no rotor bears it.
     - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
-    - `deliver(params, state, taken, passed, belt, runs) -> (bool, float)`, then: whether it has left
-      as it was to, by default by its exit; and the gap [m] to the one before it on the take-away,
-      by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
+    - `deliver(params, state, taken, passed, belt, runs) -> (bool, float, float)`, then: whether it
+      has left as it was to, by default by its exit; the gap [m] to the one before it on the
+      take-away and [rad] how it is turned, by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
       `belt` [m] how far the take-away has moved, and `runs` whether it does.
-    - `inform(params, state, passed, belt, runs)`, before it is observed: write into `state.goal`
-      what it may know of the exits (exits, PASSED_SIZE) and the take-away; by default nothing.
+    - `inform(params, state, passed, belt, runs, stops)`, before it is observed: write into `state.goal`
+      what it may know of the exits (exits, PASSED_SIZE) and the take-away, of which `stops` says
+      that it is about to; by default nothing.
     - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
       The outcome is RUNNING, LEFT_RIGHT or LEFT_WRONG; `state.memory[TOUCHED]` counts touches.
     - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
@@ -194,16 +195,26 @@ class StreamTask(Task):
     @inlined
     def deliver(
         params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float]:
+    ) -> tuple[bool, float, float]:
         """Return whether a parcel has left by its own exit; nothing takes it away."""
-        return taken == int(state.goal[fs.EXIT]), math.nan
+        return taken == int(state.goal[fs.EXIT]), math.nan, math.nan
 
     @staticmethod
     @inlined
     def inform(
-        params: fs.StreamParams, state: EnvState, passed: Array, belt: float, runs: bool
+        params: fs.StreamParams,
+        state: EnvState,
+        passed: Array,
+        belt: float,
+        runs: bool,
+        stops: bool,
     ) -> None:
         """Show nothing of the exits."""
+
+    @property
+    def notice(self) -> float:
+        """[s] before the take-away stops from which on parcels are told."""
+        return 0.0
 
     @property
     def most_changes(self) -> int:
