@@ -21,6 +21,7 @@ from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_a
 
 NOBODY = -1
 HELD = 0.1  # [m/s] slower than this, all modules may hold a parcel
+URGENT = 2.0  # [m] before the end, from where on both halves turn a parcel
 HOLD_AT = 0.15  # [m] before the end, of a parcel's middle while the take-away stands
 ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choices
 
@@ -43,26 +44,26 @@ class Slope(NamedTuple):
 class Tuning(NamedTuple):
     """Constants of the rules, found by search: see docs/singulation.md."""
 
-    swap: float = 0.11  # [m] that a parcel must be ahead of another to go first
-    margin: float = 0.005  # [m] kept from the sides of a mouth
-    spare_gap: float = 0.02  # [m] beyond the asked gap
-    shift_time: float = 0.033  # [s] that it costs to be led aside,
-    shift_cost: float = 0.79  # [s/m] and for each metre
-    turn_cost: float = 0.25  # [s/rad] that it costs to be turned
-    clear: float = 0.075  # [m] between two, one behind the other
-    following: float = 0.24  # [-] share of full braking that one counts on that follows another
-    shifting: float = 0.7  # [-] and one that waits to be led aside
-    shift_room: float = 0.55  # [m] before the end by which it must be led aside
-    least_speed: float = 0.12  # [m/s] at which modules may turn a parcel
-    turned: float = 0.1  # [rad] that a parcel is left turned by
-    unturning: float = 11.8  # [rad/s^2] at which a turn can be stopped
-    most_turning: float = 5.8  # [rad/s]
-    ahead: float = 0.17  # [m] to be clear ahead of one that is led aside,
-    behind: float = 0.145  # [m] behind it,
-    beside: float = 0.02  # [m] and beside it
-    merged: float = 0.56  # [-] of the length, by which parcels for one mouth follow each other
-    headway: float = 0.1  # [s] that they then are apart
-    yielding: float = 1.05  # [1/m] share of its speed that one yields that is too near
+    swap: float = 0.03  # [m] that a parcel must be ahead of another to go first
+    margin: float = 0.004  # [m] kept from the sides of a mouth
+    spare_gap: float = 0.014  # [m] beyond the asked gap
+    shift_time: float = 0.01  # [s] that it costs to be led aside,
+    shift_cost: float = 0.68  # [s/m] and for each metre
+    turn_cost: float = 0.23  # [s/rad] that it costs to be turned
+    clear: float = 0.11  # [m] between two, one behind the other
+    following: float = 0.38  # [-] share of full braking that one counts on that follows another
+    shifting: float = 0.4  # [-] and one that waits to be led aside
+    shift_room: float = 0.33  # [m] before the end by which it must be led aside
+    least_speed: float = 0.08  # [m/s] at which modules may turn a parcel
+    turned: float = 0.08  # [rad] that a parcel is left turned by
+    unturning: float = 10.8  # [rad/s^2] at which a turn can be stopped
+    most_turning: float = 4.0  # [rad/s]
+    ahead: float = 0.1  # [m] to be clear ahead of one that is led aside,
+    behind: float = 0.21  # [m] behind it,
+    beside: float = 0.003  # [m] and beside it
+    merged: float = 0.52  # [-] of the length, by which parcels for one mouth follow each other
+    headway: float = 0.02  # [s] that they then are apart
+    yielding: float = 0.96  # [1/m] share of its speed that one yields that is too near
 
 
 class Parcels(NamedTuple):
@@ -367,7 +368,8 @@ def choose_halves(
         asked = math.copysign(min(asked, tuning.most_turning), turn)
         if abs(asked - omega) > 0.35:
             if (asked - omega) * asked > 0.0 and abs(asked) > abs(omega):
-                _turn(halves, asked > 0.0, shift)
+                near = slope.length - parcels.x[k] < URGENT
+                _turn(halves, asked > 0.0, shift, near)
             else:  # rolling stops a turn
                 halves[0] = halves[1] = ROLL
             return
@@ -387,16 +389,15 @@ def hold(parcels: Parcels, k: int, speed: float, halves: Integers) -> None:
 
 
 @inlined
-def _turn(halves: Integers, left: bool, shift: float) -> None:
-    """Turn a parcel anti-clockwise or clockwise: by one half where that leads it aside, too."""
+def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
+    """Turn a parcel anti-clockwise or clockwise, by both halves or by one, which brakes less.
+
+    Where it is to be led aside, too, the half turns it that leads it there.
+    """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
-    halves[0], halves[1] = ahead, behind
-    if shift != 0.0 and (shift > 0.0) == left:
-        halves[1] = ROLL
-    elif shift != 0.0:
-        halves[0] = ROLL
-    else:
-        halves[1] = ROLL
+    leads_aside = shift == 0.0 or (shift > 0.0) == left
+    halves[0] = ahead if both or leads_aside else ROLL
+    halves[1] = ROLL if leads_aside and not both else behind
 
 
 @compiled
