@@ -441,9 +441,9 @@ def choose_by_slots(
 @compiled
 def choose_by_release(
     tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
-    order: Integers, came: Numbers, brakes: Brakes, halves: Integers, hold: float,
+    order: Integers, came: Numbers, brakes: Brakes, halves: Integers, stop: float,
 ) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) that hold parcels a distance [m] before the end, and let
+    """Choose halves (num_envs, rows, 2) that stop parcels a distance [m] before the end, and let
     one after the other go from there.
 
     It is let go as soon as it will leave with the asked gap behind the one before it.
@@ -457,7 +457,7 @@ def choose_by_release(
             distance = find_distance(slope, parcels, k)
             after = find_slot(slope, tuning, parcels, slots, k)
             slot = rolling_time(slope, distance, parcels.vx[k])
-            room = distance - hold - parcels.along[k]
+            room = distance - stop - parcels.along[k]
             speed = slope.take_away
             if room > -0.02 and (slot < after or parcels.shift[k] != 0.0):
                 speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
