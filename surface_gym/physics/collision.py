@@ -176,6 +176,32 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 
 @linked
+def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
+    """Write behind the near pairs those that only a push brought near; return the number of all.
+
+    A parcel that is pushed goes farther than alone, by which `find_near_pairs` reckons.
+    """
+    before, after, reach = scratch.before, world.state, scratch.reach
+    rows = world.present.shape[0]
+    for i in range(rows):
+        if reach[i] < 0.0:
+            continue
+        for j in range(i + 1, rows):
+            most = reach[i] + reach[j]
+            dx = after[i, ph.X] - after[j, ph.X]
+            dy = after[i, ph.Y] - after[j, ph.Y]
+            if most < 0.0 or dx * dx + dy * dy > most * most:
+                continue
+            dx = before[i, ph.X] - before[j, ph.X]
+            dy = before[i, ph.Y] - before[j, ph.Y]
+            if dx * dx + dy * dy > most * most:
+                scratch.near[pairs, 0] = i
+                scratch.near[pairs, 1] = j
+                pairs += 1
+    return pairs
+
+
+@linked
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
     """Write the time of impact of each near pair, and the islands; return whether any touch."""
     bodies, before, after = world.bodies, scratch.before, world.state

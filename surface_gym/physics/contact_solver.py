@@ -31,7 +31,7 @@ from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import step_implicit
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
-MAX_SWEEPS = 20
+MAX_SWEEPS = 100
 
 
 @linked
@@ -98,7 +98,7 @@ def solve_contacts(
                 k = scratch.member[n]
                 if _is_pushed(scratch, island, k):
                     _advance(grid, world, scratch, k, hit, dt)
-    resolve_overlaps(world, scratch, pairs)
+    resolve_overlaps(world, scratch, collision.add_pushed_pairs(world, scratch, pairs))
     pushed = 0
     for e in range(pairs):
         if scratch.push[e] > 0.0:
