@@ -48,12 +48,11 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
             j = scratch.near[e, 1]
             first = sd.read_outline(bodies, world.body[i])
             second = sd.read_outline(bodies, world.body[j])
-            gap = sd.signed_distance(
-                first,
-                sd.transform_at(first, sd.sweep_at_rest(state[i]), 0.0),
-                second,
-                sd.transform_at(second, sd.sweep_at_rest(state[j]), 0.0),
-            )
+            pose = sd.transform_at(first, sd.sweep_at_rest(state[i]), 0.0)
+            other_pose = sd.transform_at(second, sd.sweep_at_rest(state[j]), 0.0)
+            if sd.stay_clear(first, pose, second, other_pose, 0.0, 0.0, 0.0):
+                continue
+            gap = sd.signed_distance(first, pose, second, other_pose)
             if gap.width >= -sd.CONTACT_DISTANCE:
                 continue
             apart = False
