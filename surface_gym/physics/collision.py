@@ -181,7 +181,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
     """Write behind the near pairs those that only a push brought near; return the number of all.
 
-    A parcel that is pushed goes farther than alone, by which `find_near_pairs` reckons.
+    A parcel that is pushed goes farther than alone, which `find_near_pairs` goes by.
     """
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]

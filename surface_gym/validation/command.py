@@ -18,7 +18,8 @@ class Options:
 
     Prints Table 7 for Adams as printed and for MuJoCo, Adams's displacements as far as they are
     printed, from which tilt the sort completes, how far MuJoCo itself has converged, and how fast
-    each method is. Takes about a minute on two cores, with --heights two more, with --touching eight.
+    each method is. Takes about a minute on two cores, with --heights two more, with --touching
+    eight.
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
