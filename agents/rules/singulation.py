@@ -16,6 +16,7 @@ from surface_gym.flow import take_away as ta
 from surface_gym.flow.take_away import TakeAwayTask
 from surface_gym.physics.jit import compiled, inlined, linked
 from surface_gym.physics.types import GRAVITY
+from surface_gym.sensors import Exact
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
 
@@ -64,6 +65,14 @@ class Tuning(NamedTuple):
     merged: float = 0.52  # [-] of the length, by which parcels for one mouth follow each other
     headway: float = 0.02  # [s] that they then are apart
     yielding: float = 0.96  # [1/m] share of its speed that one yields that is too near
+
+
+SPARE = 0.02  # [m] beyond the asked gap where sensors err
+
+
+def find_tuning(config: EnvConfig) -> Tuning:
+    """Find the constants for an environment's sensors."""
+    return Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
 
 
 class Parcels(NamedTuple):
@@ -509,7 +518,7 @@ class SlopeRule(BatchController):
         axes = find_axes(config)
         self._choices = np.array([axes.roll, axes.brake, axes.left, axes.right])
         self._slope = read_slope(config)
-        self._tuning = Tuning() if tuning is None else tuning
+        self._tuning = find_tuning(config) if tuning is None else tuning
         self._parcels = make_parcels(config.rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
