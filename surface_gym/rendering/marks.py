@@ -518,9 +518,11 @@ def _write_queue(
     x, y = area.center
     room = area.width - size // 2
     if mark.side:
-        gap = size // 4
-        ink.write(canvas, mark.name, size, colour, room // 2, midright=(x - gap, y + 1))
-        ink.write(canvas, str(count), large, colour, room // 2, midleft=(x + gap, y + 1))
+        gap, taken = size // 2, ink.text_width(str(count), large)
+        name = min(ink.text_width(mark.name, size), max(1, room - gap - taken))
+        left = x - (name + gap + taken) // 2
+        ink.write(canvas, mark.name, size, colour, name, midleft=(left, y + 1))
+        ink.write(canvas, str(count), large, colour, midleft=(left + name + gap, y + 1))
         return
     if area.height < 2 * size:
         ink.write(canvas, str(count), size, colour, room, center=(x, y))
