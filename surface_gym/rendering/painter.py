@@ -84,7 +84,8 @@ class Strips:
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
         if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
             x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
-        exits = max((scene.exits for scene in scenes), key=len)
+        widest = max(scenes, key=lambda scene: len(scene.exits))
+        exits = widest.exits
         gap, middle = self._gap, self._middle_below(area)
         if exits:
             after = (x + 3 * gap, middle)
@@ -92,7 +93,7 @@ class Strips:
         for index, mark in enumerate(exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
-            after, colour = (x + gap // 2, middle), ink.exit_colour(index)
+            after, colour = (x + gap // 2, middle), marks.exit_colour(widest, index)
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
@@ -364,7 +365,8 @@ class _Field:
         canvas.set_clip(clip)
 
     def _painted_ground(self, scene: Scene) -> pygame.Surface:
-        key = (scene.rotor.tobytes(), scene.zone, scene.exits)
+        traffic = scene.traffic and (scene.traffic.inlets, scene.traffic.runs)
+        key = (scene.rotor.tobytes(), scene.zone, scene.exits, traffic)
         if self._ground is None or key != self._ground_key:
             self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
         return self._ground
