@@ -18,7 +18,7 @@ import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.inlets import lanes
+from surface_gym.flow.inlets import side_by_side
 from surface_gym.flow.merge import lines
 from surface_gym.flow.sequence import shuffled
 from surface_gym.flow.state import JAM, RIGHT
@@ -46,7 +46,7 @@ IN_ORDER = 0.999  # [-] share of parcels that must leave in their order
 RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())  # [parcels/h] at which orders are tried
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab: those of no tuning
 LAB = PRESETS["lab"]
-CONDITIONS: dict[str, dict[str, Any]] = {
+COMPARED: dict[str, dict[str, Any]] = {
     "exact": {},
     "camera": {
         "sensors": sg.sensors.Camera(), "randomisation": sg.Randomisation(friction=0.2),
@@ -86,11 +86,11 @@ class Scenario:
     methods: tuple[tuple[str, Make], ...]
     window: int = 0  # of the order; 0: none is asked
 
-    def config(self, condition: str, rate: float) -> EnvConfig:
+    def config(self, preset: str, rate: float) -> EnvConfig:
         """Configure the environment at a rate [parcels/h]."""
-        given = CONDITIONS[condition]
+        given = COMPARED[preset]
         stream = self.stream(rate)
-        if condition == "lab":
+        if preset == "lab":
             shapes = assortment(NEVER_SEEN, SHAPES_SEED)
             stream = replace(stream, parcels=tuple((each, 1.0) for each in shapes))
         return EnvConfig(
@@ -118,7 +118,7 @@ def scenarios(tasks: Sequence[str] = TASKS) -> list[Scenario]:
             (("exits", "mouth"), aligned, ("demand", Stops())), singles[1:],
         ),
         Scenario("merge", "three lines", (), singles),
-        Scenario("merge", "two lines", (("inlets", lanes(2)),), singles),
+        Scenario("merge", "two lines", (("inlets", side_by_side(2)),), singles),
         *(Scenario("sequence", f"window of {k}", (), order, k) for k in (2, 4, 8)),
     ]  # fmt: skip
     return [each for each in found if each.task in tasks]
@@ -126,11 +126,11 @@ def scenarios(tasks: Sequence[str] = TASKS) -> list[Scenario]:
 
 @dataclass(frozen=True)
 class MaterialFlowResult:
-    """A controller under one scenario and condition, over all replications."""
+    """A controller under one scenario and preset, over all replications."""
 
     scenario: str
     method: str
-    condition: str
+    preset: str
     rates: list[float]  # [parcels/h] of right parcels, of each replication
     right: float  # [-] share of the parcels that left
     right_gaps: float  # [-] share
@@ -147,7 +147,7 @@ class MaterialFlowResult:
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        return ("material", self.scenario, self.method, self.condition)
+        return ("material", self.scenario, self.method, self.preset)
 
     @property
     def rate(self) -> float:
@@ -188,7 +188,7 @@ def play(config: EnvConfig, controller: Controller) -> StreamBatch:
 
 
 def _measure(
-    scenario: Scenario, method: str, condition: str, config: EnvConfig, controller: Controller
+    scenario: Scenario, method: str, preset: str, config: EnvConfig, controller: Controller
 ) -> MaterialFlowResult:
     batch = play(config, controller)
     task, streams = config.stream_task, batch.streams
@@ -204,7 +204,7 @@ def _measure(
         return float(np.average(values[some], weights=np.maximum(1, delivered)[some]))
 
     return MaterialFlowResult(
-        scenario.name, method, condition,
+        scenario.name, method, preset,
         # A replication that jams counts to its end: nothing comes after it.
         rates=(HOUR * streams.tally[:, RIGHT] / SECONDS).tolist(),
         right=float(streams.tally[:, RIGHT].sum() / max(1, delivered.sum())),
@@ -216,13 +216,13 @@ def _measure(
     )  # fmt: skip
 
 
-def compute(scenario: Scenario, method: str, condition: str) -> MaterialFlowResult:
+def compute(scenario: Scenario, method: str, preset: str) -> MaterialFlowResult:
     """Measure a method; an order at the highest rate of `RATES` at which it holds, or the least."""
     make = dict(scenario.methods)[method]
     rates = RATES[::-1] if scenario.window else (OFFERED[scenario.task],)
     for rate in rates:
-        config = scenario.config(condition, rate)
-        found = _measure(scenario, method, condition, config, make(config))
+        config = scenario.config(preset, rate)
+        found = _measure(scenario, method, preset, config, make(config))
         if not scenario.window or (found.right >= IN_ORDER and found.jams == 0):
             break
     return found
@@ -241,17 +241,17 @@ def compute_material_flow(
 ) -> list[MaterialFlowResult]:
     """Compute all results of some tasks."""
     jobs = {
-        ("material", each.name, method, condition): partial(compute, each, method, condition)
+        ("material", each.name, method, preset): partial(compute, each, method, preset)
         for each in scenarios(tasks)
         for method, _ in each.methods
-        for condition in CONDITIONS
+        for preset in COMPARED
     }
     file = None if folder is None else folder / FILE
     return list(compute_kept(jobs, result, workers, file, advance).values())
 
 
 def material_flow_tables(results: Sequence[MaterialFlowResult]) -> list[Table]:
-    """Show what each method delivers under each condition, a table a task."""
+    """Show what each method delivers under each preset, a table a task."""
     tables = []
     for task in TASKS:
         names = [each.name for each in scenarios((task,))]
@@ -265,8 +265,8 @@ def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
     rows = []
     for name in dict.fromkeys(each.scenario for each in results):
         here = [each for each in results if each.scenario == name]
-        for condition in CONDITIONS:
-            group = [each for each in here if each.condition == condition]
+        for preset in COMPARED:
+            group = [each for each in here if each.preset == preset]
             best = max(group, key=lambda each: each.rate)
             rows += [_row(each, each is best and _is_ahead(each, group)) for each in group]
     asked = (
@@ -285,7 +285,7 @@ def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
         "over the sides; touches per 1000; the largest force between two; streams that jammed. "
         "Nobody exceeds the bound: there all lie with their narrowest side along the take-away.",
         (
-            "scenario", "condition", "method", "right an hour", "right", "gaps", "aligned",
+            "scenario", "preset", "method", "right an hour", "right", "gaps", "aligned",
             "beside", "touches", "squeeze [N]", "time [s]", "jams", "bound",
         ),
         tuple(rows),
@@ -306,7 +306,7 @@ def _row(row: MaterialFlowResult, ahead: bool) -> tuple[str, ...]:
         return f"{100.0 * value:.2f} %" if math.isfinite(value) else NOTHING
 
     return (
-        row.scenario, row.condition, row.method, bold(rate) if ahead else rate, share(row.right),
+        row.scenario, row.preset, row.method, bold(rate) if ahead else rate, share(row.right),
         share(row.right_gaps), share(row.aligned), share(row.beside),
         f"{row.touches_per_1000:.0f}", f"{row.squeeze:.0f}", f"{row.time:.1f}", f"{row.jams}",
         f"{row.bound:.0f}",
@@ -321,7 +321,7 @@ def material_flow_numbers(results: Sequence[MaterialFlowResult]) -> list[dict[st
         values = {"rate": row.rate, "margin": half_interval(np.array(row.rates)), **values}
         rows += [
             {
-                "scenario": row.scenario, "method": row.method, "condition": row.condition,
+                "scenario": row.scenario, "method": row.method, "preset": row.preset,
                 "metric": name, "value": value,
             }
             for name, value in values.items()
@@ -329,7 +329,7 @@ def material_flow_numbers(results: Sequence[MaterialFlowResult]) -> list[dict[st
     return rows
 
 
-TEXTS = ("scenario", "method", "condition", "rates")
+TEXTS = ("scenario", "method", "preset", "rates")
 
 
 def write_material_flow(

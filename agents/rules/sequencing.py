@@ -39,7 +39,7 @@ from .singulation import (
 class Parking(NamedTuple):
     """Where parcels wait."""
 
-    lane: float = 0.47  # [m] from the middle to those that wait beside the passage
+    beside: float = 0.47  # [m] from the middle to those that wait beside the passage
     passage: float = 0.22  # [m] half of the passage's width
     spacing: float = 0.08  # [m] behind one that goes before,
     leading_out: float = 0.07  # [m] behind one that is to be passed, beside what that takes
@@ -111,16 +111,16 @@ def find_parking(
         if parcels.y[j] - parcels.across[j] < -parking.passage:
             room_right = min(room_right, rear)
             cost_right += 1.0 if passes else 0.0
-    front = parcels.x[k] + parcels.along[k] + parking.lane
+    front = parcels.x[k] + parcels.along[k] + parking.beside
     cost_left += 10.0 * max(0.0, front - room_left) - 0.1 * room_left
     cost_right += 10.0 * max(0.0, front - room_right) - 0.1 * room_right
     if abs(parcels.y[k]) > 0.08:
         side = math.copysign(1.0, parcels.y[k])
     else:
         side = 1.0 if cost_left <= cost_right else -1.0
-    lane = min(parking.lane, slope.half_width - parcels.across[k] - 0.01)
-    lane = max(lane, min(slope.half_width - parcels.across[k], parking.passage + parcels.across[k]))
-    return side * lane, room_left if side > 0.0 else room_right
+    y = min(parking.beside, slope.half_width - parcels.across[k] - 0.01)
+    y = max(y, min(slope.half_width - parcels.across[k], parking.passage + parcels.across[k]))
+    return side * y, room_left if side > 0.0 else room_right
 
 
 @linked

@@ -43,7 +43,7 @@ class Slope(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """Constants of the rules, found by search: see docs/singulation.md."""
+    """Constants of the rules, found by search: see docs/material-flow.md."""
 
     swap: float = 0.03  # [m] that a parcel must be ahead of another to go first
     margin: float = 0.004  # [m] kept from the sides of a mouth

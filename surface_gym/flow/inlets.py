@@ -56,7 +56,7 @@ class Entrance(NamedTuple):
 class Inlets:
     """The inlets of a surface, counted by their index.
 
-    >>> lanes(2).names
+    >>> side_by_side(2).names
     ('line 1', 'line 2')
     """
 
@@ -91,16 +91,16 @@ class Inlets:
 
 
 EDGE = Inlets((Inlet("edge"),))  # the whole upper edge
-LANE = 0.46  # [m] from the middle of a line to that of the next
+SPACING = 0.46  # [m] from the middle of a line to that of the next
 
 
-def lanes(count: int) -> Inlets:
+def side_by_side(count: int) -> Inlets:
     """Make lines side by side at the start, counted from y > 0, at most 0.45 m wide."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
-    middles = [LANE * (0.5 * (count - 1) - k) for k in range(count)]
+    middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(
         tuple(
-            Inlet(f"line {k}", START, middle - 0.5 * LANE, middle + 0.5 * LANE)
+            Inlet(f"line {k}", START, middle - 0.5 * SPACING, middle + 0.5 * SPACING)
             for k, middle in enumerate(middles, start=1)
         )
     )
@@ -145,4 +145,4 @@ def inlets_option(value: Any) -> Inlets:
         return value
     if isinstance(value, (tuple, list)):
         return Inlets(tuple(value))
-    raise ValueError(f"inlets must be Inlets, as lanes(2), or a tuple of Inlet, got {value!r}")
+    raise ValueError(f"inlets must be Inlets, or a tuple of Inlet objects, got {value!r}")

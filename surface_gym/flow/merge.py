@@ -6,7 +6,7 @@ from typing import Any
 
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
-from surface_gym.flow.inlets import MOST_INLETS, lanes
+from surface_gym.flow.inlets import MOST_INLETS, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import FEATURES, TakeAwayTask, bulk_parcels
 from surface_gym.physics.jit import inlined
@@ -17,7 +17,7 @@ LINE = len(FEATURES)  # place of the feature of a parcel's line
 _observe = TakeAwayTask.observe
 
 
-THREE = lanes(3)
+THREE = side_by_side(3)
 
 
 def lines(rate: float = 6000.0) -> Stream:
@@ -44,9 +44,10 @@ class Merge(TakeAwayTask):
 
     ### Lines
 
-    `inlets` says where the lines end: `lanes(3)`, the default, three side by side at the upper
-    edge, 0.46 m from middle to middle; an `Inlet` may lie on any edge. `stream` says when parcels
-    come, which, and by its `origins` how many on each line: by default 6000 an hour, at equal odds.
+    `inlets` says where the lines end: `side_by_side(3)`, the default, are three side by side at the
+    upper edge, 0.46 m from middle to middle; an `Inlet` may lie on any edge. `stream` says when
+    parcels come, which, and by its `origins` how many on each line: by default 6000 an hour, at
+    equal odds.
 
     ### Observation
 
@@ -69,7 +70,7 @@ class Merge(TakeAwayTask):
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["right"], info["wrong"]
-        (7, 1, 2)
+        (9, 2, 4)
 
     ### Version history
 

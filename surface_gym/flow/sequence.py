@@ -64,7 +64,7 @@ class Sequence(TakeAwayTask):
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["right"], info["wrong"]
-        (7, 1, 2)
+        (6, 4, 1)
 
     ### Version history
 

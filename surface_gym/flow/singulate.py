@@ -19,7 +19,7 @@ class Singulate(TakeAwayTask):
     ### The surface
 
     5 m x 1.4 m of modules, all rotors, on a slope of 8 deg towards +x: a parcel that rolls gains
-    1.27 m/s each second, one that is braked loses 3.4, and full braking holds up to 26 deg. `tilt`
+    1.27 m/s each second, one that is braked loses 3.5, and full braking holds up to 26 deg. `tilt`
     and `line` change it, as `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
 
     ### Bulk
@@ -115,7 +115,7 @@ class Singulate(TakeAwayTask):
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
         >>> info["entered"], info["right"], info["wrong"]
-        (7, 1, 2)
+        (10, 2, 4)
 
     ### Version history
 

@@ -96,7 +96,7 @@ class StreamParams(NamedTuple):
     take_away: float  # [m/s] speed of the conveyor after the surface; 0: there is none
     gap: float  # [m] that the task asks for between parcels on it
     alignment: float  # [rad] by which a parcel may be turned as it leaves
-    notice: float  # [s] before the take-away stops from which on parcels are told
+    notice: float  # [s] before the take-away stops from which on parcels are shown that it does
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more

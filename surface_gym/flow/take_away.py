@@ -86,7 +86,7 @@ class Stops:
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
-    notice: float = 1.0  # [s] before each stop from which on parcels are told that it stands
+    notice: float = 1.0  # [s] before each stop from which on it shows as standing
 
     def __post_init__(self) -> None:
         for name in ("run", "stop"):

@@ -213,7 +213,7 @@ class StreamTask(Task):
 
     @property
     def notice(self) -> float:
-        """[s] before the take-away stops from which on parcels are told."""
+        """[s] before the take-away stops from which on it shows as standing."""
         return 0.0
 
     @property
@@ -282,7 +282,14 @@ class StreamTask(Task):
                 f"entry_gap must be at most the line's length, {config.chosen_line.length:g} m, "
                 f"got {self.entry_gap!r}"
             )
+        _, _, low, high = config.chosen_line.extent
+        middle = config.chosen_line.line_y
         for each in () if isinstance(self.exits, str) else config.exits:
+            if not each.side and not (each.first < high - middle and each.last > low - middle):
+                raise ValueError(
+                    f"exits straight on must lie across the end, from {low - middle:g} to "
+                    f"{high - middle:g} m, got {each.name!r} from {each.first:g} to {each.last:g} m"
+                )
             on_line = each.first < config.rotors_end and each.last > config.entry_x
             if each.side and not on_line:
                 raise ValueError(
