@@ -267,7 +267,7 @@ def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
         here = [each for each in results if each.scenario == name]
         for preset in COMPARED:
             group = [each for each in here if each.preset == preset]
-            best = max(group, key=lambda each: each.rate)
+            best = max(group, key=lambda each: each.rate, default=None)
             rows += [_row(each, each is best and _is_ahead(each, group)) for each in group]
     asked = (
         f"offered more than it takes, but with a window at the highest rate, to "
