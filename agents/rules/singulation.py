@@ -23,6 +23,11 @@ from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_a
 NOBODY = -1
 HELD = 0.1  # [m/s] slower than this, all modules may hold a parcel
 URGENT = 2.0  # [m] before the end, from where on both halves turn a parcel
+LAST = 1.0  # [m] before the end, where one that stands is led aside at once if it may be
+NEAR = 0.3  # [m] behind one that stands, from where on another may pass it
+STANDS = 0.02  # [m/s] slower than this, a parcel counts as one that stands
+LONG = 15  # control periods for which one has stood before it lets another pass
+TRIES = 10  # control periods for which one that stands is led aside, or let roll, in turn
 HOLD_AT = 0.15  # [m] before the end, of a parcel's middle while the take-away stands
 ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choices
 
@@ -67,12 +72,16 @@ class Tuning(NamedTuple):
     yielding: float = 0.96  # [1/m] share of its speed that one yields that is too near
 
 
+LATE_ROOM = 0.6  # [m] before the end by which it must be led aside where axes turn late
 SPARE = 0.02  # [m] beyond the asked gap where sensors err
 
 
 def find_tuning(config: EnvConfig) -> Tuning:
     """Find the constants for an environment's sensors."""
-    return Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
+    tuning = Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
+    if math.isinf(config.actuators.axis_speed):
+        return tuning
+    return tuning._replace(shift_room=LATE_ROOM)
 
 
 class Parcels(NamedTuple):
@@ -211,12 +220,14 @@ def speed_for(slope: Slope, distance: float, time: float) -> float:
 
 @linked
 def sort_by_progress(
-    table: Singles, parcels: Parcels, order: Integers, came: Numbers, swap: float
+    table: Singles, parcels: Parcels, order: Integers, came: Numbers, stood: Integers, swap: float
 ) -> int:
     """Keep the order (rows,) in which parcels are to leave; return how many there are.
 
     Those that left are dropped, those that came are last, and one that is far enough ahead of the
-    one before it goes first. `came` (rows,) is the time since each entered, as seen last.
+    one before it goes first. One that has stood for long and is yet to be led aside lets one pass
+    that is not. `came` (rows,) is the time since each entered, as seen last, and `stood` (rows,) the
+    control periods for which each has stood.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -245,6 +256,11 @@ def sort_by_progress(
         while j > 0 and parcels.x[order[j]] > parcels.x[order[j - 1]] + swap:
             order[j], order[j - 1] = order[j - 1], order[j]
             j -= 1
+    for place in range(count - 1):
+        k, other = order[place], order[place + 1]
+        near = parcels.x[k] - parcels.x[other] < parcels.along[k] + parcels.along[other] + NEAR
+        if parcels.shift[k] != 0.0 and stood[k] >= LONG and parcels.shift[other] == 0.0 and near:
+            order[place], order[place + 1] = other, k
     return count
 
 
@@ -313,6 +329,9 @@ def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, 
         long, wide = parcels.along[j] + parcels.along[k], parcels.across[j] + parcels.across[k]
         if not -(long + tuning.behind) < ahead < long + tuning.ahead + abs(shift):
             continue
+        # One right behind does not keep one that stands from being led away.
+        if ahead < 0.0 and abs(aside) < wide - 0.005 and parcels.vx[k] < HELD:
+            continue
         if (aside > 0.0) != (shift > 0.0) or abs(aside) >= abs(shift) + wide + tuning.beside:
             continue
         if ahead > long and parcels.vx[j] > parcels.vx[k]:
@@ -327,6 +346,7 @@ class Brakes(NamedTuple):
     due: Numbers  # halves that are yet to be braked, as a choice of none, one or both rounds
     halves: Integers  # that are braked
     since: Integers  # control periods since that was chosen
+    stood: Integers  # control periods for which it has stood
 
 
 @inlined
@@ -367,6 +387,7 @@ def choose_halves(
     shift, turn = parcels.shift[k], parcels.turn[k]
     share = ((vx - speed) / slope.period + slope.rolls) / slope.brakes
     braked = choose_brakes(brakes, i, k, share, slope.dwell)
+    brakes.stood[i, k] = brakes.stood[i, k] + 1 if abs(vx) + abs(vy) < STANDS else 0
     halves[0] = BRAKE if braked > 0 else ROLL
     halves[1] = BRAKE if braked > 1 else ROLL
     tolerance = min(tuning.turned, slope.alignment)
@@ -386,7 +407,9 @@ def choose_halves(
         coasts = vy * vy / 8.0 + abs(vy) * slope.period  # [m] until rolling has stopped it
         if vy * shift > 0.0 and abs(shift) <= coasts:
             halves[0] = halves[1] = ROLL
-        elif braked < 2:
+        elif brakes.stood[i, k] % (2 * TRIES) >= TRIES:
+            halves[0] = halves[1] = ROLL  # modules that are stuck may hold one that is led aside
+        elif braked < 2 or (vx < HELD and parcels.x[k] > slope.length - LAST):
             halves[0] = halves[1] = TO_LEFT if shift > 0.0 else TO_RIGHT
 
 
@@ -422,7 +445,9 @@ def choose_by_slots(
     """
     for i in range(tables.shape[0]):
         read_parcels(tables[i], slope, tuning, parcels)
-        count = sort_by_progress(tables[i], parcels, order[i], came[i], tuning.swap)
+        count = sort_by_progress(
+            tables[i], parcels, order[i], came[i], brakes.stood[i], tuning.swap
+        )
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
@@ -443,7 +468,8 @@ def choose_by_slots(
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
             choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
-            if not parcels.runs[k]:
+            aside = clear and parcels.shift[k] != 0.0
+            if not parcels.runs[k] or (slope.dwell > 1 and not aside):
                 hold(parcels, k, speed, halves[i, k])
 
 
@@ -459,7 +485,9 @@ def choose_by_release(
     """
     for i in range(tables.shape[0]):
         read_parcels(tables[i], slope, tuning, parcels)
-        count = sort_by_progress(tables[i], parcels, order[i], came[i], tuning.swap)
+        count = sort_by_progress(
+            tables[i], parcels, order[i], came[i], brakes.stood[i], tuning.swap
+        )
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
@@ -474,7 +502,8 @@ def choose_by_release(
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place))
             clear = is_way_clear(tuning, parcels, order[i], count, k)
             choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
-            if not parcels.runs[k]:
+            aside = clear and parcels.shift[k] != 0.0
+            if not parcels.runs[k] or (slope.dwell > 1 and not aside):
                 hold(parcels, k, speed, halves[i, k])
 
 
@@ -489,12 +518,8 @@ class SlopeMemory(NamedTuple):
 def make_memory(num_envs: int, rows: int) -> SlopeMemory:
     """Make the memory of a rule."""
     shape = (num_envs, rows)
-    zeros = np.zeros(shape, dtype=np.int64)
-    return SlopeMemory(
-        np.full(shape, NOBODY),
-        np.full(shape, -np.inf),
-        Brakes(np.zeros(shape), zeros, zeros.copy()),
-    )
+    brakes = Brakes(np.zeros(shape), *np.zeros((3, *shape), dtype=np.int64))
+    return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)
 
 
 def forget(memory: SlopeMemory, fresh: Booleans) -> None:
@@ -502,7 +527,7 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
     memory.order[fresh] = NOBODY
     memory.came[fresh] = -np.inf
     memory.brakes.due[fresh] = 0.5
-    memory.brakes.halves[fresh] = memory.brakes.since[fresh] = 0
+    memory.brakes.halves[fresh] = memory.brakes.since[fresh] = memory.brakes.stood[fresh] = 0
 
 
 class SlopeRule(BatchController):
@@ -538,7 +563,7 @@ class SlopeRule(BatchController):
         return self._choices[halves].reshape(num_envs, -1), memory
 
 
-DWELL = 1.0 * math.pi  # [rad] that an axis could turn while a choice of brakes stays
+DWELL = 0.375 * math.pi  # [rad] that an axis could turn while a choice of brakes stays
 
 
 def read_slope(config: EnvConfig) -> Slope:
