@@ -226,7 +226,7 @@ def sort_by_progress(
 
     Those that left are dropped, those that came are last, and one that is far enough ahead of the
     one before it goes first. One that has stood for long and is yet to be led aside lets one pass
-    that is not. `came` (rows,) is the time since each entered, as seen last, and `stood` (rows,) the
+    that is not. `came` (rows,) is the time since each entered, as seen last; `stood` (rows,) are the
     control periods for which each has stood.
     """
     count = 0
@@ -330,7 +330,7 @@ def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, 
         if not -(long + tuning.behind) < ahead < long + tuning.ahead + abs(shift):
             continue
         # One right behind does not keep one that stands from being led away.
-        if ahead < 0.0 and abs(aside) < wide - 0.005 and parcels.vx[k] < HELD:
+        if ahead < -0.7 * long and abs(aside) < wide - 0.005 and parcels.vx[k] < HELD:
             continue
         if (aside > 0.0) != (shift > 0.0) or abs(aside) >= abs(shift) + wide + tuning.beside:
             continue
