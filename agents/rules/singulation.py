@@ -226,7 +226,7 @@ def sort_by_progress(
 
     Those that left are dropped, those that came are last, and one that is far enough ahead of the
     one before it goes first. One that has stood for long and is yet to be led aside lets one pass
-    that is not. `came` (rows,) is the time since each entered, as seen last; `stood` (rows,) are the
+    that is not. `came` (rows,) is the time since each entered, as seen last; `stood` (rows,) the
     control periods for which each has stood.
     """
     count = 0
