@@ -160,7 +160,7 @@ class StreamBatch(BaseBatch):
         shape = self.surfaces.axis.shape[1:]
         self.streams: fs.StreamState = fs.make_streams(
             num_envs, self.rows, shape, len(task.terms), obeys, len(config.exits),
-            task.most_changes,
+            max(1, task.most_changes),
         )  # fmt: skip
         self.figures = list_figures(task)
         self._no_figures = dict.fromkeys(self.figures, 0.0)  # of an episode that runs

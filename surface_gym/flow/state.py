@@ -109,7 +109,7 @@ def make_streams(
     terms: int,
     obeys: Booleans,
     exits: int = 1,
-    changes: int = 0,
+    changes: int = 1,
 ) -> StreamState:
     """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
