@@ -270,9 +270,8 @@ def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
             best = max(group, key=lambda each: each.rate, default=None)
             rows += [_row(each, each is best and _is_ahead(each, group)) for each in group]
     asked = (
-        f"offered more than it takes, but with a window at the highest rate, to "
-        f"{RATES[1] - RATES[0]:g} an hour, at which {100.0 * IN_ORDER:g} % of all parcels leave in "
-        f"their order"
+        f"at the highest rate, in steps of {RATES[1] - RATES[0]:g} an hour, at which "
+        f"{100.0 * IN_ORDER:g} % of all parcels leave rightly and none of the streams jams"
         if task == "sequence"
         else "offered more than the surface takes"
     )
