@@ -66,12 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def measure_host(config: BenchmarkConfig, console: Console) -> None:
     """Measure, print and write the figures of the CPU."""
-    from benchmarks import design, environments, parallel, physics
+    from benchmarks import crowds, design, environments, parallel, physics
 
     measures: list[Callable[[], list[Figure]]] = []
     missing = []
     if config.physics:
         measures += [physics.step_figures, physics.size_figures, physics.start_figures]
+        measures.append(crowds.crowd_figures)
     if config.environments:
         measures.append(environments.environment_figures)
         missing += [] if environments.BOX2D else ["gymnasium[box2d] (extra 'bench')"]

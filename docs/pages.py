@@ -11,14 +11,27 @@ from typing import Any
 
 from gymnasium.spaces import Discrete
 
-from surface_gym.config import EnvConfig
+from surface_gym.config import ENV_TASKS, EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.task import ACTIONS, Flow
-from surface_gym.registration import FLOW, FLOW_TASK, env_id
+from surface_gym.flow.task import ACTIONS, StreamTask
+from surface_gym.registration import FLOW_TASK, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Feature
 
+# Tasks on streams of parcels, and where each page leads on.
+MATERIAL_FLOW = (
+    "Inlets, exits, the take-away, streams and rules: [material flow on a slope]"
+    "(../material-flow.md)."
+)
+SINGULATE = "Surface, end, actions, reward and infos: [Singulate](singulate.md)."
+STREAMS = {
+    FLOW_TASK: "Streams, exits, the physics of parcels that touch, and controllers: "
+    "[a flow of parcels](../flow.md).",
+    "singulate": MATERIAL_FLOW,
+    "merge": f"{SINGULATE} {MATERIAL_FLOW}",
+    "sequence": f"{SINGULATE} {MATERIAL_FLOW}",
+}
 LONGEST_DEFAULT = 60  # characters of a default in a table
 # Lines from a prompt to the next empty one, and the heading above them, if any.
 EXAMPLE = re.compile(r"(?:^### Example\n\n)?^ *>>> .*(?:\n.+)*\n\n", re.MULTILINE)
@@ -51,10 +64,10 @@ def _space(config: EnvConfig) -> str:
 
 def _overview(task: str) -> str:
     """Tabulate an environment's spaces and how it is made, as Gymnasium's pages do."""
-    kinds = ACTIONS if task == FLOW_TASK else KINDS
+    kinds = ACTIONS if task in STREAMS else KINDS
     acting = [f'{_space(EnvConfig(task, actions=kind))} with `actions="{kind}"`' for kind in kinds]
     space: Any = EnvConfig(task).observation_space()
-    features = "#features-of-a-row" if task == FLOW_TASK else "#observation"
+    features = "#features-of-a-row" if task in STREAMS else "#observation"
     return _table(
         ("", ""),
         (
@@ -94,23 +107,43 @@ def _argument_table(kind: type[Any]) -> str:
     for field in fields(kind):
         if not field.init and kind is not EnvConfig:
             continue
-        at = next(
-            k
-            for k, line in enumerate(source)
+        places = [
+            at
+            for at, line in enumerate(source)
             if line.startswith(f"{field.name}: ") and " = " in line
-        )
-        comment = source[at].partition("  # ")[2]
-        while not comment.startswith("# ") and source[at - 1].startswith("# "):
-            at -= 1
-            comment = f"{source[at].removeprefix('# ')} {comment}".strip()
-        default = repr(field.default)
-        if len(default) > LONGEST_DEFAULT:
-            default = f"{type(field.default).__name__}()"
+        ]
+        comment = next(filter(None, (_comment(source, at) for at in places)), "")
+        default = _default(field.default, source[places[0]])
         rows.append((f"`{field.name}`", f"`{default}`", comment))
     return _table(("argument", "default", "meaning"), rows)
 
 
+def _default(value: Any, line: str) -> str:
+    """Write a default: its value, or where that is long the call that makes it, or its type."""
+    text = f"{value:.4g}" if isinstance(value, float) else repr(value)
+    if isinstance(value, float) and float(text) == value:
+        return repr(value)
+    if len(text) <= LONGEST_DEFAULT:
+        return text
+    made = re.search(r" = (\w+\([^()]*\))(?:  #|$)", line)
+    return made[1] if made else f"{type(value).__name__}()"
+
+
+def _comment(source: list[str], at: int) -> str:
+    """Return the comment behind a line of source code, and those above it."""
+    comment = source[at].partition("  # ")[2]
+    while source[at - 1].startswith("# "):
+        at -= 1
+        comment = f"{source[at].removeprefix('# ')} {comment}".strip()
+    return comment
+
+
 ENVIRONMENT = "[the environment](environment.md)."
+
+
+def _terms(terms: Iterable[str]) -> str:
+    listed = ", ".join(f"`{term}`" for term in terms)
+    return f"{listed}, each in `info` as `reward_` and its name."
 
 
 def _join(*parts: str) -> str:
@@ -131,8 +164,7 @@ def page(name: str) -> str:
         _feature_table(task.features),
         'With `actions="window"` 25 more follow: the occupancy of the window.',
         "## Reward terms",
-        ", ".join(f"`{term}`" for term in task.terms)
-        + ", each in `info` as `reward_` and its name.",
+        _terms(task.terms),
         "## Options of `reset`",
         ", ".join(f"`{option}`" for option in task.options),
         "## Arguments of the task",
@@ -150,21 +182,25 @@ def environment_page() -> str:
         _argument_table(EnvConfig),
         "## Tasks",
         "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS),
-        f"Many parcels at once: [{FLOW}](flow.md).",
+        "Many parcels at once:",
+        "\n".join(f"- [{env_id(name)}]({name}.md)" for name in STREAMS),
     )
 
 
-def flow_page() -> str:
-    """Write the Markdown page of the environment of many parcels."""
+def stream_page(name: str) -> str:
+    """Write the Markdown page of a task's environment of many parcels."""
+    kind, title = ENV_TASKS[name], env_id(name)
+    assert issubclass(kind, StreamTask)
     return _join(
-        _opening(Flow, FLOW, _film("flow", f"A stream of {FLOW}"), _overview(FLOW_TASK)),
+        _opening(kind, title, _film(name, f"A stream of {title}"), _overview(name)),
         "## Features of a row",
-        _feature_table(Flow.features),
+        _feature_table(kind.features),
+        "## Reward terms",
+        _terms(kind.terms),
         "## Arguments of the task",
-        _argument_table(Flow),
+        _argument_table(kind),
         f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}",
-        "Streams, exits, the physics of parcels that touch, and controllers: "
-        "[a flow of parcels](../flow.md).",
+        STREAMS[name],
     )
 
 
@@ -173,7 +209,7 @@ def pages() -> dict[str, str]:
     return {
         "environment.md": environment_page(),
         **{f"{name}.md": page(name) for name in TASKS},
-        "flow.md": flow_page(),
+        **{f"{name}.md": stream_page(name) for name in STREAMS},
     }
 
 

@@ -26,7 +26,11 @@ from surface_gym import agents
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
+from surface_gym.flow.merge import lines
+from surface_gym.flow.sequence import shuffled
+from surface_gym.flow.singulate import MOUTH_ALIGNMENT
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import bulk
 from surface_gym.rendering import Painter, Scene
 from surface_gym.rendering.ink import EXITS, GOAL, axis_colours
 from surface_gym.rendering.marks import placed
@@ -45,6 +49,7 @@ LAST = 1.0  # [s] for which an episode's end stays before the next begins
 ROOM = 0.1  # [m] that is shown around all that moves
 WIDE, TEXT = 640, 1.4  # [px] of a film of one parcel, and the size of its texts
 BROAD = 800  # of a stream
+SLOPE_EVERY = 3  # control periods from picture to picture of a slope
 BAR = 8  # [px] between two flows, one above the other
 SORTED_AT = 20  # control periods from the start to the picture of Sort
 
@@ -214,6 +219,40 @@ def flow_by_chutes() -> list[Picture]:
     return [painter.draw(scene) for scene in islice(scenes, 163, 301, 2)]
 
 
+def _slope_film(env: SmartSurfaceEnv, rule: Any, begin: float, end: float) -> list[Picture]:
+    """Film a rule at work on a slope, from a time [s] to another."""
+    painter, first, last = Painter(WIDE), round(begin / PERIOD), round(end / PERIOD)
+    scenes = islice(_episode(env, rule), first, last, SLOPE_EVERY)
+    return [painter.draw(scene) for scene in scenes]
+
+
+def singulate() -> list[Picture]:
+    """Film time slots that single out a bulk of 12 000 parcels an hour through a mouth."""
+    from surface_gym.agents.rules.singulation import TimeSlots
+
+    env = SmartSurfaceEnv(
+        "singulate", actions="parcels", stream=bulk(12000.0), exits="mouth",
+        alignment=MOUTH_ALIGNMENT,
+    )  # fmt: skip
+    return _slope_film(env, TimeSlots(env.config), 4.0, 12.4)
+
+
+def merge() -> list[Picture]:
+    """Film time slots that merge three lines of 9000 parcels an hour in all."""
+    from surface_gym.agents.rules.singulation import TimeSlots
+
+    env = SmartSurfaceEnv("merge", actions="parcels", stream=lines(9000.0))
+    return _slope_film(env, TimeSlots(env.config), 4.0, 13.0)
+
+
+def sequence() -> list[Picture]:
+    """Film a rule that brings 2400 parcels an hour into their order."""
+    from surface_gym.agents.rules.sequencing import PassAndPark
+
+    env = SmartSurfaceEnv("sequence", actions="parcels", stream=shuffled(2400.0, window=4))
+    return _slope_film(env, PassAndPark(env.config), 0.0, 16.0)
+
+
 def zone_and_modules(begin: float = 9.0, end: float = 13.0) -> list[Picture]:
     """Film one stream twice: one zone arranged as a whole, and modules that obey their parcels.
 
@@ -300,6 +339,9 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, WIDE),
     "orient.webp": partial(_film, ORIENT.pictures, PERIOD, WIDE),
     "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, BROAD),
+    "singulate.webp": partial(_film, singulate, SLOPE_EVERY * PERIOD, WIDE),
+    "merge.webp": partial(_film, merge, SLOPE_EVERY * PERIOD, WIDE),
+    "sequence.webp": partial(_film, sequence, SLOPE_EVERY * PERIOD, WIDE),
     "sort.png": sort_still,
     "flow.png": flow_still,
     "trajectories.png": trajectories,

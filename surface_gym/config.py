@@ -14,6 +14,10 @@ from numpy.typing import ArrayLike
 from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
 from surface_gym.flow.exits import Exits, exits_option
+from surface_gym.flow.inlets import Entrance, Inlets, find_entrance
+from surface_gym.flow.merge import Merge
+from surface_gym.flow.sequence import Sequence
+from surface_gym.flow.singulate import Singulate
 from surface_gym.flow.task import Flow, StreamTask
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
@@ -101,7 +105,10 @@ LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
-ENV_TASKS: dict[str, type[Task]] = {**TASKS, "flow": Flow}  # that have an environment, by name
+# that have an environment, by name
+ENV_TASKS: dict[str, type[Task]] = {
+    **TASKS, "flow": Flow, "singulate": Singulate, "merge": Merge, "sequence": Sequence,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, init=False)
@@ -408,6 +415,18 @@ class EnvConfig:
         """[m] x half a pitch past the last column with a rotor."""
         last = int(np.nonzero(self.site.rotor.any(axis=0))[0][-1])
         return self.chosen_line.column_edge(last + 1)
+
+    @property
+    def inlets(self) -> Inlets:
+        """Where the stream's parcels come onto the surface."""
+        return self.stream_task.inlets
+
+    @cached_property
+    def entrances(self) -> tuple[Entrance, ...]:
+        """The inlets as they lie on the surface."""
+        rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
+        rotors = int(rows[0]), len(rows), int(columns[0]), len(columns)
+        return tuple(find_entrance(each, self.chosen_line, rotors) for each in self.inlets)
 
     @cached_property
     def exits(self) -> Exits:

@@ -14,6 +14,7 @@ from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
+from surface_gym.registration import FLOW_TASK
 from surface_gym.rendering import Painter, Scene, ink
 from surface_gym.scenes import Renderer
 from surface_gym.state import RUNNING
@@ -177,7 +178,7 @@ class TaskGame(Game):
 
 
 class StreamGame(Game):
-    """A stream of parcels on a line with chutes, whose modules the player turns."""
+    """A stream of parcels on a line with chutes or on a slope, whose modules the player turns."""
 
     keys = (
         "1 2 3 4: choose 0, 45, -45, 90°    press and draw: turn modules to it    "
@@ -185,9 +186,12 @@ class StreamGame(Game):
         ALWAYS,
     )
 
-    def __init__(self, task: str = "flow") -> None:
+    def __init__(self, task: str = FLOW_TASK) -> None:
+        stream = EnvConfig(task).stream_task.stream
+        if task == FLOW_TASK:
+            stream = Stream(parcels=("S", "B"))
         # More than ever come: their times are set by the rate that the player asks for.
-        stream = Stream(Steady(FASTEST), parcels=("S", "B"))
+        stream = replace(stream, arrivals=Steady(FASTEST))
         self._config = EnvConfig(task, stream=stream, duration=LONGEST)
         self._batch = StreamBatch(self._config, 1)
         super().__init__(self._batch)

@@ -7,9 +7,9 @@ to start and drag: it leaves with the speed drawn, 1 m/s for half a metre. 1 2 3
 the zone: all of them, with Shift those ahead of the parcel's centre, with Ctrl those behind it. Tab
 turns the start by 15 deg, S and B choose the parcel.
 
-A stream of parcels (--task flow): lead each to the exit of its colour. 1 2 3 4 choose an angle, and
-the modules that the mouse is drawn over, pressed, turn to it; with Shift all do. + and - change how
-many parcels come.
+A stream of parcels: with --task flow lead each to the exit of its colour; with singulate, merge and
+sequence let them leave one by one. 1 2 3 4 choose an angle, and the modules that the mouse is drawn
+over, pressed, turn to it; with Shift all do. + and - change how many parcels come.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import subprocess
 import sys
 
 from surface_gym.cli import typed
-from surface_gym.registration import FLOW_TASK, PERIODS
+from surface_gym.registration import PERIODS
 
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 ANSWER = 10.0  # [s] that a display is given to answer
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     window = Window("Smart surface", FRAME_RATE)
     try:
-        game: Game = StreamGame(task) if task == FLOW_TASK else TaskGame(task)
+        game: Game = StreamGame(task) if PERIODS[task] is None else TaskGame(task)
         window.show(game.draw())
         while not (game.over or window.closed):
             for event in pygame.event.get():

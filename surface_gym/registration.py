@@ -14,6 +14,7 @@ FLOW_TASK = "flow"  # the task of streams of parcels
 # here too so that no task is imported before it is used. None: a stream ends by itself.
 PERIODS = {
     "sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 200, FLOW_TASK: None,
+    "singulate": None, "merge": None, "sequence": None,
 }  # fmt: skip
 
 

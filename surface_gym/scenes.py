@@ -10,10 +10,20 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.flow.state import BETWEEN, NOBODY, TOUCHES, WRONG
+from surface_gym.flow.inlets import EDGE, START
+from surface_gym.flow.sequence import Sequence
+from surface_gym.flow.state import BETWEEN, ENTERED, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.types import RADIUS, VX, Array, Integers
-from surface_gym.rendering import ExitMark, Painter, Scene, SceneParcel, TilePainter, Traffic
-from surface_gym.state import GRAVITY_ALONG, RUNNING, EnvState
+from surface_gym.rendering import (
+    ExitMark,
+    InletMark,
+    Painter,
+    Scene,
+    SceneParcel,
+    TilePainter,
+    Traffic,
+)
+from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -92,8 +102,8 @@ class _ParcelHistory:
         ]
         if outcome != RUNNING:
             readings.append(("end", batch.outcomes[outcome]))
-        conditions = batch.surfaces.conditions[i]
-        steepness = conditions[GRAVITY_ALONG] / float(np.hypot(*conditions[3:5]))
+        downhill, normal = batch.surfaces.conditions[i, [GRAVITY_X, GRAVITY_NORMAL]]
+        steepness = downhill / float(np.hypot(downhill, normal))
         return Scene(
             axis=batch.axes(i),
             rotor=view.rotor,
@@ -134,6 +144,7 @@ class _StreamHistory:
         self._batch = batch
         self._index = env_index
         self._exits = exit_marks(batch.config)
+        self._inlets = inlet_marks(batch.config)
         self._labels = _labels(batch.config.exits.names)
         self._trails: dict[int, list[Array]] = {}  # by number of arrival, (2,) [m], oldest first
         self._departed: list[_Departed] = []
@@ -157,7 +168,8 @@ class _StreamHistory:
             truth = self._batch.view(i, slot).truth
             self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
             if not streams.present[i, slot]:  # it has left since the last decision
-                gone = replace(self._parcel(slot), sensed_pose=None)
+                wrong = self._takes_away and not streams.right[i, number]
+                gone = replace(self._parcel(slot), sensed_pose=None, wrong=bool(wrong))
                 left = float(streams.left[i, number])
                 self._departed.append(_Departed(gone, truth[VX:].copy(), left))
 
@@ -166,8 +178,12 @@ class _StreamHistory:
         config, line = batch.config, batch.config.chosen_line
         slots = np.nonzero(streams.present[i])[0]
         count = int(streams.arrivals[i])
-        taken, asked = streams.taken[i, :count], streams.exit[i, :count]
-        delivered = np.bincount(taken[taken == asked], minlength=len(self._exits))
+        taken = streams.taken[i, :count]
+        delivered = np.bincount(taken[streams.right[i, :count]], minlength=len(self._exits))
+        waits = np.isnan(streams.entered[i, : streams.due[i]])
+        queues = np.bincount(
+            streams.inlet[i, : streams.due[i]][waits], minlength=len(self._inlets)
+        ).tolist()
         departed = tuple(each.at(self.clock) for each in self._departed)
         return Scene(
             axis=batch.axes(i),
@@ -177,23 +193,38 @@ class _StreamHistory:
                 self._exits,
                 tuple(delivered.tolist()),
                 missorted=int(streams.tally[i, WRONG]),
-                waiting=int(streams.due[i] - streams.coming[i]),
+                waiting=int(streams.due[i] - streams.tally[i, ENTERED]),
+                inlets=self._inlets,
+                queues=tuple(queues) if self._inlets else (),
+                runs=bool(streams.changes[i] % 2 == 0) if self._takes_away else None,
             ),
             touching=self._touching(slots, len(departed)),
             pitch=line.pitch,
             origin=line.origin,
             zone=config.site.zone,
             tilt=batch.task.tilt,
+            tilt_direction=batch.task.tilt_direction,
             title=type(batch.task).__name__ if title is None else title,
             readings=self._readings(),
         )
 
+    @property
+    def _takes_away(self) -> bool:
+        """Whether a conveyor takes parcels away, by whichever exit they leave."""
+        return bool(self._batch.task.take_away > 0.0)
+
     def _parcel(self, slot: int) -> SceneParcel:
-        streams, i = self._batch.streams, self._index
+        """Describe a parcel: by its exit, or on the way to a conveyor by its order or inlet."""
+        streams, i, task = self._batch.streams, self._index, self._batch.task
         number = int(streams.number[i, slot])
-        asked = int(streams.exit[i, number])
+        asked, order = int(streams.exit[i, number]), int(streams.order[i, number])
         trail = np.array(self._trails.get(number, [])).reshape(-1, 2)
-        return _parcel(self._batch.view(i, slot), trail, asked, self._labels[asked])
+        drawn = _parcel(self._batch.view(i, slot), trail)
+        if not self._takes_away:
+            return replace(drawn, exit=asked, label=self._labels[asked])
+        if isinstance(task, Sequence):
+            return replace(drawn, group=order // task.stream.window, label=str(order))
+        return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
         """Find pairs of parcels in these slots that touched lately, counted from a first index."""
@@ -215,7 +246,7 @@ class _StreamHistory:
         return tuple(readings)
 
     def _rate(self) -> float:
-        """Compute the parcels per hour that left by their own exits lately; nan if too early.
+        """Compute the parcels per hour that left as they were to lately; nan if too early.
 
         The rate never counts from before the first one left: until then the line was filling.
         """
@@ -225,35 +256,51 @@ class _StreamHistory:
         since = max(self.clock - RATE_OVER, float(left.min(initial=math.inf)))
         if self.clock - since < SOONEST_RATE:
             return math.nan
-        right = streams.taken[i, gone] == streams.exit[i, gone]
+        right = streams.right[i, gone]
         return HOUR * int((right & (left > since)).sum()) / (self.clock - since)
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
     """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
     line, rotors_end = config.chosen_line, config.rotors_end
+    rows = np.nonzero(config.site.rotor.any(axis=1))[0]
+    low = line.origin[1] + line.pitch_y * (rows[0] - 0.5)
+    high = line.origin[1] + line.pitch_y * (rows[-1] + 0.5)
     end = line.column_edge(line.columns)
     marks = []
     for each in config.exits:
+        span = None
         if each.side == 0:  # over the last column where nothing comes after the rotors
             first, last = min(rotors_end, end - line.pitch_x), end
+            if math.isfinite(each.first) or math.isfinite(each.last):
+                span = (max(low, line.line_y + each.first), min(high, line.line_y + each.last))
         else:
             first, last = max(each.first, config.entry_x), min(each.last, rotors_end)
-        marks.append(ExitMark(each.name, each.side, first, last))
+        marks.append(ExitMark(each.name, each.side, first, last, span))
     return tuple(marks)
 
 
-def _parcel(view: EnvState, trail: Array, asked: int | None = None, label: str = "") -> SceneParcel:
+def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
+    """Describe the marks of a stream's inlets; none if parcels come in by the whole edge."""
+    if config.inlets == EDGE:
+        return ()
+    marks = []
+    for inlet, entrance in zip(config.inlets, config.entrances, strict=True):
+        middle = entrance.y if inlet.side == START else entrance.x
+        first, last = middle - 0.5 * entrance.width, middle + 0.5 * entrance.width
+        marks.append(InletMark(inlet.name, inlet.side, first, last))
+    return tuple(marks)
+
+
+def _parcel(view: EnvState, trail: Array) -> SceneParcel:
     """Describe the parcel of a view as it is drawn."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(
         outline=_outline(view),
         pose=tuple(true.tolist()),
-        exit=asked,
         trail=trail,
         sensed_pose=tuple(sensed.tolist()) if apart else None,
-        label=label,
     )
 
 

@@ -96,8 +96,8 @@ def simulate(
     time, dt = _checked_times(duration, dt)
     checks.one_of("method", method, METHODS)
     checks.one_of("normal_forces", normal_forces, NORMAL_FORCES)
-    if method == "explicit" and surface.tilt < 0.0:
-        raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
+    if method == "explicit":
+        _check_explicit(surface)
     grid, body = surface.grid, parcel.body
     scratch = ph.make_scratch()
     wanted = _missing_support(surface, parcel, start, scratch)
@@ -122,6 +122,17 @@ def simulate(
     _warn_of_tipping(body, states[: len(done.time)], done.tipping)
     run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
     return replace(done, run=run)
+
+
+def _check_explicit(surface: Surface) -> None:
+    """Raise a ValueError for slopes that the rules of Figure 5b do not hold on."""
+    if surface.tilt < 0.0:
+        raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
+    if surface.tilt_direction != 0.0:
+        raise ValueError(
+            "tilt_direction must be 0, towards +x, for the explicit method, "
+            f"got {surface.tilt_direction!r}"
+        )
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
@@ -222,7 +233,7 @@ def _reference_step(
 ) -> int:  # fmt: skip
     """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
     explicit = method == "explicit"
-    if explicit and state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
+    if explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0:
         return stepping.STOPPED
     lead = 0.0 if explicit else 0.5 * dt
     contacts = references.find_support(grid, body, state, scratch, lead)

@@ -15,7 +15,9 @@ from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Places
 
 # Columns of `SurfaceState.conditions`.
-ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_ALONG, GRAVITY_NORMAL = range(5)
+ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_X, GRAVITY_Y, GRAVITY_NORMAL = range(6)
+CONDITION_COLUMNS = 6
+GRAVITY_COLUMNS = slice(GRAVITY_X, GRAVITY_NORMAL + 1)
 # Columns of `BodyTable.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
@@ -39,7 +41,7 @@ class SurfaceState(NamedTuple):
     angle: Array  # (surfaces, rows, columns) [rad] of each axis, where axes take time to turn
     target: Array  # (surfaces, rows, columns) [rad] it turns to
     stiffness: Array  # (surfaces or 1, rows, columns) [-]
-    # (surfaces, 5) factors of friction [-], gravity along and normal [m/s^2]
+    # (surfaces, 6) factors of friction [-], gravity along x, along y and normal [m/s^2]
     conditions: Array
     # (surfaces, command size) the action: choices, or angles [rad]
     command: NDArray[Any]
@@ -141,7 +143,7 @@ def make_surfaces(sizes: Sizes) -> SurfaceState:
         angle=np.zeros(turning),
         target=np.zeros(turning),
         stiffness=np.ones((count if sizes.stiffness else 1, *grid[1:])),
-        conditions=np.zeros((count, 5)),
+        conditions=np.zeros((count, CONDITION_COLUMNS)),
         command=np.zeros((count, sizes.command), dtype=np.int64 if sizes.choices else np.float64),
     )
 
@@ -198,7 +200,8 @@ def read_grid(
         conditions[ALONG_FACTOR],
         conditions[ACROSS_FACTOR],
         conditions[SUPPORT_FACTOR],
-        conditions[GRAVITY_ALONG],
+        conditions[GRAVITY_X],
+        conditions[GRAVITY_Y],
         conditions[GRAVITY_NORMAL],
     )
 
@@ -231,7 +234,7 @@ class EnvState(NamedTuple):
     steps: int  # physics steps since the start
     on_rotors: bool  # a rotor supports the parcel
     on_surface: bool  # its centre of mass is over the surface
-    surface: Array  # (5,) factors of friction [-], gravity along and normal [m/s^2]
+    surface: Array  # (6,) factors of friction [-], gravity along x, along y and normal [m/s^2]
     body: Array  # (7,) of the parcel: RADIUS ... MASS
     edges: Array  # (edges, 3) of its base: outward normals and distances [m] from the centroid
     corners: Array  # (edges, 2) [m] of its base from the centroid

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.physics.step import axis_directions
-from surface_gym.physics.types import GRAVITY, Array, Booleans, Grid, check_capacity
+from surface_gym.physics.step import axis_directions, split_gravity
+from surface_gym.physics.types import Array, Booleans, Grid, check_capacity
 
 
 class Pitched:
@@ -61,7 +61,7 @@ class Elements(Pitched, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Surface(Elements):
-    """Rotors and supports on a grid, in a plane tilted downhill towards +x.
+    """Rotors and supports on a grid, in a plane tilted downhill towards `tilt_direction`.
 
     Along its axis a rotor drags (`mu_max`), across it rolls almost free (`mu_min`), Eq. (2).
     A friction coefficient is one number, or an array (rows, columns) with one for each element.
@@ -70,7 +70,8 @@ class Surface(Elements):
     Raises:
         ValueError: an array is empty, not finite, or its shape differs from the other's; `pitch`
             is not positive, a friction coefficient negative, `mu_min` greater than `mu_max`, the
-            tilt not below 45 deg, or a number beyond `surface_gym.checks`.
+            tilt not below 45 deg, its direction beyond a turn, or a number beyond
+            `surface_gym.checks`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
@@ -85,9 +86,10 @@ class Surface(Elements):
     mu_max: float | Array = 0.5  # [-] friction along a rotor's axis
     mu_min: float | Array = 0.01  # [-] friction across it
     mu_support: float | Array = 0.005  # [-] friction of a support, against the motion
-    tilt: float = 0.0  # [rad] gamma, downhill towards +x
+    tilt: float = 0.0  # [rad] gamma, downhill towards `tilt_direction`
     # (rows, columns) [-] how stiff an element is against the others; None: all the same, as Eq. (1)
     stiffness: Array | None = None
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -116,6 +118,8 @@ class Surface(Elements):
                 f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}; {checks.DEGREES}"
             )
         set_field(self, "tilt", tilt)
+        direction = checks.angle("tilt_direction", self.tilt_direction)
+        set_field(self, "tilt_direction", direction)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by the constructor, which makes the arrays read-only again."""
@@ -144,6 +148,7 @@ class Surface(Elements):
     @cached_property
     def grid(self) -> Grid:
         """Return the surface as the compiled physics reads it."""
+        gravity_x, gravity_y, gravity_normal = split_gravity(self.tilt, self.tilt_direction)
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
             direction=axis_directions(self.axis.ravel()),
@@ -157,8 +162,9 @@ class Surface(Elements):
             along_factor=1.0,
             across_factor=1.0,
             support_factor=1.0,
-            gravity_along=GRAVITY * math.sin(self.tilt),
-            gravity_normal=GRAVITY * math.cos(self.tilt),
+            gravity_x=gravity_x,
+            gravity_y=gravity_y,
+            gravity_normal=gravity_normal,
         )
 
 

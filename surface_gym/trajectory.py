@@ -287,7 +287,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
     if run.method == "implicit":
         rollout.repeat_implicit(grid, body, steps, scratch, observed)
     else:
-        level = grid._replace(gravity_along=0.0)
+        level = grid._replace(gravity_x=0.0, gravity_y=0.0)
         rollout.repeat_explicit(grid, level, body, steps, scratch, observed)
     return steps, observed
 
@@ -363,7 +363,8 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
     rotor = contacts.rotor
     vx, vy, omega = velocity.T
     turning = parcel.body.gyration * omega**2
-    pull = parcel.mass * surface.grid.gravity_along
+    pull_x, pull_y = parcel.mass * surface.grid.gravity_x, parcel.mass * surface.grid.gravity_y
+    rise = run.states[0, ph.X : ph.THETA] - run.states[:, ph.X : ph.THETA]
     lengths = run.lengths(time)
 
     def cumulate(power: Array) -> Array:
@@ -372,7 +373,7 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
 
     return Energy(
         kinetic=0.5 * parcel.mass * (vx**2 + vy**2 + turning),
-        potential=pull * (run.states[0, ph.X] - run.states[:, ph.X]),
+        potential=pull_x * rise[:, 0] + pull_y * rise[:, 1],
         along=cumulate(np.where(rotor, power_along, 0.0)),
         across=cumulate(np.where(rotor, power_across, 0.0)),
         supports=cumulate(np.where(rotor, 0.0, power_along + power_across)),
@@ -393,6 +394,7 @@ SURFACE = ("axis", "rotor", "pitch", "origin", "mu_max", "mu_min", "mu_support",
 PARCEL = ("mass", "com_height", "com_offset")
 RUN = ("dt", "method", "normal_forces", "states")
 MAY_BE_NONE = ("stiffness", "inertia")  # absent then
+ADDED = ("tilt_direction",)  # to `Surface`; absent in older files, and then the default
 ALL = (*SURFACE, *PARCEL, *RUN, "base", "base_lengths")
 ROWS = 4_000_000  # of a trajectory in an .npz: an hour in steps of a millisecond
 
@@ -432,7 +434,7 @@ def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...])
 
 def _sizes(rows: int) -> dict[str, int]:
     """Return how large [bytes] each array of an .npz may be, for a motion of so many rows."""
-    sizes = dict.fromkeys((*MOTION, *ALL, *MAY_BE_NONE), 8 * checks.ELEMENTS)
+    sizes = dict.fromkeys((*MOTION, *ALL, *MAY_BE_NONE, *ADDED), 8 * checks.ELEMENTS)
     each = dict.fromkeys(("pose", "velocity", "tipping", "states"), 8 * ph.STATE_SIZE * rows)
     return sizes | each | {"time": 8 * ROWS}
 
@@ -473,7 +475,7 @@ def _run_parts(run: Run) -> Parts:
                 f".npz, got a {type(part).__name__}; a .csv holds the motion alone"
             )
     base, lengths = _base_parts(parcel.base)
-    parts = {name: np.asarray(getattr(surface, name)) for name in SURFACE}
+    parts = {name: np.asarray(getattr(surface, name)) for name in (*SURFACE, *ADDED)}
     parts |= {name: np.asarray(getattr(parcel, name)) for name in PARCEL}
     parts |= {name: np.asarray(getattr(run, name)) for name in RUN}
     parts |= {"base": np.asarray(base), "base_lengths": lengths}
@@ -505,10 +507,11 @@ def _read_run(parts: Parts, rows: int) -> Run | None:
     _check_missing(missing)
     plain: Fields = {
         name: parts[name].item() if parts[name].ndim == 0 else parts[name]
-        for name in (*ALL, *MAY_BE_NONE)
+        for name in (*ALL, *MAY_BE_NONE, *ADDED)
         if name in parts
     }
-    surface = Surface(**{name: plain[name] for name in SURFACE}, stiffness=plain.get("stiffness"))
+    of_surface = (*SURFACE, "stiffness", *ADDED)
+    surface = Surface(**{name: plain[name] for name in of_surface if name in plain})
     lengths = checks.array("base_lengths", plain["base_lengths"], parts["base_lengths"].shape)
     make_base = BASES[checks.one_of("base", plain["base"], BASES)]
     try:

@@ -21,9 +21,11 @@ from surface_gym.core.batch import Batch
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks.start import Start
 
-# Those of one parcel an environment; a flow has tests of its own.
+# Those of one parcel an environment; streams have tests of their own.
 IDS = sorted(
-    name for name in gym.registry if name.startswith("SmartSurface/") and name != registration.FLOW
+    registration.env_id(name)
+    for name, periods in registration.PERIODS.items()
+    if periods is not None
 )
 ACTIONS = tuple(actions.KINDS)
 SENSORS = sensors.KINDS

@@ -87,6 +87,7 @@ def surfaces(draw: st.DrawFn, flat: bool = False) -> sg.Surface:
         rotor=rng.random((ROWS, COLUMNS)) < draw(st.sampled_from([0.0, 0.5, 0.8, 1.0])),
         stiffness=rng.uniform(0.5, 2.0, size=(ROWS, COLUMNS)) if draw(st.booleans()) else None,
         tilt=0.0 if flat else draw(st.sampled_from([0.0, math.radians(8.0), math.radians(-5.0)])),
+        tilt_direction=0.0 if flat else draw(st.floats(-math.pi, math.pi)),
     )
 
 

@@ -38,6 +38,7 @@ PLACE = (
     "poses must be ",
     "poses must leave parcels apart",
     "tilt must be at least 0 for the explicit method",
+    "tilt_direction must be 0, towards +x, for the explicit method",
     "velocity must be towards +x for the explicit method",
 )
 # 100 examples; as many as the profile asks for, where those are more.
@@ -96,6 +97,7 @@ def surfaces(draw: st.DrawFn, columns: tuple[int, int] = (1, 12)) -> sg.Surface:
         mu_min=mu_max * draw(st.sampled_from([0.0, 1e-6, 0.02, 1.0])),
         mu_support=draw(up_to(checks.FRICTION)),
         tilt=draw(st.sampled_from([0.0, 0.1, 0.7853, -0.7853])),
+        tilt_direction=draw(st.sampled_from([0.0, 0.0, math.pi / 2, 4.0])),
         stiffness=draw(sizes(1e-9, 1e3)) * 10.0 ** (decades * rng.random(shape)),
     )
 

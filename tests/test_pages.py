@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import gymnasium as gym
 import pytest
 
-from surface_gym.flow.task import FEATURES, TERMS, Flow
+from surface_gym.config import ENV_TASKS
 
 DOCS = Path(__file__).parent.parent / "docs" / "environments"
 pages = SimpleNamespace(**runpy.run_path(str(DOCS.with_name("pages.py"))))
@@ -21,17 +21,24 @@ def test_pages_are_those_the_docstrings_give(name):
 
 
 def test_a_page_lists_every_feature_term_option_and_argument():
-    flow = (*TERMS, *(field.name for field in fields(Flow) if field.init))
     tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
+    streams = [(pages.stream_page(name), ENV_TASKS[name]) for name in pages.STREAMS]
     for page, features, words in (
         *((page, task.features, (*task.terms, *task.options)) for page, task in tasks),
-        (pages.flow_page(), FEATURES, flow),
+        *(
+            (page, task.features, [*task.terms, *(each.name for each in fields(task) if each.init)])
+            for page, task in streams
+        ),
     ):
         assert all(f"| {feature.name} |" in page for feature in features)
         assert all(f"`{word}`" in page for word in words)
 
 
-@pytest.mark.parametrize("task", [*pages.TASKS, "flow"])
+def test_every_environment_has_a_page():
+    assert {*pages.TASKS, *pages.STREAMS} == {*ENV_TASKS}
+
+
+@pytest.mark.parametrize("task", [*pages.TASKS, *pages.STREAMS])
 def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
     top, _, rest = pages.pages()[f"{task}.md"].partition("\n### ")
     env = gym.make(pages.env_id(task))

@@ -21,6 +21,7 @@ from surface_gym.game import (
     StreamGame,
     TaskGame,
 )
+from surface_gym.registration import PERIODS
 from surface_gym.rendering import ink
 from surface_gym.state import RUNNING
 
@@ -137,6 +138,16 @@ class TestStream:
         """(modules, 2) [m] centres of those that are not at 90 deg, as the scene shows them."""
         rows, columns = np.nonzero(~np.isclose(game._scene().axis, np.pi / 2))
         return np.stack([0.05 + 0.1 * columns, 0.05 + 0.1 * rows], axis=-1)
+
+    @pytest.mark.parametrize("task", [name for name, limit in PERIODS.items() if limit is None])
+    def test_every_task_of_streams_is_played(self, task):
+        game = StreamGame(task)
+        for _ in range(50):
+            game.advance()
+        assert game._scene().title == task.capitalize()
+        assert game._scene().parcels
+        press(game, pygame.K_PLUS)
+        assert str(FIRST_RATE + RATE_STEP) in dict(game._scene().readings).values()
 
     def test_the_mouse_turns_the_modules_around_it(self, game):
         press(game, pygame.K_2)

@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 import surface_gym as sg
+from tests import worlds
 from tests.strategies import COLUMNS, ROWS, Scene, scenes
 
 
@@ -26,6 +27,7 @@ def mirrored(scene: Scene) -> Scene:
             axis=-surface.axis[::-1],
             rotor=surface.rotor[::-1],
             stiffness=None if surface.stiffness is None else surface.stiffness[::-1],
+            tilt_direction=-surface.tilt_direction,
         ),
         parcel=replace(parcel, base=base, com_offset=(offset_x, -offset_y)),
         pose=(x, 2.0 * middle - y, -theta),
@@ -34,18 +36,11 @@ def mirrored(scene: Scene) -> Scene:
 
 
 def quarter_turned(scene: Scene) -> Scene:
-    """A flat scene turned by 90 deg about the origin."""
-    surface = scene.surface
+    """The scene turned by 90 deg about the origin, its slope with it."""
     x, y, theta = scene.pose
     vx, vy, omega = scene.velocity
     return Scene(
-        surface=replace(
-            surface,
-            axis=surface.axis.T[:, ::-1] + math.pi / 2,
-            rotor=surface.rotor.T[:, ::-1],
-            stiffness=None if surface.stiffness is None else surface.stiffness.T[:, ::-1],
-            origin=(-surface.y[-1], surface.x[0]),
-        ),
+        surface=worlds.quarter_turned(scene.surface),
         parcel=scene.parcel,
         pose=(-y, x, theta + math.pi / 2),
         velocity=(-vy, vx, omega),
@@ -66,8 +61,8 @@ def test_mirror_symmetry(scene):
     np.testing.assert_allclose(mirror.pose, expected, rtol=0.0, atol=1e-8)
 
 
-@given(scene=scenes(flat=True))
-def test_a_flat_scene_may_be_turned(scene):
+@given(scene=scenes())
+def test_a_scene_may_be_turned(scene):
     run, turned = scene.run(), quarter_turned(scene).run()
     same_length(run, turned)
     x, y, theta = run.pose.T
@@ -121,6 +116,18 @@ def test_energy_never_grows_on_a_flat_surface(scene):
     assert (np.diff(energy) <= 1e-9 * energy[0]).all()
 
 
+@given(scene=scenes())
+def test_no_step_takes_more_energy_than_a_fall_without_friction_gives(scene):
+    run = scene.run()
+    run_of = run.run
+    velocity = run_of.states[:, 3:6]
+    pull = np.array([scene.surface.grid.gravity_x, scene.surface.grid.gravity_y, 0.0])
+    fall = velocity[:-1] + np.diff(run.time)[:, np.newaxis] * pull
+    weights = [0.5, 0.5, 0.5 * scene.parcel.body.gyration]
+    after, most = velocity[1:] ** 2 @ weights, fall**2 @ weights
+    assert (after <= most + 1e-9 * (most + 1e-6)).all()
+
+
 @given(scene=scenes(flat=True))
 def test_rest_on_a_flat_surface_stays_rest(scene):
     run = replace(scene, velocity=(0.0, 0.0, 0.0)).run()
@@ -147,7 +154,7 @@ def test_friction_forces_are_within_coulombs_bound(scene):
     run = replace(scene, parcel=parcel).run()
     grid = scene.surface.grid
     acceleration = np.diff(run.velocity[:, :2], axis=0) / np.diff(run.time)[:, np.newaxis]
-    friction = np.hypot(*(acceleration - [grid.gravity_along, 0.0]).T)
+    friction = np.hypot(*(acceleration - [grid.gravity_x, grid.gravity_y]).T)
     most = math.hypot(scene.surface.mu_max, scene.surface.mu_min) * grid.gravity_normal
     assert (friction <= most * (1.0 + 1e-6)).all()
 

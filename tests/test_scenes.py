@@ -12,13 +12,17 @@ import pytest
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch, Batch
+from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits
+from surface_gym.flow.inlets import LEFT, START, Inlet, Inlets
 from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import Stops
 from surface_gym.lines import Pattern
 from surface_gym.registration import FLOW
 from surface_gym.rendering import Scene, SceneParcel
-from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks
+from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks, inlet_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
 from tests.environments import HEPTAGON, PARCELS, batch_with as batch_at, put
@@ -251,12 +255,98 @@ class TestExits:
             EnvConfig("flow", line=SHORT, exits=exits)
 
 
+def sloping(task: str, rate: float = 3600.0, **settings: Any) -> tuple[StreamBatch, Renderer]:
+    """A slope of one environment that has just begun, with an S-box a second by default."""
+    window = settings.pop("window", 1)
+    stream = settings.pop("stream", Stream(Steady(rate), speeds=0.8, window=window))
+    batch = StreamBatch(EnvConfig(task, stream=stream, duration=60.0, **settings), 1)
+    batch.seed(0, np.random.default_rng(0))
+    batch.reset(np.arange(1))
+    return batch, opened(batch)
+
+
+class TestSlopes:
+    """Scenes of the tasks whose parcels leave onto a take-away."""
+
+    def test_mouths_span_y_and_the_end_all_rows(self):
+        (mark,) = exit_marks(EnvConfig("singulate", exits="mouth"))
+        assert (mark.first, mark.last) == pytest.approx((5.0, 5.6))
+        assert mark.span == pytest.approx((0.4, 1.0))
+        assert exit_marks(EnvConfig("singulate"))[0].span is None
+        half = Exits((Exit("half", 0, 0.1),))
+        assert exit_marks(EnvConfig("singulate", exits=half))[0].span == pytest.approx((0.8, 1.4))
+
+    def test_inlets_have_marks_but_for_the_whole_edge(self):
+        assert inlet_marks(EnvConfig("singulate")) == ()
+        inlets = Inlets((Inlet("above", START, -0.2, 0.4), Inlet("aside", LEFT, 1.0, 2.0)))
+        marks = inlet_marks(EnvConfig("merge", inlets=inlets))
+        assert [(mark.name, mark.side) for mark in marks] == [("above", START), ("aside", LEFT)]
+        assert (marks[0].first, marks[0].last) == pytest.approx((0.5, 1.1))
+        assert (marks[1].first, marks[1].last) == pytest.approx((1.0, 2.0))
+
+    def test_colours_and_labels_tell_parcels_apart(self):
+        for task, settings in (("singulate", {}), ("merge", {}), ("sequence", {"window": 2})):
+            batch, renderer = sloping(task, 7200.0, **settings)
+            go_on(batch, renderer, 50)
+            parcels, streams = renderer.scene().parcels, batch.streams
+            assert len(parcels) > 2
+            assert all(parcel.exit is None for parcel in parcels)
+            order = streams.order[0, : len(parcels)].tolist()
+            groups, labels = {
+                "singulate": ([0] * len(parcels), [""] * len(parcels)),
+                "merge": (streams.inlet[0, : len(parcels)].tolist(), [""] * len(parcels)),
+                "sequence": ([place // 2 for place in order], [str(place) for place in order]),
+            }[task]
+            assert [parcel.group for parcel in parcels] == groups
+            assert [parcel.label for parcel in parcels] == labels
+
+    def test_those_right_are_counted_and_those_wrong_are_marked(self):
+        batch, renderer = sloping("singulate", 6000.0, gap=1.5)
+        wrong = set()
+        for _ in range(120):  # all roll on, closer together than is asked for
+            go_on(batch, renderer, 1)
+            wrong |= {parcel.wrong for parcel in renderer.scene().parcels}
+        traffic, right = renderer.scene().traffic, int(batch.streams.right.sum())
+        assert traffic.delivered == (right,)
+        assert traffic.missorted == int((batch.streams.taken[0] >= BETWEEN).sum()) - right > 0
+        assert wrong == {False, True}
+
+    def test_each_line_has_its_queue(self):
+        batch, renderer = sloping("merge", 60000.0)
+        go_on(batch, renderer, 25)
+        traffic, streams = renderer.scene().traffic, batch.streams
+        due = int(streams.due[0])
+        waits = np.isnan(streams.entered[0, :due])
+        expected = np.bincount(streams.inlet[0, :due][waits], minlength=3)
+        assert traffic.queues == tuple(expected)
+        assert sum(traffic.queues) == traffic.waiting > 3
+
+    def test_it_is_shown_whether_the_take_away_runs(self):
+        batch, renderer = sloping("singulate", demand=Stops((1.0, 1.0), (1.0, 1.0)))
+        runs = []
+        for _ in range(3):
+            runs.append(renderer.scene().traffic.runs)
+            go_on(batch, renderer, 26)
+        assert runs == [True, False, True]
+        assert shown(stream_of((0.0, "left"))).traffic.runs is None
+
+    @pytest.mark.parametrize("task", ["singulate", "merge", "sequence"])
+    def test_each_has_pictures(self, task):
+        env = gym.make(f"SmartSurface/{task.capitalize()}-v0", render_mode="rgb_array")
+        env.reset(seed=0)
+        before: Any = env.render()
+        env.step(env.action_space.sample())
+        after: Any = env.render()
+        assert before.shape == after.shape
+        assert (before != after).any()
+
+
 class TestReadings:
     def test_axes_zone_and_tilt_are_the_surfaces(self):
-        batch, renderer = running((0.0, "left"), tilt=0.05)
+        batch, renderer = running((0.0, "left"), tilt=0.05, tilt_direction=1.2)
         go_on(batch, renderer, 3, PLUS_45)
         scene = renderer.scene(0, "env 0")
-        assert (scene.title, scene.tilt) == ("env 0", 0.05)
+        assert (scene.title, scene.tilt, scene.tilt_direction) == ("env 0", 0.05, 1.2)
         assert scene.zone == batch.config.site.zone
         expected = np.where(scene.obeys & scene.rotor, math.pi / 4, math.pi / 2)
         np.testing.assert_allclose(scene.axis, expected)
@@ -280,6 +370,7 @@ class TestReadings:
             streams.clock[0] = clock
             streams.left[0, :60] = np.where(gone, left, np.nan)
             streams.taken[0, :60] = np.where(gone, np.where(right, 2, BETWEEN), ON_ITS_WAY)
+            streams.right[0, :60] = gone & right
             rate = expected if isinstance(expected, str) else f"{expected:.0f}"
             assert reading(renderer.scene(), "parcels an hour") == rate
 

@@ -103,6 +103,32 @@ class TestRest:
         acceleration = 9.81 * (math.sin(surface.tilt) - 0.5 * math.cos(surface.tilt))
         assert run.pose[-1, 0] - 0.8 == pytest.approx(0.5 * acceleration, abs=1e-3)
 
+    @pytest.mark.parametrize("degrees", [-90.0, 90.0])
+    @pytest.mark.parametrize("tilt", [5.0, 25.0])
+    def test_axes_along_a_slope_to_the_side_hold_a_parcel(self, tilt, degrees):
+        surface = replace(BRAKES, axis=np.full((20, 30), math.pi / 2), tilt=math.radians(tilt))
+        surface = replace(surface, tilt_direction=math.radians(degrees))
+        run = sg.simulate(surface, BOX, (1.5, 1.0, 0.2), duration=2.0)
+        assert run.end == "duration"
+        np.testing.assert_allclose(run.pose[-1], (1.5, 1.0, 0.2), atol=2.0e-5)
+
+    @pytest.mark.parametrize("degrees", [0.0, 90.0, 180.0, -90.0])
+    def test_what_rolls_down_a_slope_gains_the_same_whatever_its_direction(self, degrees):
+        direction, tilt = math.radians(degrees), math.radians(6.0)
+        surface = sg.Surface(
+            axis=np.full((40, 40), direction + math.pi / 2), rotor=np.ones((40, 40), dtype=bool),
+            tilt=tilt, tilt_direction=direction,
+        )  # fmt: skip
+        way = np.round([math.cos(direction), math.sin(direction)])
+        velocity = 0.2 * way
+        run = sg.simulate(surface, BOX, (2.0, 2.0, 0.0), (*velocity, 0.0), duration=1.0)
+        gain = 9.81 * (math.sin(tilt) - 0.01 * math.cos(tilt))
+        expected = np.outer(0.2 + gain * run.time, way)
+        np.testing.assert_allclose(run.velocity[:, :2], expected, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(run.velocity @ [way[1], way[0], 0.0], 0.0, atol=1e-15)
+        way_gone = 0.2 * run.time + 0.5 * gain * run.time**2
+        np.testing.assert_allclose((run.pose[:, :2] - 2.0) @ way, way_gone, rtol=0.0, atol=1e-9)
+
     def test_downhill_is_towards_minus_x_where_the_tilt_is_negative(self):
         rolling = replace(BRAKES, axis=np.full((20, 30), math.pi / 2))
         up, down = (
@@ -258,6 +284,10 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
         (
             {"method": "explicit", "surface": sg.layouts.sorting(tilt=-0.1)},
             "tilt must be at least 0 for the explicit method, got -0.1",
+        ),
+        (
+            {"method": "explicit", "surface": replace(BRAKES, tilt=0.1, tilt_direction=1.5)},
+            r"tilt_direction must be 0, towards \+x, for the explicit method, got 1\.5",
         ),
     ],
 )

@@ -45,11 +45,31 @@ class TestSurface:
 
     def test_replace_makes_another_surface_with_another_grid(self):
         flat = sg.Surface(AXIS, ROTOR)
-        assert flat.grid.gravity_along == 0.0
+        assert flat.grid.gravity_x == 0.0
         tilted = dataclasses.replace(flat, tilt=0.1)
-        assert tilted.grid.gravity_along == pytest.approx(9.81 * math.sin(0.1))
+        assert tilted.grid.gravity_x == pytest.approx(9.81 * math.sin(0.1))
         assert tilted.grid.gravity_normal == pytest.approx(9.81 * math.cos(0.1))
-        assert flat.grid.gravity_along == 0.0
+        assert flat.grid.gravity_x == 0.0
+
+    @pytest.mark.parametrize("tilt", [0.1, -0.1])
+    @pytest.mark.parametrize(
+        ("degrees", "x", "y"),
+        [
+            (0.0, 1.0, 0.0), (90.0, 0.0, 1.0), (180.0, -1.0, 0.0), (270.0, 0.0, -1.0),
+            (-90.0, 0.0, -1.0), (360.0, 1.0, 0.0),
+        ],
+    )  # fmt: skip
+    def test_at_right_angles_all_of_gravity_lies_along_one_axis(self, tilt, degrees, x, y):
+        surface = sg.Surface(AXIS, ROTOR, tilt=tilt, tilt_direction=math.radians(degrees))
+        downhill = 9.81 * math.sin(tilt)
+        assert (surface.grid.gravity_x, surface.grid.gravity_y) == (x * downhill, y * downhill)
+        assert surface.grid.gravity_normal == 9.81 * math.cos(tilt)
+
+    def test_between_them_it_is_split_by_the_direction(self):
+        grid = sg.Surface(AXIS, ROTOR, tilt=0.1, tilt_direction=2.5).grid
+        downhill = 9.81 * math.sin(0.1)
+        assert grid.gravity_x == pytest.approx(downhill * math.cos(2.5), rel=1e-15)
+        assert grid.gravity_y == pytest.approx(downhill * math.sin(2.5), rel=1e-15)
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -70,6 +90,11 @@ class TestSurface:
             ({"mu_max": [[0.5], [0.5, 0.5]]}, "mu_max must be an array of numbers"),
             ({"mu_max": np.ones((3, 5))}, r"mu_max must have the shape \(3, 4\), got \(3, 5\)"),
             ({"tilt": -1.0}, "tilt must be between -pi/4 and pi/4 .*, got -1.0"),
+            (
+                {"tilt_direction": 90.0},
+                "tilt_direction must be between -6.28319 and 6.28319 rad, got 90.0; degrees become",
+            ),
+            ({"tilt_direction": None}, "tilt_direction must be a finite number, got None"),
         ],
     )
     def test_what_is_not_allowed_is_refused(self, changes, message):

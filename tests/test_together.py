@@ -8,7 +8,7 @@ from hypothesis import given
 
 import surface_gym as sg
 from tests.strategies import scenes
-from tests.worlds import G, supports
+from tests.worlds import G, quarter_turned, supports
 
 BOX = sg.layouts.box("S")
 POSES = [(1.0, 1.0, 0.0), (1.5, 1.0, 0.0)]
@@ -52,6 +52,24 @@ def test_touches_say_who_pushed_whom_when_and_how_hard():
     np.testing.assert_allclose(touches.impulse, [1.5 * BOX.mass / 2.0])
     ends = [trajectory.velocity[-1, 0] for trajectory in encounter.trajectories]
     np.testing.assert_allclose(ends, [0.25, 0.75, 0.0], atol=1e-8)
+
+
+def test_those_that_touch_on_a_slope_to_the_side_move_as_on_one_ahead():
+    rotor = np.zeros((40, 40), dtype=bool)
+    rotor[:, 22:] = True  # with axes along the slope: they hold who comes
+    ahead = sg.Surface(np.zeros((40, 40)), rotor, mu_support=0.05, tilt=math.radians(8.0))
+    poses = np.array([(1.0, 2.0, 0.1), (1.4, 1.9, 0.0), (2.6, 2.0, 0.0)])
+    velocities = np.array([(0.8, 0.0, 0.5), (0.3, 0.1, 0.0), (0.0, 0.0, 0.0)])
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    others = poses @ turned + [0.0, 0.0, math.pi / 2], velocities @ turned
+    one = sg.simulate_together(ahead, [BOX] * 3, poses, velocities, 1.0)
+    other = sg.simulate_together(quarter_turned(ahead), [BOX] * 3, *others, 1.0)
+    assert len(one.touches.time) > 10
+    np.testing.assert_array_equal(other.touches.time, one.touches.time)
+    np.testing.assert_allclose(other.touches.impulse, one.touches.impulse, rtol=0.0, atol=1e-7)
+    for first, second in zip(one.trajectories, other.trajectories, strict=True):
+        expected = first.pose @ turned + [0.0, 0.0, math.pi / 2]
+        np.testing.assert_allclose(second.pose, expected, rtol=0.0, atol=1e-9)
 
 
 def test_there_is_room_for_any_number_of_touches():

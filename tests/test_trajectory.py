@@ -29,6 +29,12 @@ def sorted_on_a_slope(**changes: object) -> Trajectory:
     return sg.simulate(surface, TRIANGLE, **start)
 
 
+def downhill(surface: sg.Surface) -> np.ndarray:
+    """(2,) [m/s^2] of gravity along the surface."""
+    direction = np.array([math.cos(surface.tilt_direction), math.sin(surface.tilt_direction)])
+    return G * math.sin(surface.tilt) * direction
+
+
 def sums_of_steps(run: Trajectory, values: np.ndarray) -> np.ndarray:
     """(T, ...) of values (rows, ...) of the contacts."""
     sums = np.zeros((len(run.time), *values.shape[1:]))
@@ -48,7 +54,7 @@ def assert_newton_holds(run: Trajectory, forces: float) -> None:
     """Forces and torques are mass and inertia times acceleration, to forces [N] / mass."""
     parcel, surface = run.run.parcel, run.run.surface
     contacts, arm = run.contacts, arms(run)
-    gravity = np.array([G * math.sin(surface.tilt), 0.0])
+    gravity = downhill(surface)
     total = sums_of_steps(run, contacts.force) / parcel.mass + gravity
     np.testing.assert_allclose(run.acceleration[1:, :2], total[1:], rtol=0.0, atol=forces)
     twist = arm[:, 0] * contacts.force[:, 1] - arm[:, 1] * contacts.force[:, 0]
@@ -110,7 +116,7 @@ class TestForces:
         np.testing.assert_allclose(total, weight, rtol=1e-9)
         # Their moments hold the centre of mass upright, but where the parcel tips.
         moment = sums_of_steps(run, run.contacts.normal[:, None] * arms(run))[1:]
-        pull = np.array([G * math.sin(scene.surface.tilt), 0.0]) - run.acceleration[:-1, :2]
+        pull = downhill(scene.surface) - run.acceleration[:-1, :2]
         upright = ~run.tipping[1:]
         expected = parcel.mass * parcel.com_height * pull
         np.testing.assert_allclose(moment[upright], expected[upright], atol=1e-6 * weight)

@@ -25,6 +25,7 @@ UNEVEN = sg.Surface(
     tilt=math.radians(7.0),
     stiffness=np.random.default_rng(3).uniform(0.5, 2.0, (16, 20)),
 )
+ASKEW = replace(UNEVEN, tilt_direction=2.5)
 PARCELS = {
     "rectangle": sg.Parcel(sg.Rectangle(0.3, 0.25), mass=1.0 / 3.0, inertia=0.01),
     "disc": sg.Parcel(sg.Disc(0.2), com_height=0.05, com_offset=(0.01, 0.02)),
@@ -77,6 +78,25 @@ class TestAllOfOne:
             np.testing.assert_array_equal(getattr(back.surface, name), getattr(UNEVEN, name))
         assert back.parcel == PARCELS["rectangle"]
         assert (back.dt, back.method, back.normal_forces) == (0.005, "implicit", "dual")
+
+    def test_a_slope_in_any_direction_does(self, tmp_path):
+        run = sg.simulate(ASKEW, PARCELS["disc"], (1.0, 0.2, 0.3), duration=0.1)
+        back = saved(run, tmp_path / "run.npz")
+        assert (back.run.surface.tilt, back.run.surface.tilt_direction) == (ASKEW.tilt, 2.5)
+        assert_same(run.contacts, back.contacts, CONTACTS)
+        assert back.energy.potential.tobytes() == run.energy.potential.tobytes()
+        assert back.energy.potential[-1] < 0.0
+
+    def test_files_from_before_slopes_had_a_direction_lead_towards_x(self, tmp_path):
+        run = slide()
+        run.save(tmp_path / "run.npz")
+        with np.load(tmp_path / "run.npz") as parts:
+            older = {name: parts[name] for name in parts if name != "tilt_direction"}
+            assert len(older) == len(parts) - 1
+        np.savez_compressed(tmp_path / "older.npz", **older)
+        back = Trajectory.load(tmp_path / "older.npz")
+        assert back.run.surface.tilt_direction == 0.0
+        assert_same(run.contacts, back.contacts, CONTACTS)
 
     def test_and_what_is_none(self, tmp_path):
         back = saved(sg.simulate(*AT_REST, duration=0.02), tmp_path / "run.npz").run

@@ -1,5 +1,8 @@
 """Parcels on one surface, stepped together."""
 
+import dataclasses
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,6 +22,19 @@ def supports(mu: float, tilt: float = 0.0) -> sg.Surface:
     """4 m x 3 m of supports alone."""
     shape = (30, 40)
     return sg.Surface(np.zeros(shape), np.zeros(shape, dtype=bool), mu_support=mu, tilt=tilt)
+
+
+def quarter_turned(surface: sg.Surface) -> sg.Surface:
+    """The surface turned by 90 deg about the origin, its slope with it."""
+    stiffness = surface.stiffness
+    return dataclasses.replace(
+        surface,
+        axis=surface.axis.T[:, ::-1] + math.pi / 2,
+        rotor=surface.rotor.T[:, ::-1],
+        stiffness=None if stiffness is None else stiffness.T[:, ::-1],
+        origin=(-surface.y[-1], surface.x[0]),
+        tilt_direction=surface.tilt_direction + math.pi / 2,
+    )
 
 
 def ice() -> sg.Surface:

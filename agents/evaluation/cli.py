@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .report import Section
 
 TASK_NAMES = (FLOW_TASK, *(name for name in PERIODS if name != FLOW_TASK))
+SINGLE = tuple(name for name, periods in PERIODS.items() if periods is not None)
 EXIT_NAMES = ("sides", "chutes")
 LOADING = "loading what compares"
 STARTS = 240  # of the sweep, at each level
@@ -32,7 +33,8 @@ class EvaluateConfig:
     out: Path = Path("runs/evaluation")
     """Folder for tables, plots, videos and report.html."""
     tasks: tuple[str, ...] = TASK_NAMES
-    """Tasks to compare on; "flow" is of streams of parcels."""
+    """Tasks to compare on; "flow" is of streams of parcels; "singulate", "merge" and "sequence" of
+    streams on a slope."""
     exits: tuple[str, ...] = ("sides",)
     """Exits of the streams: "sides", one as long as the line on either side; "chutes", two on
     either side; or both."""
@@ -95,9 +97,9 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
 
 def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
     with console.status(LOADING):
-        from . import benchmark, report, streams
+        from . import benchmark, material_flow, report, streams
 
-    _forget(config, benchmark.FILE, streams.FILE)
+    _forget(config, benchmark.FILE, streams.FILE, material_flow.FILE)
     methods = chosen_methods(config)
     with benchmark.show_progress(console, "comparing") as advance:
         sections: list[Section] = []
@@ -105,6 +107,11 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
             several = streams.stream_methods()
             rows = streams.compute_streams(several, workers, config.out, advance, config.exits)
             sections = report.write_stream_report(several, rows, config.out, console)
+        on_slopes = [name for name in material_flow.TASKS if name in config.tasks]
+        if config.task is None and on_slopes:
+            found = material_flow.compute_material_flow(on_slopes, workers, config.out, advance)
+            tables = material_flow.write_material_flow(found, config.out, console)
+            sections += [report.Section(table, []) for table in tables]
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(
             methods,
@@ -138,7 +145,7 @@ def chosen_methods(config: EvaluateConfig) -> "list[Method]":
     from .methods import all_methods, of_runs
 
     if config.task is None:
-        tasks = [task for task in config.tasks if task != FLOW_TASK]
+        tasks = [task for task in config.tasks if task in SINGLE]
         return [method for task in tasks for method in all_methods(task)]
     known = all_methods(config.task)
     names = {method.name for method in known}

@@ -135,7 +135,7 @@ class SearchNodes:
     half_length: float  # [m] of the base
     zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
     line: sg.lines.BaseLine
-    conditions: Numbers  # (5,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
+    conditions: Numbers  # (6,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
     corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
     profile: BrakingProfile | None = None  # None: that of rotors alone
     turning: TurningAxes | None = None  # None: axes obey at once

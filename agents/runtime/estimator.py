@@ -29,8 +29,8 @@ from surface_gym.layouts import ROLLING
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.jit import compile_for, compiled
-from surface_gym.physics.step import axis_direction
-from surface_gym.physics.types import GRAVITY, Array, Integers, Scratch, make_scratch
+from surface_gym.physics.step import axis_direction, split_gravity
+from surface_gym.physics.types import Array, Integers, Scratch, make_scratch
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.sensors.base import Physics
@@ -166,8 +166,7 @@ class StateEstimator:
         if path is not None:
             parcels.path[:] = path
         conditions[:] = 1.0
-        conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(entered.tilt)
-        conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(entered.tilt)
+        conditions[:, st.GRAVITY_COLUMNS] = split_gravity(entered.tilt)
         for i in (SEEN, NOW):
             self._begin(*self._arrays, i)
         self._commands.clear()

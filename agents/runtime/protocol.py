@@ -56,7 +56,7 @@ class Entered:
     pose: Triple  # [m, m, rad] roughly, by the conveyor and its guides
     velocity: Triple  # [m/s, m/s, rad/s] roughly
     goal: tuple[float, ...]  # of the task, as its starts have it
-    tilt: float = 0.0  # [rad] of the surface
+    tilt: float = 0.0  # [rad] of the surface, downhill towards +x
     path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of a path to follow
 
 

@@ -24,7 +24,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core import actions, batch
 from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, RUNNING, EnvState
+from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 
 from ..library import find_task
 from . import controller, estimator, protocol as wire
@@ -135,7 +135,7 @@ class World:
             _triple(known[:3]),
             _triple(known[3:]),
             tuple(state.goal.tolist()),
-            math.atan2(state.surface[GRAVITY_ALONG], state.surface[GRAVITY_NORMAL]),
+            math.atan2(state.surface[GRAVITY_X], state.surface[GRAVITY_NORMAL]),
             state.path.copy() if len(state.path) else None,
         )
 

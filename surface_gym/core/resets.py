@@ -12,8 +12,8 @@ from surface_gym import checks, state as st
 from surface_gym.config import EnvConfig
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import NO_EDGE, Parcel, filled_up
-from surface_gym.physics.step import com_states, map_floats
-from surface_gym.physics.types import GRAVITY, Array, Booleans, Integers
+from surface_gym.physics.step import com_states, split_gravity
+from surface_gym.physics.types import Array, Booleans, Integers
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import Draw, Parcels, Start
 
@@ -206,7 +206,7 @@ class StartRows(NamedTuple):
 
     body: Integers  # (starts,)
     state: Array  # (starts, STATE_SIZE)
-    conditions: Array  # (starts, 5)
+    conditions: Array  # (starts, 6)
     goal: Array  # (starts, goals)
 
 
@@ -227,9 +227,8 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
     velocity = _columns(task, "velocity", start.velocity, 3, count)
     _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
     checks.angles(f"tilt of {type(task).__name__}.start", np.asarray(start.tilt), math.pi / 4)
-    conditions = np.ones((count, 5))
-    conditions[:, st.GRAVITY_ALONG] = GRAVITY * map_floats(math.sin, start.tilt)
-    conditions[:, st.GRAVITY_NORMAL] = GRAVITY * map_floats(math.cos, start.tilt)
+    conditions = np.ones((count, st.CONDITION_COLUMNS))
+    conditions[:, st.GRAVITY_COLUMNS] = np.transpose(split_gravity(start.tilt))
     goal = _columns(task, "goal", start.goal, task.goals, count)
     state = com_states(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
     return StartRows(bodies, state, conditions, goal)

@@ -223,9 +223,10 @@ class CudaBatch(BaseCudaBatch):
 # The arrays that drawing an episode writes; the kernel begins the others.
 DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
-    "time", "start", "body", "exit", "arrivals", "coming", "due", "entered", "left", "taken",
-    "touches", "number", "present", "touched_at", "clock", "steps", "still", "waited", "obeys",
-    "tally", "outcome",
+    "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
+    "entered", "left", "taken", "touches", "number", "present", "touched_at", "clock", "steps",
+    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "off", "final", "passed",
+    "demand", "changes", "belt", "pressing", "impulse", "squeeze",
 )  # fmt: skip
 TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 
@@ -273,7 +274,7 @@ class CudaStreamBatch(BaseCudaBatch):
             "time": streams.clock.clone(),
             "parcels": numbers[:, : task.max_parcels],
             **{name: streams.tally[:, column].clone() for name, column in TALLIED.items()},
-            "waiting": streams.due - streams.coming,
+            "waiting": streams.due - streams.tally[:, ENTERED],
         }
         return infos | {REWARD + n: streams.terms[:, k].clone() for k, n in enumerate(task.terms)}
 

@@ -14,7 +14,7 @@ import torch
 from surface_gym.core.resets import MOST_AHEAD, ResetCache, StartRows
 from surface_gym.cuda.memory import DelayedCopy, send
 from surface_gym.physics.types import STATE_SIZE, Array, Integers
-from surface_gym.state import PATH_POINTS
+from surface_gym.state import CONDITION_COLUMNS, PATH_POINTS
 from surface_gym.tasks.base import Task
 
 # Control periods between two checks of how many starts the environments have taken. The counts
@@ -29,7 +29,7 @@ class StartRings(NamedTuple):
 
     body: Any  # (num_envs, STARTS_AHEAD)
     state: Any  # (num_envs, STARTS_AHEAD, STATE_SIZE)
-    conditions: Any  # (num_envs, STARTS_AHEAD, 5)
+    conditions: Any  # (num_envs, STARTS_AHEAD, CONDITION_COLUMNS)
     goal: Any  # (num_envs, STARTS_AHEAD, goals or 1)
     path: Any  # (num_envs, STARTS_AHEAD, PATH_POINTS or 1) [m]
 
@@ -69,7 +69,7 @@ class Prefetch:
             torch.zeros((num_envs, STARTS_AHEAD), dtype=torch.int64, device=device),
             *(
                 torch.zeros((num_envs, STARTS_AHEAD, size), dtype=torch.float64, device=device)
-                for size in (STATE_SIZE, 5, max(1, task.goals), max(1, path))
+                for size in (STATE_SIZE, CONDITION_COLUMNS, max(1, task.goals), max(1, path))
             ),
         )
         # (num_envs,) starts that each environment has taken from its ring

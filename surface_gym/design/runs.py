@@ -281,7 +281,7 @@ class RunArrays(NamedTuple):
 
     # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
     number: Integers
-    conditions: Array  # (runs, 5) as `SurfaceState.conditions`
+    conditions: Array  # (runs, 6) as `SurfaceState.conditions`
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
     # (runs, 4) reason of the end; last column with a rotor under it; steps taken, steps tipping
     end: Integers
@@ -303,7 +303,8 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
         conditions[st.ALONG_FACTOR],
         conditions[st.ACROSS_FACTOR],
         conditions[st.SUPPORT_FACTOR],
-        conditions[st.GRAVITY_ALONG],
+        conditions[st.GRAVITY_X],
+        conditions[st.GRAVITY_Y],
         conditions[st.GRAVITY_NORMAL],
     )
 
@@ -403,9 +404,6 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     number[:, PARCEL] = runs.parcel
     number[:, EXIT] = np.where(runs.columns < 0, line.shape[1], line.lead_in + runs.columns)
     number[:, STEPS] = round(LONGEST / dt)
-    gravity = [
-        ph.GRAVITY * stepping.map_floats(function, runs.tilt) for function in (math.sin, math.cos)
-    ]
     starts = np.array([line.start(parcel) for parcel in parcels])[runs.parcel]
     starts[:, 1] += runs.lateral
     starts[:, 2] += runs.heading
@@ -414,7 +412,7 @@ def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: fl
     velocity[:, 0] = runs.speed
     return RunArrays(
         number=number,
-        conditions=np.column_stack([runs.friction, *gravity]),
+        conditions=np.column_stack([runs.friction, *stepping.split_gravity(runs.tilt)]),
         state=stepping.com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
     )

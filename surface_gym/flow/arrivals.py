@@ -5,6 +5,7 @@ The first parcel arrives at time 0, or as soon as the rate of a schedule is abov
 
 import csv
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks, files
 from surface_gym.flow.exits import Exits, check_name
+from surface_gym.flow.inlets import EDGE, Inlets
 from surface_gym.parcel import Parcel, Rectangle
 
 Numbers = NDArray[np.float64]
@@ -37,6 +39,11 @@ class Arrivals:
     kinds: tuple[Parcel, ...]
     speed: Numbers  # (parcels,) [m/s] along the line
     exit: Places  # (parcels,) index among the exits
+    inlet: Places  # (parcels,) index among the inlets
+    # (parcels,) [-] across the inlet, as a parcel comes: -1 at its right, 0 in the middle, 1 left
+    aside: Numbers
+    turned: Numbers  # (parcels,) [rad] from the way it comes
+    number: Places  # (parcels,) 0, 1, 2 ...: the order in which they are to leave, if in any
 
     def __len__(self) -> int:
         return len(self.time)
@@ -156,6 +163,16 @@ def check_speed(name: str, value: Any) -> float:
     return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
 
 
+def check_aside(name: str, value: Any) -> float:
+    """Return where [-] across an inlet a parcel may arrive."""
+    return checks.within(name, value, -1.0, 1.0)
+
+
+def check_turned(name: str, value: Any) -> float:
+    """Return how far [rad] a parcel may be turned as it arrives."""
+    return checks.angle(name, value, -math.pi, math.pi)
+
+
 def _spread(value: Any) -> float:
     if checks.within("spread", value, 0.0, 1.0) == 1.0:
         raise ValueError(f"spread must be less than 1, got {value!r}")
@@ -179,6 +196,7 @@ def _before(end: float, rising: Numbers) -> Numbers:
 
 
 COLUMNS = ("time", "length", "width", "mass", "speed", "exit")  # [s, m, m, kg, m/s], a name
+MORE_COLUMNS = ("inlet", "aside", "turned")  # that may be left out: a name, [-], [rad]
 
 
 @dataclass(frozen=True)
@@ -189,12 +207,19 @@ class Arrival:
     parcel: Parcel
     speed: float  # [m/s] along the line
     exit: str  # name of its destination
+    inlet: str | None = None  # name of where it comes from; None: the first
+    aside: float = 0.0  # [-] across the inlet, as it comes: -1 at its right, 1 at its left
+    turned: float = 0.0  # [rad] from the way it comes
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
         checks.instance("parcel", self.parcel, Parcel, "a Parcel")
         object.__setattr__(self, "speed", check_speed("speed", self.speed))
         check_name("exit", self.exit)
+        if self.inlet is not None:
+            check_name("inlet", self.inlet)
+        object.__setattr__(self, "aside", check_aside("aside", self.aside))
+        object.__setattr__(self, "turned", check_turned("turned", self.turned))
 
 
 @dataclass(frozen=True)
@@ -237,15 +262,22 @@ class Trace:
             kinds=kinds,
             speed=np.array([each.speed for each in self.arrivals]),
             exit=np.array([name[each.exit] for each in self.arrivals]),
+            inlet=np.zeros(len(self.arrivals), dtype=np.int64),
+            aside=np.array([each.aside for each in self.arrivals]),
+            turned=np.array([each.turned for each in self.arrivals]),
+            number=np.arange(len(self.arrivals)),
         )
 
-    def check(self, exits: Exits) -> None:
-        """Raise a ValueError if a destination is not among the exits."""
+    def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
+        """Raise a ValueError if a destination is not among the exits, or an inlet not there."""
         for name in self.names:
             exits.place(name)
+        for each in self.arrivals:
+            if each.inlet is not None:
+                inlets.place(each.inlet)
 
-    def within(self, duration: float, exits: Exits) -> Arrivals:
-        """Return the arrivals before a duration [s]."""
+    def within(self, duration: float, exits: Exits, inlets: Inlets = EDGE) -> Arrivals:
+        """Return the arrivals before a duration [s]; their numbers are those of their order."""
         recorded = self._recorded
         count = int(np.searchsorted(recorded.time, duration))
         place = np.array([exits.place(name) for name in self.names])
@@ -255,6 +287,16 @@ class Trace:
             kinds=recorded.kinds,
             speed=recorded.speed[:count].copy(),
             exit=place[recorded.exit[:count]],
+            inlet=np.array(
+                [
+                    0 if each.inlet is None else inlets.place(each.inlet)
+                    for each in self.arrivals[:count]
+                ],
+                dtype=np.int64,
+            ),
+            aside=recorded.aside[:count].copy(),
+            turned=recorded.turned[:count].copy(),
+            number=np.arange(count),
         )
 
 
@@ -262,8 +304,9 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
     """Read a trace from a file of comma-separated values (UTF-8).
 
     The first line names the columns, in any order: time [s], length [m], width [m], mass [kg],
-    speed [m/s] and exit, a name. Each further line is a parcel, in order of time; blank ones are
-    skipped. With `exits`, every destination must be among them.
+    speed [m/s] and exit, a name; and, where parcels come in several ways, inlet, a name, aside [-]
+    and turned [rad]. Each further line is a parcel, in order of time; blank ones are skipped. With
+    `exits`, every destination must be among them.
 
     A line must end in a line break: the last one shows by that that it is whole.
 
@@ -292,8 +335,11 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
     return Trace(tuple(arrivals))
 
 
-def write_trace(path: str | PathLike[str], arrivals: Arrivals, exits: Exits) -> None:
-    """Write the arrivals of an episode, drawn with these exits, in the format of `read_trace`.
+def write_trace(
+    path: str | PathLike[str], arrivals: Arrivals, exits: Exits, inlets: Inlets = EDGE
+) -> None:
+    """Write the arrivals of an episode, drawn with these exits and inlets, in the format of
+    `read_trace`. The numbers of an order are not written: those of a trace are as it comes.
 
     Raises:
         ValueError: no arrivals, or a parcel that is more than a length, a width and a mass.
@@ -305,11 +351,15 @@ def write_trace(path: str | PathLike[str], arrivals: Arrivals, exits: Exits) -> 
     times, speeds = arrivals.time.tolist(), arrivals.speed.tolist()
     with open(path, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        for time, kind, speed, leaving in zip(
-            times, arrivals.parcel, speeds, arrivals.exit, strict=True
+        placed = bool(arrivals.aside.any() or arrivals.turned.any() or arrivals.inlet.any())
+        rows.writerow(COLUMNS + (MORE_COLUMNS if placed else ()))
+        names = [inlets.names[inlet] for inlet in arrivals.inlet.tolist()]
+        entries = zip(names, arrivals.aside.tolist(), arrivals.turned.tolist(), strict=True)
+        for time, kind, speed, leaving, entry in zip(
+            times, arrivals.parcel, speeds, arrivals.exit, entries, strict=True
         ):
-            rows.writerow([time, *sizes[kind], speed, exits.names[leaving]])
+            more = entry if placed else ()
+            rows.writerow([time, *sizes[kind], speed, exits.names[leaving], *more])
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
@@ -324,9 +374,9 @@ def _size(parcel: Parcel) -> tuple[float, float, float]:
 
 def _check_header(header: list[str]) -> None:
     for name in header:
-        checks.one_of("column", name, COLUMNS)
+        checks.one_of("column", name, COLUMNS + MORE_COLUMNS)
     missing = [name for name in COLUMNS if name not in header]
-    if missing or len(header) > len(COLUMNS):
+    if missing or len(header) > len(set(header)):
         raise ValueError(
             f"columns must be {', '.join(COLUMNS)}, each once, got {', '.join(header) or 'none'}"
         )
@@ -340,7 +390,11 @@ def _arrival(header: list[str], row: list[str]) -> Arrival:
         files.parse_number(name, text[name]) for name in COLUMNS[:-1]
     )
     parcel = Parcel(Rectangle(length, width), mass)
-    return Arrival(time, parcel, speed, text["exit"].strip())
+    aside, turned = (
+        files.parse_number(name, text[name]) if name in text else 0.0 for name in MORE_COLUMNS[1:]
+    )
+    inlet = text["inlet"].strip() if "inlet" in text else None
+    return Arrival(time, parcel, speed, text["exit"].strip(), inlet, aside, turned)
 
 
 def _check_order(before: Arrival, after: Arrival) -> None:

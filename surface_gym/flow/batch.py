@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -16,11 +17,12 @@ from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
 from surface_gym.flow import kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
+from surface_gym.flow.inlets import EDGE
 from surface_gym.flow.task import StreamTask
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
-from surface_gym.physics.step import com_states
-from surface_gym.physics.types import GRAVITY, Array, Integers
+from surface_gym.physics.step import axis_direction, com_states, split_gravity
+from surface_gym.physics.types import Array, Integers
 from surface_gym.sensors.base import Sensor
 
 _FIRST_ROOM = 16
@@ -86,7 +88,10 @@ class BodyPool:
 def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
-    names = "begin exit_taken reward observe observe_neighbour observe_no_neighbour"
+    names = (
+        "begin outside has_room has_left exit_taken deliver inform reward observe "
+        "observe_neighbour observe_no_neighbour"
+    )
     return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
         **compiled_functions(task, StreamTask, names),
@@ -104,7 +109,9 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
     return fs.StreamParams(
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
         ahead=task.ahead, duration=task.duration, patience=task.patience,
-        queue=task.rows - task.max_parcels, touching=task.touching,
+        inlets=len(config.inlets), queue=task.rows - task.max_parcels,
+        take_away=task.take_away, gap=task.gap, alignment=task.alignment,
+        notice=task.notice, touching=task.touching,
         waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
@@ -115,8 +122,19 @@ def _rear(parcel: Parcel, theta: float) -> float:
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
-FIGURES = tuple(f"episode_{name}" for name in fs.NAMES)  # in infos
-NO_FIGURES = dict.fromkeys(FIGURES, 0.0)  # of an episode that runs
+def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
+    """[m] y of its frame's origin from the middle of a room [m], as `Stream.aside` says."""
+    outline = parcel.base.outline
+    across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
+    low, high = float(across.min()), float(across.max())
+    return aside * max(0.0, 0.5 * (room - high + low)) - 0.5 * (high + low)
+
+
+def list_figures(task: StreamTask) -> tuple[str, ...]:
+    """List the names, in infos, of the statistics of an episode."""
+    return tuple(f"episode_{each.name}" for each in fields(task.statistics))
+
+
 COUNTS = ("entered", "right", "wrong", "touches", "turns")  # as the columns of the tally
 
 
@@ -133,16 +151,19 @@ class StreamBatch(BaseBatch):
         self.rows = task.rows
         self.stream_params = make_stream_params(config)
         self.surfaces.conditions[:, :3] = 1.0
-        self.surfaces.conditions[:, st.GRAVITY_NORMAL] = GRAVITY * math.cos(task.tilt)
-        self.surfaces.conditions[:, st.GRAVITY_ALONG] = GRAVITY * math.sin(task.tilt)
+        gravity = split_gravity(task.tilt, task.tilt_direction)
+        self.surfaces.conditions[:, st.GRAVITY_COLUMNS] = gravity
         self._pool = BodyPool(partial(place_in, config), task.parcels[0])
         obeys = self._pool.bodies.obeys
         if config.actuators.stuck_share > 0.0:
             obeys = np.repeat(obeys, num_envs, axis=0)
         shape = self.surfaces.axis.shape[1:]
         self.streams: fs.StreamState = fs.make_streams(
-            num_envs, self.rows, shape, len(task.terms), obeys
-        )
+            num_envs, self.rows, shape, len(task.terms), obeys, len(config.exits),
+            max(1, task.most_changes),
+        )  # fmt: skip
+        self.figures = list_figures(task)
+        self._no_figures = dict.fromkeys(self.figures, 0.0)  # of an episode that runs
         self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
         self._generators: list[np.random.Generator | None] = [None] * num_envs
 
@@ -193,7 +214,7 @@ class StreamBatch(BaseBatch):
             "time": streams.clock.copy(),
             "parcels": np.where(streams.present, streams.number, fs.NOBODY)[:, :slots],
             **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
-            "waiting": streams.due - streams.coming,
+            "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
         }
 
@@ -204,27 +225,27 @@ class StreamBatch(BaseBatch):
         present, number = streams.present[env_index], streams.number[env_index]
         runs = streams.outcome.item(env_index) == st.RUNNING
         return {
-            **(NO_FIGURES if runs else self._end(env_index)),
+            **(self._no_figures if runs else self._end(env_index)),
             "time": streams.clock.item(env_index),
             "parcels": np.where(present, number, fs.NOBODY)[: self.task.max_parcels],
             **dict(zip(COUNTS, streams.tally[env_index].tolist(), strict=True)),
-            "waiting": streams.due.item(env_index) - streams.coming.item(env_index),
+            "waiting": streams.due.item(env_index) - streams.tally.item(env_index, fs.ENTERED),
         }
 
     def _figures(self) -> Infos:
         """Collect the figures of the episodes that have ended, by name; 0 in the others."""
-        figures = np.zeros((len(FIGURES), self.num_envs))
+        figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
-        return dict(zip(FIGURES, figures, strict=True))
+        return dict(zip(self.figures, figures, strict=True))
 
     def _end(self, i: int) -> dict[str, float]:
         """Compute the figures of an episode that has ended, by name."""
         obeys = self.streams.obeys
         obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
         jammed = bool(self.streams.outcome[i] == fs.JAM)
-        found = vars(fs.compute_statistics(self.streams, i, jammed, obeying)).values()
-        return dict(zip(FIGURES, map(float, found), strict=True))
+        found = self.task.compute_statistics(self.streams, i, jammed, obeying)
+        return dict(zip(self.figures, map(float, vars(found).values()), strict=True))
 
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
         return self._pool.parcel(int(self.parcels.body[env_index * self.rows + row]))
@@ -235,14 +256,16 @@ class StreamBatch(BaseBatch):
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Draw an episode for each of the chosen surfaces (count,), from its generator: the
-        surface, the stream, the parcels, the stuck modules and the sensors' noise, in that order.
+        surface, the stream, the parcels, the stuck modules, the sensors' noise and the take-away's
+        stops, in that order.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):
             rng = self._generator(i)
             self._draw_surface(i, rng)
             stream = option.get("stream", self.task.stream)
-            arrivals = stream.draw(rng, self.task.duration, self.config.exits)
+            config = self.config
+            arrivals = stream.draw(rng, self.task.duration, config.exits, config.inlets)
             self._write(i, arrivals, rng)
             share = self.config.actuators.stuck_share
             if share > 0.0:
@@ -252,6 +275,9 @@ class StreamBatch(BaseBatch):
                 # No row behind the next parcel's, so that the queue's length changes no number.
                 for row in range(self.rows - self.task.queue + 1):
                     draw_noise(self.parcels, i * self.rows + row, rng)
+            changes = self.task.draw_demand(rng)
+            self.streams.demand[i] = np.inf
+            self.streams.demand[i, : len(changes)] = changes
 
     def _draw_surface(self, i: int, rng: np.random.Generator) -> None:
         randomisation = self.config.randomisation
@@ -266,6 +292,8 @@ class StreamBatch(BaseBatch):
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
         streams.exit[i, :count] = arrivals.exit
+        streams.inlet[i, :count] = arrivals.inlet
+        streams.order[i, :count] = arrivals.number
         streams.arrivals[i] = count
         body, streams.start[i, :count] = self._entries(i, arrivals, rng)
         streams.body[i, :count] = body
@@ -273,7 +301,9 @@ class StreamBatch(BaseBatch):
             ("entered", np.nan), ("left", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", st.STARTING),
+            ("tally", 0), ("outcome", st.STARTING), ("past", False), ("right", False),
+            ("gap", np.nan), ("off", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0),
+            ("belt", 0.0), ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows
@@ -283,25 +313,33 @@ class StreamBatch(BaseBatch):
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
         """Return rows of the body table (arrivals,) and states (arrivals, STATE_SIZE) of parcels as
-        they enter: the rear at the line's edge, on its middle, but for the randomisation.
+        they enter: the rear at the line's edge, where the stream and the randomisation place it.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
+        entrances = self.config.entrances
+        placed = bool(arrivals.aside.any() or arrivals.turned.any() or self.config.inlets != EDGE)
         middle = self.config.chosen_line.line_y
         _, _, low, high = self.config.chosen_line.extent
         room = (low - middle, high - middle)
         self._pool.give_back(self._used[i])
         self._used[i] = []
-        if randomisation.varies_parcels or randomisation.lateral or randomisation.heading:
+        if placed or randomisation.varies_parcels or randomisation.lateral or randomisation.heading:
             drawn = [
                 randomisation.draw_entry(rng, arrivals.kinds[kind], room)
                 for kind in arrivals.parcel.tolist()
             ]
             parcels = [parcel for parcel, _, _ in drawn]
             aside = np.array([aside for _, aside, _ in drawn])
-            turned = np.array([turned for _, _, turned in drawn])
+            turned = arrivals.turned + [turned for _, _, turned in drawn]
+            if placed:
+                widths = np.array([each.width for each in entrances])[arrivals.inlet]
+                aside = aside + [
+                    _place_across(*each)
+                    for each in zip(parcels, turned, arrivals.aside, widths, strict=True)
+                ]
             body = np.array([self._pool.take(parcel) for parcel in parcels], dtype=np.int64)
             self._used[i] = body.tolist()
-            rear = np.array([_rear(parcel, theta) for parcel, _, theta in drawn])
+            rear = np.array([_rear(*each) for each in zip(parcels, turned, strict=True)])
             centre = np.array([parcel.centre_of_mass for parcel in parcels]).reshape(-1, 2)
         else:
             rows = [self._pool.take(kind) for kind in arrivals.kinds]
@@ -313,6 +351,14 @@ class StreamBatch(BaseBatch):
         pose = np.stack([self.config.entry_x + rear, middle + aside, turned], axis=-1)
         velocity = np.zeros((count, 3))
         velocity[:, 0] = arrivals.speed
+        for k, entrance in enumerate(entrances if placed else ()):
+            here = arrivals.inlet == k
+            way = np.array(axis_direction(entrance.heading))
+            across = np.array([-way[1], way[0]])
+            place = np.array([entrance.x, entrance.y])
+            pose[here, :2] = place + np.outer(rear[here], way) + np.outer(aside[here], across)
+            pose[here, 2] += entrance.heading
+            velocity[here, :2] = np.outer(arrivals.speed[here], way)
         return body, com_states(centre, pose, velocity)
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:

@@ -4,8 +4,11 @@ A surface has a fixed number of slots, each a row of the batch's arrays that one
 has. With a gate more rows show the parcels that wait.
 """
 
+import math
+from typing import Any
+
 from surface_gym import state as st
-from surface_gym.core.kernel import EnvParams
+from surface_gym.core.kernel import EnvParams, Function
 from surface_gym.flow import state as fs
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.physics import types as ph
@@ -38,7 +41,36 @@ def _free_slot(streams: StreamState, i: int, slots: int) -> int:
 
 
 @inlined
-def _bars(other: EnvState, state: EnvState, gap: float) -> bool:
+def count_waiting(streams: StreamState, i: int) -> int:
+    """Count the parcels whose time has come and that have not entered."""
+    return streams.due[i] - streams.tally[i, fs.ENTERED]
+
+
+@inlined
+def takes_away(streams: StreamState, i: int) -> bool:
+    """Return whether the take-away runs; its changes are stops and starts in turn."""
+    return streams.changes[i] % 2 == 0
+
+
+@inlined
+def changes_within(streams: StreamState, i: int, time: float) -> bool:
+    """Return whether the take-away stops or starts within a time [s]."""
+    changes = streams.changes[i]
+    soon = streams.clock[i] + time
+    return changes < streams.demand.shape[1] and streams.demand[i, changes] <= soon
+
+
+@inlined
+def move_take_away(stream_params: StreamParams, streams: StreamState, i: int, dt: float) -> None:
+    """Move the take-away by a physics step, and let it stop or start at its time."""
+    if takes_away(streams, i):
+        streams.belt[i] += stream_params.take_away * dt
+    if changes_within(streams, i, 0.0):
+        streams.changes[i] += 1
+
+
+@inlined
+def bars(other: EnvState, state: EnvState, gap: float) -> bool:
     """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
@@ -69,6 +101,8 @@ def _put(
     parcels.goal[row, fs.SIDE] = stream_params.exits[asked, 0]
     parcels.goal[row, fs.FIRST] = stream_params.exits[asked, 1]
     parcels.goal[row, fs.LAST] = stream_params.exits[asked, 2]
+    parcels.goal[row, fs.INLET] = streams.inlet[i, arrival]
+    parcels.goal[row, fs.ORDER] = streams.order[i, arrival]
     parcels.clock[row] = 0.0
     parcels.period[row] = 0.0
     parcels.steps[row] = 0
@@ -105,54 +139,99 @@ def show_waiting(
             state.sensed[k] = state.truth[k]
 
 
+def entering(has_room: Function) -> Any:
+    """Build `let_in`, by the task's `has_room(params, state, other)`."""
+
+    @inlined
+    def let_in(
+        params: EnvParams,
+        stream_params: StreamParams,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        streams: StreamState,
+        i: int,
+    ) -> int:
+        """Let the next parcel of an inlet that is due enter if there is room, the one whose time
+        came first; give its slot, or NOBODY.
+
+        Its task and its sensor have yet to begin.
+        """
+        slot = _free_slot(streams, i, count_slots(stream_params, streams))
+        if slot == fs.NOBODY or count_waiting(streams, i) == 0:
+            return fs.NOBODY
+        first = i * streams.number.shape[1]
+        barred = 0  # a bit an inlet
+        left = stream_params.inlets  # that are not barred
+        arrival = streams.coming[i]
+        enters = False
+        while left > 0 and arrival < streams.due[i]:
+            inlet = 1 << streams.inlet[i, arrival]
+            if barred & inlet == 0 and math.isnan(streams.entered[i, arrival]):
+                _put(stream_params, streams, parcels, i, slot, arrival)
+                state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
+                st.read_truth(state)
+                enters = True
+                for k in range(streams.number.shape[1]):
+                    if streams.present[i, k]:
+                        row = first + k
+                        other = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+                        st.read_truth(other)
+                        if not has_room(stream_params, state, other):
+                            enters = False
+                            break
+                if enters:
+                    break
+                barred |= inlet
+                left -= 1
+            arrival += 1
+        if not enters:
+            return fs.NOBODY
+        streams.number[i, slot] = arrival
+        streams.present[i, slot] = True
+        streams.entered[i, arrival] = streams.clock[i]
+        streams.tally[i, fs.ENTERED] += 1
+        while streams.coming[i] < streams.due[i] and not math.isnan(
+            streams.entered[i, streams.coming[i]]
+        ):
+            streams.coming[i] += 1
+        for k in range(streams.number.shape[1]):
+            streams.touched_at[i, slot, k] = fs.NEVER
+            streams.touched_at[i, k, slot] = fs.NEVER
+            streams.pressing[i, slot, k] = 0.0
+            streams.pressing[i, k, slot] = 0.0
+        return slot
+
+    return let_in
+
+
 @inlined
-def let_in(
-    params: EnvParams,
-    stream_params: StreamParams,
-    surfaces: SurfaceState,
-    parcels: ParcelState,
-    bodies: BodyTable,
+def leave(
     streams: StreamState,
+    parcels: ParcelState,
     i: int,
-) -> int:
-    """Let the next parcel that is due enter if there is room, and give its slot, or NOBODY.
-
-    Its task and its sensor have yet to begin.
-    """
-    arrival = streams.coming[i]
-    if arrival == streams.due[i]:
-        return fs.NOBODY
-    slot = _free_slot(streams, i, count_slots(stream_params, streams))
-    if slot == fs.NOBODY:
-        return fs.NOBODY
-    first = i * streams.number.shape[1]
-    _put(stream_params, streams, parcels, i, slot, arrival)
-    state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
-    st.read_truth(state)
-    for k in range(streams.number.shape[1]):
-        if streams.present[i, k]:
-            other = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-            st.read_truth(other)
-            if _bars(other, state, stream_params.entry_gap):
-                return fs.NOBODY
-    streams.number[i, slot] = arrival
-    streams.present[i, slot] = True
-    streams.entered[i, arrival] = streams.clock[i]
-    streams.coming[i] = arrival + 1
-    streams.tally[i, fs.ENTERED] += 1
-    for k in range(streams.number.shape[1]):
-        streams.touched_at[i, slot, k] = fs.NEVER
-        streams.touched_at[i, k, slot] = fs.NEVER
-    return slot
-
-
-@inlined
-def leave(streams: StreamState, parcels: ParcelState, i: int, slot: int, taken: int) -> None:
+    slot: int,
+    taken: int,
+    right: bool,
+    gap: float,
+    off: float,
+) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     arrival = streams.number[i, slot]
-    right = taken == streams.exit[i, arrival]
+    row = i * streams.number.shape[1] + slot
+    streams.past[i, streams.order[i, arrival]] = True
+    left_before = int(streams.passed[i, 0, fs.NEXT])
+    while left_before < streams.arrivals[i] and streams.past[i, left_before]:
+        left_before += 1
+    for k in range(streams.passed.shape[1]):
+        streams.passed[i, k, fs.NEXT] = left_before
+    streams.right[i, arrival] = right
+    streams.gap[i, arrival] = gap
+    streams.off[i, arrival] = off
+    for k in range(parcels.truth.shape[1]):
+        streams.final[i, arrival, k] = parcels.truth[row, k]
     streams.present[i, slot] = False
     streams.left[i, arrival] = streams.clock[i]
     streams.taken[i, arrival] = taken
     streams.tally[i, fs.RIGHT if right else fs.WRONG] += 1
-    parcels.outcome[i * streams.number.shape[1] + slot] = fs.LEFT_RIGHT if right else fs.LEFT_WRONG
+    parcels.outcome[row] = fs.LEFT_RIGHT if right else fs.LEFT_WRONG

@@ -22,21 +22,24 @@ NOWHERE = -1  # index of a parcel that leaves between two exits
 
 @dataclass(frozen=True)
 class Exit:
-    """A place where parcels may leave; its span holds `first` and not `last`."""
+    """A place where parcels may leave; its span holds `first` and not `last`.
+
+    The span is of a parcel's centre: to a side of x, and straight on of y from the line's middle.
+    """
 
     name: str  # "left 1"
     side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight on, at the line's end
-    # [m] span of x in which a parcel's centre must leave the rotors; unused straight on
-    first: float = 0.0
-    last: float = math.inf
+    first: float = -math.inf  # [m]
+    last: float = math.inf  # [m]
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
         check_name("name", self.name)
         set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        set_field(self, "first", checks.coordinate("first", self.first))
-        endless = isinstance(self.last, float) and self.last == math.inf
-        set_field(self, "last", math.inf if endless else checks.coordinate("last", self.last))
+        for name, endless in (("first", -math.inf), ("last", math.inf)):
+            value = getattr(self, name)
+            is_endless = isinstance(value, float) and value == endless
+            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
         if self.last <= self.first:
             raise ValueError(
                 f"last must be greater than first, {self.first:g}, got {self.last!r} "
@@ -49,7 +52,7 @@ class Exits:
     """The exits of a line, counted by their index.
 
     >>> exits = Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)])
-    >>> exits.at(1, x=1.2), exits.at(1, x=2.5), exits.at(0, x=3.0)
+    >>> exits.at(1, 1.2), exits.at(1, 2.5), exits.at(0, 0.1)
     (0, -1, 1)
     """
 
@@ -88,15 +91,15 @@ class Exits:
         """Return the index of the exit of a name."""
         return self.names.index(checks.one_of("exit", name, self.names))
 
-    def at(self, side: int, x: float) -> int:
+    def at(self, side: int, where: float) -> int:
         """Return the index of the exit that a parcel takes, or -1 between exits.
 
         Args:
             side: on which the parcel leaves: +1 left, -1 right, 0 at the line's end.
-            x: [m] of its centre; unused at the line's end.
+            where: [m] x of its centre, or at the line's end its y from the line's middle.
         """
         for place, each in enumerate(self.exits):
-            if each.side == side and (side == 0 or each.first <= x < each.last):
+            if each.side == side and each.first <= where < each.last:
                 return place
         return NOWHERE
 
@@ -119,7 +122,30 @@ def sides(length: float = 6.0) -> Exits:
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
 
-EXITS = {"chutes": chutes, "sides": sides}  # presets by name, each of the line's length [m]
+def end(length: float = 6.0) -> Exits:
+    """Make one exit straight on, anywhere across the end of a line of any length [m]."""
+    checks.positive("length", length, *checks.LENGTH)
+    return Exits((Exit("end", 0),))
+
+
+MOUTH = 0.6  # [m] wide
+
+
+def mouth(length: float = 6.0) -> Exits:
+    """Make one exit straight on, a mouth of 0.6 m in the middle of a line of any length [m]."""
+    checks.positive("length", length, *checks.LENGTH)
+    return Exits((Exit("mouth", 0, -0.5 * MOUTH, 0.5 * MOUTH),))
+
+
+def mouths(length: float = 6.0) -> Exits:
+    """Make two mouths of 0.6 m side by side at the end of a line of any length [m]."""
+    checks.positive("length", length, *checks.LENGTH)
+    return Exits((Exit("left", 0, 0.05, 0.05 + MOUTH), Exit("right", 0, -0.05 - MOUTH, -0.05)))
+
+
+EXITS = {  # presets by name, each of the line's length [m]
+    "chutes": chutes, "sides": sides, "end": end, "mouth": mouth, "mouths": mouths,
+}  # fmt: skip
 
 
 def exits_option(value: Any, length: float) -> Exits:
@@ -145,10 +171,6 @@ def _check_apart(one: Exit, other: Exit) -> None:
         raise ValueError(f"exits must have names of their own, got {one.name!r} twice")
     if one.side != other.side:
         return
-    if one.side == 0:
-        raise ValueError(
-            f"exits must hold at most one straight on, got {one.name!r} and {other.name!r}"
-        )
     if max(one.first, other.first) < min(one.last, other.last):
         raise ValueError(
             f"exits must not overlap on one side, got {one.name!r} "

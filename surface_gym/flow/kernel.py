@@ -14,7 +14,17 @@ from surface_gym import state as st
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow import state as fs
-from surface_gym.flow.entry import count_due, count_slots, leave, let_in, show_waiting
+from surface_gym.flow.entry import (
+    changes_within,
+    count_due,
+    count_slots,
+    count_waiting,
+    entering,
+    leave,
+    move_take_away,
+    show_waiting,
+    takes_away,
+)
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.flow.task import HALVES
 from surface_gym.layouts import ROLLING
@@ -30,6 +40,7 @@ from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.base import STALL_SPEED
 
 NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
+CLOSING = 1.0  # [m/s] at which a base counts as nearing a module that lies outside it
 
 
 @inlined
@@ -60,45 +71,53 @@ def _after(point: float, low: float, high: float, speed: float) -> float:
     return (high - point) / -speed if speed < 0.0 else np.inf
 
 
-@inlined
-def claim_modules(owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float) -> None:
-    """Let the parcel in a slot claim every module of the zone that bears it, or that it will be the
-    first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
-    """
-    sensed = state.sensed
-    theta = sensed[ph.THETA]
-    vx, vy = sensed[ph.VX], sensed[ph.VY]
-    front = sensed[ph.X] + st.reach_along(state, theta, 1.0, 0.0)
-    rear = sensed[ph.X] - st.reach_along(state, theta, -1.0, 0.0)
-    left = sensed[ph.Y] + st.reach_along(state, theta, 0.0, 1.0)
-    right = sensed[ph.Y] - st.reach_along(state, theta, 0.0, -1.0)
-    zone, elements = state.zone, state.elements
-    first_row, first_column = zone[st.FIRST_ROW], zone[st.FIRST_COLUMN]
-    x0, y0 = elements.x0, elements.y0
-    low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
-    high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
-    low_y = (right + min(0.0, vy * ahead) - y0) / elements.pitch_y
-    high_y = (left + max(0.0, vy * ahead) - y0) / elements.pitch_y
-    if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
-        return  # an estimate that has lost the parcel
-    for row in range(
-        max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
-    ):
-        y = y0 + elements.pitch_y * row
-        until_y = _until(y, right, left, vy)
-        after_y = _after(y, right, left, vy)
-        for column in range(
-            max(first_column, math.ceil(low_x)),
-            min(first_column + zone[st.COLUMNS], math.floor(high_x) + 1),
+def claiming(outside: Function) -> Any:
+    """Build `claim_modules`, by the task's `outside(state, x, y)`."""
+
+    @inlined
+    def claim_modules(
+        owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
+    ) -> None:
+        """Let the parcel in a slot claim every module of the zone that bears it, or that it will be
+        the first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
+        """
+        sensed = state.sensed
+        theta = sensed[ph.THETA]
+        vx, vy = sensed[ph.VX], sensed[ph.VY]
+        front = sensed[ph.X] + st.reach_along(state, theta, 1.0, 0.0)
+        rear = sensed[ph.X] - st.reach_along(state, theta, -1.0, 0.0)
+        left = sensed[ph.Y] + st.reach_along(state, theta, 0.0, 1.0)
+        right = sensed[ph.Y] - st.reach_along(state, theta, 0.0, -1.0)
+        zone, elements = state.zone, state.elements
+        first_row, first_column = zone[st.FIRST_ROW], zone[st.FIRST_COLUMN]
+        x0, y0 = elements.x0, elements.y0
+        low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
+        high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
+        low_y = (right + min(0.0, vy * ahead) - y0) / elements.pitch_y
+        high_y = (left + max(0.0, vy * ahead) - y0) / elements.pitch_y
+        if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
+            return  # an estimate that has lost the parcel
+        for row in range(
+            max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
         ):
-            x = x0 + elements.pitch_x * column
-            until = max(until_y, _until(x, rear, front, vx))
-            if until > min(ahead, after_y, _after(x, rear, front, vx)):
-                continue
-            until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
-            if until < soonest[row, column]:
-                soonest[row, column] = until
-                owner[row, column] = slot
+            y = y0 + elements.pitch_y * row
+            until_y = _until(y, right, left, vy)
+            after_y = _after(y, right, left, vy)
+            for column in range(
+                max(first_column, math.ceil(low_x)),
+                min(first_column + zone[st.COLUMNS], math.floor(high_x) + 1),
+            ):
+                x = x0 + elements.pitch_x * column
+                until = max(until_y, _until(x, rear, front, vx))
+                if until > min(ahead, after_y, _after(x, rear, front, vx)):
+                    continue
+                until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
+                until += outside(state, x, y) / CLOSING
+                if until < soonest[row, column]:
+                    soonest[row, column] = until
+                    owner[row, column] = slot
+
+    return claim_modules
 
 
 # Which part of the command a module follows; negative if none.
@@ -154,6 +173,7 @@ def is_turn(angle: float, before: float) -> bool:
 
 
 APART = 0.2  # [s] two that have not pushed each other for so long touch anew
+MEAN_OVER = 0.1  # [s] over which the force between two is a mean, weighted exponentially
 
 
 @inlined
@@ -164,12 +184,20 @@ def note_touches(
     i: int,
     pairs: int,
     apart: int,
+    dt: float,
 ) -> None:
-    """Count the pairs of parcels that begin to touch."""
+    """Count the pairs of parcels that begin to touch, and note how hard they press."""
     rows = streams.number.shape[1]
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
-        if streams.steps[i] - streams.touched_at[i, a, b] > apart:
+        since = streams.steps[i] - streams.touched_at[i, a, b]
+        # Rows' order in a pair is theirs in the table: the pair is always the same way round.
+        force = streams.pressing[i, a, b] * math.exp(-dt * since / MEAN_OVER)
+        force += scratch.impulse[k] / MEAN_OVER
+        streams.pressing[i, a, b] = force
+        streams.impulse[i] = max(streams.impulse[i], scratch.impulse[k])
+        streams.squeeze[i] = max(streams.squeeze[i], force)
+        if since > apart:
             streams.tally[i, fs.TOUCHES] += 1
             streams.touches[i, streams.number[i, a]] += 1
             streams.touches[i, streams.number[i, b]] += 1
@@ -205,7 +233,12 @@ class StreamFunctions(NamedTuple):
 
     label: str  # of its files in the cache
     begin: Function  # the task's
+    outside: Function
+    has_room: Function
+    has_left: Function
     exit_taken: Function
+    deliver: Function
+    inform: Function
     reward: Function
     observe: Function
     observe_neighbour: Function
@@ -221,6 +254,7 @@ class StreamFunctions(NamedTuple):
 
 def _obeying(functions: StreamFunctions) -> Any:
     """Build `obey_command`, which turns surface i's modules by its command, and counts them."""
+    claim_modules = claiming(functions.outside)
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
@@ -261,7 +295,7 @@ def _obeying(functions: StreamFunctions) -> Any:
 def _observing(functions: StreamFunctions) -> Any:
     """Build `observe_parcels`, which writes surface i's table: a row a parcel."""
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
-    observe_no_neighbour = functions.observe_no_neighbour
+    inform, observe_no_neighbour = functions.inform, functions.observe_no_neighbour
 
     @inlined
     def observe_parcels(
@@ -276,6 +310,8 @@ def _observing(functions: StreamFunctions) -> Any:
         rows = streams.number.shape[1]
         slots = count_slots(stream_params, streams)
         first = i * rows
+        runs = takes_away(streams, i)
+        stops = runs and changes_within(streams, i, stream_params.notice)
         for k in range(rows):
             state = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
             waits = k >= slots and streams.number[i, k] != fs.NOBODY
@@ -283,6 +319,7 @@ def _observing(functions: StreamFunctions) -> Any:
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
                 continue
+            inform(stream_params, state, streams.passed[i], streams.belt[i], runs, stops)
             observe(state, waits)
             x, theta = state.sensed[ph.X], state.sensed[ph.THETA]
             front = x + st.reach_along(state, theta, 1.0, 0.0)
@@ -312,6 +349,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     period, and those that have ended stay. It returns how many have a fault.
     """
     task_begin, task_reward, task_exit = functions.begin, functions.reward, functions.exit_taken
+    has_left, deliver, let_in = functions.has_left, functions.deliver, entering(functions.has_room)
     sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
     sensor_read, watches = functions.read_sensor, functions.watches
     _, turn, straighten, turns = functions.actuation
@@ -383,7 +421,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                     pairs = step_world(grid, world, stream_params.touching, scratch, dt)
                     streams.clock[i] += dt
                     streams.steps[i] += 1
-                    note_touches(parcels, streams, scratch, i, pairs, apart)
+                    note_touches(parcels, streams, scratch, i, pairs, apart, dt)
+                    move_take_away(stream_params, streams, i, dt)
                     for k in range(slots):
                         if not streams.present[i, k]:
                             continue
@@ -395,13 +434,18 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         parcels.steps[row] += 1
                         parcels.period[row] += dt
                         state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
-                        if not state.on_rotors:
+                        if has_left(stream_params, state):
                             st.read_truth(state)
-                            leave(streams, parcels, i, k, task_exit(stream_params, state))
+                            taken = task_exit(stream_params, state)
+                            right, gap, off = deliver(
+                                stream_params, state, taken, streams.passed[i, max(taken, 0)],
+                                streams.belt[i], takes_away(streams, i),
+                            )  # fmt: skip
+                            leave(streams, parcels, i, k, taken, right, gap, off)
                         elif watches:
                             st.read_truth(state)
                             sensor_update(params.sensor, state, physics)
-                    waiting = streams.due[i] - streams.coming[i]
+                    waiting = count_waiting(streams, i)
                     streams.waited[i] += dt * waiting
                     streams.terms[i, waiting_term] += stream_params.waiting_reward * dt * waiting
                 count_due(streams, i)
@@ -435,7 +479,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                     occupied = True
                     moves |= not st.is_slower(state, STALL_SPEED)
                     sensor_read(params.sensor, state)
-            if occupied and not moves and not begins:
+            if occupied and not moves and not begins and takes_away(streams, i):
                 streams.still[i] += dt * params.timing.steps
             else:
                 streams.still[i] = 0.0

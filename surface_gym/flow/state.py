@@ -4,7 +4,7 @@ Parcels lie in rows of `ParcelState`, as those of any batch do: with R rows a su
 those from i R on, and `StreamState.number` says which arrival has which row.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +21,15 @@ JAM = 3  # the outcome of a surface, beside those of every environment; a stream
 LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
 
 ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
-EXIT, SIDE, FIRST, LAST = range(4)  # places in a parcel's goal: exit, and its side and span
+# Places in a parcel's goal: exit, its side and span; where it comes from, its place in the order
+EXIT, SIDE, FIRST, LAST, INLET, ORDER = range(6)
+GOALS = 6
 TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
 NEVER = -1_000_000  # `touched_at` of two that have not touched
+# Columns of `passed`: whether any parcel has left by the exit, of the last that did [m] where on
+# the take-away its rear end lies, and the least place in the order that has not left by any exit
+ANY, REAR, NEXT = range(3)
+PASSED_SIZE = 3
 
 
 class StreamState(NamedTuple):
@@ -33,12 +39,19 @@ class StreamState(NamedTuple):
     start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
     body: Integers  # (surfaces, arrivals) its row in the body table
     exit: Integers  # (surfaces, arrivals) that it is to leave by
+    inlet: Integers  # (surfaces, arrivals) that it comes by
+    order: Integers  # (surfaces, arrivals) its place in the order in which parcels are to leave
+    past: Booleans  # (surfaces, arrivals) whether the parcel of each place in the order has left
     arrivals: Integers  # (surfaces,) how many there are
-    coming: Integers  # (surfaces,) the next to enter
+    coming: Integers  # (surfaces,) before which all have entered
     due: Integers  # (surfaces,) the next whose time has not come: those between the two wait
     entered: Array  # (surfaces, arrivals) [s] when it did; nan before
     left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
     taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
+    right: Booleans  # (surfaces, arrivals) whether it left as it was to
+    gap: Array  # (surfaces, arrivals) [m] behind the one before it on the take-away; nan: none
+    off: Array  # (surfaces, arrivals) [rad] by which it was turned from the line as it left
+    final: Array  # (surfaces, arrivals, 6) pose and velocity with which it left, as `truth`
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
     # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
     # parcels that wait to enter
@@ -49,6 +62,15 @@ class StreamState(NamedTuple):
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
+    passed: (
+        Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that left by each
+    )
+    demand: Array  # (surfaces, changes) [s] when the take-away stops, and starts, in turn
+    changes: Integers  # (surfaces,) of these that have come
+    belt: Array  # (surfaces,) [m] that the take-away has moved
+    pressing: Array  # (surfaces, rows, rows) [N] mean force between two as of `touched_at`
+    impulse: Array  # (surfaces,) [N s] largest in a physics step
+    squeeze: Array  # (surfaces,) [N] largest mean force
     owner: Places  # (surfaces, rows, columns) the row of the parcel a module obeys, or NOBODY
     soonest: Array  # (surfaces, rows, columns) [s] when that parcel will bear on it
     commanded: Array  # (surfaces, rows, columns) [rad] axis angle that a module was last set to
@@ -69,14 +91,25 @@ class StreamParams(NamedTuple):
     ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
     duration: float  # [s] of an episode
     patience: float  # [s] without any motion that make a jam
+    inlets: int  # how many there are
     queue: int  # rows of parcels that wait at the gate; 0 without one
+    take_away: float  # [m/s] speed of the conveyor after the surface; 0: there is none
+    gap: float  # [m] that the task asks for between parcels on it
+    alignment: float  # [rad] by which a parcel may be turned as it leaves
+    notice: float  # [s] before the take-away stops from which on parcels are shown that it does
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more
 
 
 def make_streams(
-    surfaces: int, rows: int, shape: tuple[int, int], terms: int, obeys: Booleans
+    surfaces: int,
+    rows: int,
+    shape: tuple[int, int],
+    terms: int,
+    obeys: Booleans,
+    exits: int = 1,
+    changes: int = 1,
 ) -> StreamState:
     """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
@@ -92,6 +125,13 @@ def make_streams(
         steps=np.zeros(surfaces, dtype=np.int64),
         still=np.zeros(surfaces),
         waited=np.zeros(surfaces),
+        passed=np.zeros((surfaces, exits, PASSED_SIZE)),
+        demand=np.full((surfaces, changes), np.inf),
+        changes=np.zeros(surfaces, dtype=np.int64),
+        belt=np.zeros(surfaces),
+        pressing=np.zeros((surfaces, rows, rows)),
+        impulse=np.zeros(surfaces),
+        squeeze=np.zeros(surfaces),
         owner=np.full(grid, NOBODY, dtype=np.int32),
         soonest=np.zeros(grid),
         commanded=np.zeros(grid),
@@ -125,7 +165,14 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
         "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
         "left": np.full(shape, np.nan),
+        "inlet": np.zeros(shape, dtype=np.int64),
+        "order": np.zeros(shape, dtype=np.int64),
+        "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
+        "right": np.zeros(shape, dtype=np.bool_),
+        "gap": np.full(shape, np.nan),
+        "off": np.full(shape, np.nan),
+        "final": np.zeros((*shape, 6)),
         "touches": np.zeros(shape, dtype=np.int64),
     }
 
@@ -147,9 +194,6 @@ class FlowStatistics:
     waiting_mean: float  # [s] at the entry, of those that have entered
     waiting_most: float  # [s] the longest, of those that wait still too
     turns_per_hour: float  # [1/h] of a module's axis, mean over those that obey: its wear
-
-
-NAMES = tuple(field.name for field in fields(FlowStatistics))
 
 
 def compute_statistics(
@@ -184,12 +228,12 @@ def compute_statistics(
         missort_rate=1.0 - float(right.sum()) / delivered if delivered else np.nan,
         touches_per_1000=touches * per_parcel,
         jams_per_1000=float(jammed) * per_parcel,
-        gap_mean=_mean(gap),
-        gap_5=_percentile(gap, 5.0),
+        gap_mean=mean(gap),
+        gap_5=percentile(gap, 5.0),
         gap_spread=float(gap.std()) if gap.size else np.nan,
-        time_mean=_mean(stay),
-        time_95=_percentile(stay, 95.0),
-        waiting_mean=_mean((entered - time)[inside]),
+        time_mean=mean(stay),
+        time_95=percentile(stay, 95.0),
+        waiting_mean=mean((entered - time)[inside]),
         waiting_most=float(waiting.max()) if waiting.size else np.nan,
         turns_per_hour=(
             HOUR * float(streams.tally[surface, TURNS]) / (obeying * clock)
@@ -199,9 +243,11 @@ def compute_statistics(
     )
 
 
-def _mean(values: np.ndarray) -> float:
+def mean(values: np.ndarray) -> float:
+    """Return the mean of values (n,); nan where there are none."""
     return float(values.mean()) if values.size else np.nan
 
 
-def _percentile(values: np.ndarray, share: float) -> float:
+def percentile(values: np.ndarray, share: float) -> float:
+    """Return the percentile [%] of values (n,); nan where there are none."""
     return float(np.percentile(values, share)) if values.size else np.nan

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any, TypeVar
 
@@ -12,6 +12,7 @@ from surface_gym import checks
 from surface_gym.flow import arrivals as laws
 from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, Poisson, Spread, Steady, Trace
 from surface_gym.flow.exits import Exits, check_name
+from surface_gym.flow.inlets import EDGE, Inlets
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
 
@@ -48,14 +49,26 @@ class Stream:
     # odds of exits by name, as a mapping or as pairs; None: equal odds of all exits
     destinations: Any = None
     speeds: Any = 1.5  # [m/s] of every parcel, or the bounds of a uniform draw
+    # odds of inlets by name, as a mapping or as pairs; None: equal odds of all inlets
+    origins: Any = None
+    # [-] where across its inlet each comes: -1 at its right end as it comes, 0 in the middle, 1 at
+    # its left; or the bounds of a uniform draw
+    aside: Any = 0.0
+    turned: Any = 0.0  # [rad] how each is turned as it comes, or the bounds of a uniform draw
+    window: int = 1  # so many in a row are numbered in an order drawn by chance; 1: as they come
 
     def __post_init__(self) -> None:
         checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
         set_field = object.__setattr__
         set_field(self, "parcels", _parcels(self.parcels))
         if self.destinations is not None:
-            set_field(self, "destinations", _destinations(self.destinations))
-        set_field(self, "speeds", _speeds(self.speeds))
+            set_field(self, "destinations", _odds("destinations", self.destinations))
+        if self.origins is not None:
+            set_field(self, "origins", _odds("origins", self.origins))
+        checks.integer("window", self.window, least=1)
+        set_field(self, "speeds", _bounds("speeds", self.speeds, laws.check_speed))
+        set_field(self, "aside", _bounds("aside", self.aside, laws.check_aside))
+        set_field(self, "turned", _bounds("turned", self.turned, laws.check_turned))
         if isinstance(self.arrivals, Trace):
             _check_nothing_beside(self)
 
@@ -80,42 +93,67 @@ class Stream:
             )
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
-    def check(self, exits: Exits) -> None:
-        """Raise a ValueError if a destination is not among the exits."""
+    def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
+        """Raise a ValueError if a destination is not among the exits, or an origin no inlet."""
         if isinstance(self.arrivals, Trace):
-            self.arrivals.check(exits)
+            self.arrivals.check(exits, inlets)
         for name, _ in self.destinations or ():
             checks.one_of("destinations", name, exits.names)
+        for name, _ in self.origins or ():
+            checks.one_of("origins", name, inlets.names)
 
-    def draw(self, rng: np.random.Generator, duration: float, exits: Exits) -> Arrivals:
+    def draw(
+        self, rng: np.random.Generator, duration: float, exits: Exits, inlets: Inlets = EDGE
+    ) -> Arrivals:
         """Draw the arrivals of an episode of a duration [s].
 
         All times are drawn first, then three numbers a parcel, of its kind, its exit and its speed,
-        even where there is no choice: another mix or other speeds leave all else as it was.
+        even where there is no choice: another mix or other speeds leave all else as it was. Then
+        come two more a parcel where either is drawn, of where across its inlet it comes and how it
+        is turned; one of its inlet where there are several; and last the numbers of the windows.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
-        self.check(exits)
+        self.check(exits, inlets)
         if isinstance(self.arrivals, Trace):
-            return self.arrivals.within(duration, exits)
+            return self.arrivals.within(duration, exits, inlets)
         time = self.arrivals.times(rng, duration)
         kind, leaving, speed = rng.random((len(time), 3)).T
+        drawn = isinstance(self.aside, tuple) or isinstance(self.turned, tuple)
+        aside, turned = rng.random((len(time), 2)).T if drawn else np.zeros((2, len(time)))
+        coming = rng.random(len(time)) if len(inlets) > 1 else np.zeros(len(time))
         return Arrivals(
             time=time,
             parcel=_drawn([odds for _, odds in self.parcels], kind),
             kinds=self.kinds,
-            speed=self._speed(speed),
-            exit=self._exit(exits, leaving),
+            speed=_between(self.speeds, speed),
+            exit=_drawn_by_name(self.destinations, exits, leaving),
+            inlet=_drawn_by_name(self.origins, inlets, coming),
+            aside=_between(self.aside, aside),
+            turned=_between(self.turned, turned),
+            number=self._numbers(rng, len(time)),
         )
 
-    def _exit(self, exits: Exits, number: Numbers) -> Places:
-        if self.destinations is None:
-            return _drawn([1.0] * len(exits), number)
-        place = np.array([exits.place(name) for name, _ in self.destinations])
-        return place[_drawn([odds for _, odds in self.destinations], number)]
+    def _numbers(self, rng: np.random.Generator, count: int) -> Places:
+        """Number the parcels of one window after the other, each in an order by chance."""
+        number = np.arange(count)
+        if self.window > 1:
+            for first in range(0, count, self.window):
+                rng.shuffle(number[first : first + self.window])
+        return number
 
-    def _speed(self, number: Numbers) -> Numbers:
-        low, high = self.speeds if isinstance(self.speeds, tuple) else (self.speeds, self.speeds)
-        return low + (high - low) * number
+
+def _drawn_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
+    """Return indices among exits or inlets, by their odds and by numbers (n,) in [0, 1)."""
+    if odds is None:
+        return _drawn([1.0] * len(among), number)
+    place = np.array([among.place(name) for name, _ in odds])
+    return place[_drawn([each for _, each in odds], number)]
+
+
+def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
+    """Return values (n,) between two bounds, by numbers (n,) uniform in [0, 1)."""
+    low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
+    return low + (high - low) * number
 
 
 def _drawn(odds: list[float], number: Numbers) -> Places:
@@ -125,9 +163,9 @@ def _drawn(odds: list[float], number: Numbers) -> Places:
 
 
 def _check_nothing_beside(stream: Stream) -> None:
-    """Raise a ValueError if parcels, destinations or speeds are given beside a trace."""
+    """Raise a ValueError if anything is given beside a trace that it has itself."""
     usual = Stream()
-    for name in ("parcels", "destinations", "speeds"):
+    for name in ("parcels", "destinations", "speeds", "origins", "aside", "turned", "window"):
         if getattr(stream, name) != getattr(usual, name):
             raise ValueError(
                 f"{name} must be left out with a Trace, which has its own, "
@@ -144,21 +182,16 @@ def _parcels(given: Any) -> tuple[tuple[Parcel, float], ...]:
     return tuple(_with_odds("parcels", pair, parcel_option) for pair in pairs)
 
 
-def _destinations(given: Any) -> tuple[tuple[str, float], ...]:
+def _odds(name: str, given: Any) -> tuple[tuple[str, float], ...]:
     if isinstance(given, Mapping):
         given = tuple(given.items())
     if not isinstance(given, (tuple, list)) or not given:
-        raise ValueError(
-            f"destinations must be None or the odds of at least one exit by name, got {given!r}"
-        )
-    pairs = tuple(
-        _with_odds("destinations", pair, lambda name: check_name("destinations", name))
-        for pair in given
-    )
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"destinations must name an exit once, got {name!r} twice")
+        raise ValueError(f"{name} must be None or the odds of at least one by name, got {given!r}")
+    pairs = tuple(_with_odds(name, pair, partial(check_name, name)) for pair in given)
+    names = [each for each, _ in pairs]
+    for each in names:
+        if names.count(each) > 1:
+            raise ValueError(f"{name} must name each once, got {each!r} twice")
     return pairs
 
 
@@ -168,12 +201,14 @@ def _with_odds(name: str, pair: Any, check: Callable[[Any], Of]) -> tuple[Of, fl
     return check(pair[0]), checks.positive(f"odds of {name}", pair[1], *checks.ODDS)
 
 
-def _speeds(given: Any) -> float | tuple[float, float]:
+def _bounds(
+    name: str, given: Any, check: Callable[[str, Any], float]
+) -> float | tuple[float, float]:
     if not isinstance(given, (tuple, list)):
-        return laws.check_speed("speeds", given)
+        return check(name, given)
     if len(given) != 2:
-        raise ValueError(f"speeds must be one number or two, least and greatest, got {given!r}")
-    low, high = (laws.check_speed("speeds", speed) for speed in given)
+        raise ValueError(f"{name} must be one number or two, least and greatest, got {given!r}")
+    low, high = (check(name, each) for each in given)
     if low > high:
-        raise ValueError(f"speeds must be the least and then the greatest, got {given!r}")
+        raise ValueError(f"{name} must be the least and then the greatest, got {given!r}")
     return low, high

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
+from surface_gym.flow.entry import bars
 from surface_gym.flow.exits import flow_line
+from surface_gym.flow.inlets import EDGE, inlets_option
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.jit import inlined
-from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
 from surface_gym.tasks.base import Feature, Task
@@ -92,8 +94,19 @@ class StreamTask(Task):
     and write the `EnvState` of one parcel:
 
     - `begin(state)`, as it enters: set `state.memory` from OWN_MEMORY on.
-    - `exit_taken(params, state) -> int`, where no rotor bears it any more: the exit by which it has
-      left, or BETWEEN them.
+    - `outside(state, x, y) -> float`: [m] by which a module in the parcel's box counts as outside
+      its base, where another may bear it; by default 0.
+    - `has_room(params, state, other) -> bool`: whether one that is about to enter, as in
+      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
+    - `has_left(params, state) -> bool`, after every physics step: by default where no rotor bears it.
+    - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
+    - `deliver(params, state, taken, passed, belt, runs) -> (bool, float, float)`, then: whether it
+      has left as it was to, by default by its exit; the gap [m] to the one before it on the
+      take-away and [rad] how it is turned, by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
+      `belt` [m] how far the take-away has moved, and `runs` whether it does.
+    - `inform(params, state, passed, belt, runs, stops)`, before it is observed: write into `state.goal`
+      what it may know of the exits (exits, PASSED_SIZE) and the take-away, of which `stops` says
+      that it is about to; by default nothing.
     - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
       The outcome is RUNNING, LEFT_RIGHT or LEFT_WRONG; `state.memory[TOUCHED]` counts touches.
     - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
@@ -102,17 +115,19 @@ class StreamTask(Task):
       the features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
 
     A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
-    its span of x.
+    its span; then INLET, by which it came, and ORDER, its place in the order of leaving.
     """
 
     parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
     stream: Stream = Stream()  # when parcels come, which, how fast, where to
     exits: Any = "chutes"  # a preset, or `Exits`
+    inlets: Any = EDGE  # where parcels come onto the surface: `Inlets`
     duration: float = 60.0  # [s] of an episode
     max_parcels: int = 24  # on the line at once
-    # [rad] downhill towards +x; the default makes up for what rolling costs: a parcel of 1 m/s
-    # would not reach the end of 6 m of a level line
+    # [rad] downhill towards `tilt_direction`; the default makes up for what rolling costs: a parcel
+    # of 1 m/s would not reach the end of 6 m of a level line
     tilt: float = LEVELLING
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
     restitution: float = 0.0  # [-] of sides that touch
     side_friction: float = 0.3  # [-] between them
     gate: bool = False  # whether an action says when the next parcel may enter
@@ -127,13 +142,19 @@ class StreamTask(Task):
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
     outcomes = ("jam",)
     options = ("stream",)
-    goals = 4
+    goals = fs.GOALS
     memories = 1
+    statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
+    # The take-away after the surface; without one no speed, and nothing is asked of gaps.
+    take_away: float = field(default=0.0, init=False, repr=False)  # [m/s]
+    gap: float = field(default=0.0, init=False, repr=False)  # [m]
+    alignment: float = field(default=math.inf, init=False, repr=False)  # [rad]
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
         set_field = object.__setattr__
         set_field(self, "parcels", self.stream.kinds)
+        set_field(self, "inlets", inlets_option(self.inlets))
         super().__post_init__()
         for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
             set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
@@ -144,12 +165,72 @@ class StreamTask(Task):
         ):
             set_field(self, name, checks.not_negative(name, getattr(self, name), most))
         set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
+        set_field(self, "tilt_direction", checks.angle("tilt_direction", self.tilt_direction))
         set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
         checks.one_of("gate", self.gate, (False, True))
         if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:
             raise ValueError(f"queue must be 1 without a gate, got {self.queue}")
         if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
             raise ValueError(f"max_parcels must be at most {MOST_PARCELS}, got {self.max_parcels}")
+
+    @staticmethod
+    @inlined
+    def outside(state: EnvState, x: float, y: float) -> float:
+        """Return 0: the box of a parcel counts as its base."""
+        return 0.0
+
+    @staticmethod
+    @inlined
+    def has_room(params: fs.StreamParams, state: EnvState, other: EnvState) -> bool:
+        """Return whether one that enters is as wide as it is and `entry_gap` ahead clear of another."""
+        return not bars(other, state, params.entry_gap)
+
+    @staticmethod
+    @inlined
+    def has_left(params: fs.StreamParams, state: EnvState) -> bool:
+        """Return whether no rotor bears the parcel."""
+        return not state.on_rotors
+
+    @staticmethod
+    @inlined
+    def deliver(
+        params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
+    ) -> tuple[bool, float, float]:
+        """Return whether a parcel has left by its own exit; nothing takes it away."""
+        return taken == int(state.goal[fs.EXIT]), math.nan, math.nan
+
+    @staticmethod
+    @inlined
+    def inform(
+        params: fs.StreamParams,
+        state: EnvState,
+        passed: Array,
+        belt: float,
+        runs: bool,
+        stops: bool,
+    ) -> None:
+        """Show nothing of the exits."""
+
+    @property
+    def notice(self) -> float:
+        """[s] before the take-away stops from which on it shows as standing."""
+        return 0.0
+
+    @property
+    def most_changes(self) -> int:
+        """Stops and starts of the take-away in an episode at most."""
+        return 0
+
+    def compute_statistics(
+        self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
+    ) -> Any:
+        """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+        return fs.compute_statistics(streams, surface, jammed, obeying)
+
+    def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw when the take-away stops, and starts, in turn (changes,) [s]; by default never."""
+        del rng
+        return np.zeros(0)
 
     @property
     def rows(self) -> int:
@@ -189,6 +270,9 @@ class StreamTask(Task):
                 f"duration must be at least a control period, {config.control_period:g} s, "
                 f"got {self.duration!r}"
             )
+        if self.gate and len(self.inlets) > 1:
+            raise ValueError(f"gate must be False with several inlets, got {len(self.inlets)}")
+        _ = config.entrances
         if self.gate and config.orientations == ANY:
             raise ValueError("gate must be False where orientations are 'any', got True")
         if not config.site.rotor.any():
@@ -198,7 +282,14 @@ class StreamTask(Task):
                 f"entry_gap must be at most the line's length, {config.chosen_line.length:g} m, "
                 f"got {self.entry_gap!r}"
             )
+        _, _, low, high = config.chosen_line.extent
+        middle = config.chosen_line.line_y
         for each in () if isinstance(self.exits, str) else config.exits:
+            if not each.side and not (each.first < high - middle and each.last > low - middle):
+                raise ValueError(
+                    f"exits straight on must lie across the end, from {low - middle:g} to "
+                    f"{high - middle:g} m, got {each.name!r} from {each.first:g} to {each.last:g} m"
+                )
             on_line = each.first < config.rotors_end and each.last > config.entry_x
             if each.side and not on_line:
                 raise ValueError(
@@ -211,7 +302,7 @@ class StreamTask(Task):
     def check_stream(self, stream: Any, config: Any) -> None:
         """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
         checks.instance("stream", stream, Stream, STREAM)
-        stream.check(config.exits)
+        stream.check(config.exits, config.inlets)
         line: BaseLine = config.chosen_line
         for parcel in stream.kinds:
             largest = config.randomisation.largest(parcel.base)
@@ -459,10 +550,9 @@ class Flow(StreamTask):
         straight = rear > last_column or truth[X] > params.rotors_end
         towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
         side = 0.0 if straight else towards
+        where = truth[Y] - state.elements.line_y if straight else truth[X]
         for k in range(params.exits.shape[0]):
-            if params.exits[k, 0] == side and (
-                straight or params.exits[k, 1] <= truth[X] < params.exits[k, 2]
-            ):
+            if params.exits[k, 0] == side and params.exits[k, 1] <= where < params.exits[k, 2]:
                 return k
         return fs.BETWEEN
 

@@ -41,6 +41,7 @@ class WorldScratch(NamedTuple):
     floor: Integers  # (P,) contacts of each parcel with elements
     nothing: Integers  # (P,) zeros: no contacts with elements while sides hit each other
     reach: Array  # (P,) [m] from a centre of mass at the start to its base's farthest point
+    place: Array  # (P, 5) `Transform` of each base at the start; [m] a corner moves by turning
     near: Integers  # (most pairs, 2) rows of parcels whose bases may touch
     when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
     push: Array  # (most pairs,) [N s] impulse along the normal
@@ -71,7 +72,7 @@ def make_world_scratch(parcels: int) -> WorldScratch:
     shapes |= dict.fromkeys(("pair", "near"), (pairs, 2))
     shapes |= dict.fromkeys(("impulse", "when", "push"), (pairs,))
     shapes |= {"tables": (n, ph.TABLE_SIZE), "marks": (n, ph.MARKS_SIZE)}
-    shapes |= {"before": (n, ph.STATE_SIZE), "matrix": (3 * n, 3 * n)}
+    shapes |= {"before": (n, ph.STATE_SIZE), "matrix": (3 * n, 3 * n), "place": (n, 5)}
     shapes |= {"contact": (points,), "ends": (points, 3), "point": (points, ph.POINT_SIZE)}
     kinds = WorldScratch.__annotations__
     arrays: dict[str, Any] = {
@@ -97,6 +98,7 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
         scratches.floor[i],
         scratches.nothing[i],
         scratches.reach[i],
+        scratches.place[i],
         scratches.near[i],
         scratches.when[i],
         scratches.push[i],
@@ -176,25 +178,83 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 
 @linked
+def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
+    """Write behind the near pairs those that only a push brought near; return the number of all.
+
+    A parcel that is pushed goes farther than alone, which `find_near_pairs` goes by.
+    """
+    before, after, reach = scratch.before, world.state, scratch.reach
+    rows = world.present.shape[0]
+    for i in range(rows):
+        if reach[i] < 0.0:
+            continue
+        for j in range(i + 1, rows):
+            most = reach[i] + reach[j]
+            dx = after[i, ph.X] - after[j, ph.X]
+            dy = after[i, ph.Y] - after[j, ph.Y]
+            if most < 0.0 or dx * dx + dy * dy > most * most:
+                continue
+            dx = before[i, ph.X] - before[j, ph.X]
+            dy = before[i, ph.Y] - before[j, ph.Y]
+            if dx * dx + dy * dy > most * most:
+                scratch.near[pairs, 0] = i
+                scratch.near[pairs, 1] = j
+                pairs += 1
+    return pairs
+
+
+@inlined
+def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
+    """Write where a base is at the start, and how far turning may move a corner in the step."""
+    outline = sd.read_outline(world.bodies, world.body[k])
+    motion = sd.sweep_between(scratch.before[k], world.state[k])
+    pose = sd.transform_at(outline, motion, 0.0)
+    farthest = world.bodies.body[world.body[k], ph.RADIUS]
+    farthest += abs(outline.com_x) + abs(outline.com_y)
+    scratch.place[k, 0] = pose.x
+    scratch.place[k, 1] = pose.y
+    scratch.place[k, 2] = pose.cosine
+    scratch.place[k, 3] = pose.sine
+    scratch.place[k, 4] = dt * abs(motion.omega) * farthest
+
+
+@inlined
+def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
+    place = scratch.place[k]
+    return sd.Transform(place[0], place[1], place[2], place[3])
+
+
+@linked
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
     """Write the time of impact of each near pair, and the islands; return whether any touch."""
     bodies, before, after = world.bodies, scratch.before, world.state
     for k in range(world.present.shape[0]):
         scratch.since[k] = math.inf
         scratch.root[k] = k
+        if scratch.reach[k] >= 0.0:
+            _place_base(world, scratch, k, dt)
     touching = False
     for e in range(pairs):
         i = scratch.near[e, 0]
         j = scratch.near[e, 1]
-        when = sd.time_of_impact(
-            sd.read_outline(bodies, world.body[i]),
-            sd.sweep_between(before[i], after[i]),
-            sd.read_outline(bodies, world.body[j]),
-            sd.sweep_between(before[j], after[j]),
-            dt,
-        )
-        scratch.when[e] = when
+        first = sd.read_outline(bodies, world.body[i])
+        second = sd.read_outline(bodies, world.body[j])
+        sweep = sd.sweep_between(before[i], after[i])
+        other_sweep = sd.sweep_between(before[j], after[j])
+        scratch.when[e] = math.inf
         scratch.push[e] = 0.0
+        if sd.stay_clear(
+            first,
+            _read_place(scratch, i),
+            second,
+            _read_place(scratch, j),
+            dt * (sweep.vx - other_sweep.vx),
+            dt * (sweep.vy - other_sweep.vy),
+            scratch.place[i, 4] + scratch.place[j, 4],
+        ):
+            continue
+        when = sd.time_of_impact(first, sweep, second, other_sweep, dt)
+        scratch.when[e] = when
         if when < math.inf:
             touching = True
             scratch.since[i] = min(scratch.since[i], when)

@@ -31,7 +31,7 @@ from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import step_implicit
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
-MAX_SWEEPS = 20
+MAX_SWEEPS = 100
 
 
 @linked
@@ -48,12 +48,11 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
             j = scratch.near[e, 1]
             first = sd.read_outline(bodies, world.body[i])
             second = sd.read_outline(bodies, world.body[j])
-            gap = sd.signed_distance(
-                first,
-                sd.transform_at(first, sd.sweep_at_rest(state[i]), 0.0),
-                second,
-                sd.transform_at(second, sd.sweep_at_rest(state[j]), 0.0),
-            )
+            pose = sd.transform_at(first, sd.sweep_at_rest(state[i]), 0.0)
+            other_pose = sd.transform_at(second, sd.sweep_at_rest(state[j]), 0.0)
+            if sd.stay_clear(first, pose, second, other_pose, 0.0, 0.0, 0.0):
+                continue
+            gap = sd.signed_distance(first, pose, second, other_pose)
             if gap.width >= -sd.CONTACT_DISTANCE:
                 continue
             apart = False
@@ -98,7 +97,7 @@ def solve_contacts(
                 k = scratch.member[n]
                 if _is_pushed(scratch, island, k):
                     _advance(grid, world, scratch, k, hit, dt)
-    resolve_overlaps(world, scratch, pairs)
+    resolve_overlaps(world, scratch, collision.add_pushed_pairs(world, scratch, pairs))
     pushed = 0
     for e in range(pairs):
         if scratch.push[e] > 0.0:
@@ -228,7 +227,9 @@ def _continue(
         k = island.member[n]
         for axis in range(3):
             scratch.target[k, axis] = scratch.start[k, axis]
-        scratch.target[k, 0] += (dt - scratch.since[k]) * grid.gravity_along
+        rest = dt - scratch.since[k]
+        scratch.target[k, 0] += rest * grid.gravity_x
+        scratch.target[k, 1] += rest * grid.gravity_y
     islands.solve_velocities(island, material.friction)
     _apply_impulses(scratch, island)
 

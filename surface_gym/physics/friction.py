@@ -312,8 +312,8 @@ def implicit_velocity(
         scratch: arms, axes, friction and normal forces of the contacts.
     """
     load_contacts(scratch, contacts, dt)
-    target_x = vx + dt * grid.gravity_along
-    target_y = vy
+    target_x = vx + dt * grid.gravity_x
+    target_y = vy + dt * grid.gravity_y
     target_w = omega
     radius = math.sqrt(gyration)
     dx = dy = dw = 0.0

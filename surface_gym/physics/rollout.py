@@ -214,7 +214,7 @@ def repeat_explicit(
         standing = before[ph.VX] <= 0.0
         vx = step.RESTART_SPEED if standing else before[ph.VX]
         along_x = 0.0
-        other_x = grid.gravity_along
+        other_x = grid.gravity_x
         for i in range(contacts.total):
             # The law for one contact at a time, which begins the tables.
             one = Scratch(scratch.table[i:], scratch.marks[i:])

@@ -17,6 +17,7 @@ class Outline(NamedTuple):
     """Outline of a base in its own frame."""
 
     corners: Array  # (corners, 2) [m] from the centroid, anti-clockwise; repeats are no edges
+    edges: Array  # (edges, 3) outward normal and distance [m] from the centroid; a disc has none
     disc: float  # [m] radius of a disc, all of whose corners lie at the centroid; else 0
     com_x: float  # [m] centre of mass from the centroid
     com_y: float  # [m]
@@ -58,6 +59,7 @@ def read_outline(bodies: Bodies, site: int) -> Outline:
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
     return Outline(
         corners,
+        bodies.edges[site],
         bodies.body[site, ph.RADIUS] if is_disc else 0.0,
         bodies.body[site, ph.COM_X],
         bodies.body[site, ph.COM_Y],
@@ -197,6 +199,63 @@ def signed_distance(
     if back.width > gap.width:
         return SignedDistance(back.width, -back.nx, -back.ny, first.corners.shape[0] + back.edge)
     return gap
+
+
+@inlined
+def facing_gap(
+    outline: Outline, pose: Transform, other: Outline, other_pose: Transform
+) -> SignedDistance:
+    """Return the distance of another base beyond the edge that faces its centroid most.
+
+    `signed_distance` looks at all edges: it takes longer, and is at least as large.
+    """
+    dx = other_pose.x - pose.x
+    dy = other_pose.y - pose.y
+    own_x = pose.cosine * dx + pose.sine * dy
+    own_y = pose.cosine * dy - pose.sine * dx
+    edges = outline.edges
+    most = -math.inf
+    edge = 0
+    for k in range(edges.shape[0]):
+        beyond = edges[k, 0] * own_x + edges[k, 1] * own_y - edges[k, 2]
+        if beyond > most:
+            most = beyond
+            edge = k
+    nx = pose.cosine * edges[edge, 0] - pose.sine * edges[edge, 1]
+    ny = pose.sine * edges[edge, 0] + pose.cosine * edges[edge, 1]
+    turned_x = other_pose.cosine * nx + other_pose.sine * ny
+    turned_y = other_pose.cosine * ny - other_pose.sine * nx
+    nearest = math.inf
+    for j in range(other.corners.shape[0]):
+        nearest = min(nearest, turned_x * other.corners[j, 0] + turned_y * other.corners[j, 1])
+    return SignedDistance(most + nearest - other.disc, nx, ny, -1)
+
+
+CLEAR = 1e-4  # [m] beyond an edge: so far apart, two do not touch by `signed_distance` either
+
+
+@inlined
+def stay_clear(
+    first: Outline,
+    pose: Transform,
+    second: Outline,
+    other_pose: Transform,
+    ux: float,
+    uy: float,
+    turning: float,
+) -> bool:
+    """Return whether an edge shows that two bases stay apart; where none does, they still may.
+
+    Args:
+        ux: [m] by which the first moves on against the second, in x.
+        uy: [m] in y.
+        turning: [m] by which they may close by turning, at most.
+    """
+    gap = facing_gap(first, pose, second, other_pose)
+    if max(0.0, gap.nx * ux + gap.ny * uy + turning) < gap.width - CLEAR:
+        return True
+    gap = facing_gap(second, other_pose, first, pose)
+    return max(0.0, turning - gap.nx * ux - gap.ny * uy) < gap.width - CLEAR
 
 
 class Manifold(NamedTuple):

@@ -63,6 +63,18 @@ def map_floats(function: Callable[[float], float], values: Any) -> Any:
     return np.array([function(value) for value in values.tolist()])
 
 
+def split_gravity(tilt: Any, direction: float = 0.0) -> tuple[Any, Any, Any]:
+    """Return gravity [m/s^2] along x, along y and normal to a tilted surface.
+
+    Args:
+        tilt: [rad] one number, or (count,).
+        direction: [rad] downhill from +x, anti-clockwise.
+    """
+    downhill = ph.GRAVITY * map_floats(math.sin, tilt)
+    cosine, sine = axis_directions(np.array([direction]))[0].tolist()
+    return downhill * cosine, downhill * sine, ph.GRAVITY * map_floats(math.cos, tilt)
+
+
 def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
     """Return states (count, STATE_SIZE) at rest or in steady motion.
 
@@ -155,7 +167,8 @@ def explicit_acceleration(
         other_x += fx
         other_y += fy
         other_w += x * fy - y * fx
-    other_x += grid.gravity_along
+    other_x += grid.gravity_x
+    other_y += grid.gravity_y
     if standing and along_x + other_x <= 0.0:
         scale = held_share(along_x, other_x)
         return 0.0, scale * along_y + other_y, (scale * along_w + other_w) / gyration, 0.0
@@ -170,7 +183,9 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
     """Return where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
     per_weight = body.com_height / grid.gravity_normal
-    return (grid.gravity_along - state[ph.AX]) * per_weight, -state[ph.AY] * per_weight
+    load_x = (grid.gravity_x - state[ph.AX]) * per_weight
+    load_y = (grid.gravity_y - state[ph.AY]) * per_weight
+    return load_x, load_y
 
 
 @inlined
@@ -276,7 +291,7 @@ def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
     """Do one step of the paper's loop, Figure 5a, its stopping rule included."""
-    if state[ph.VX] <= 0.0 and grid.gravity_along == 0.0:
+    if state[ph.VX] <= 0.0 and grid.gravity_x == 0.0:
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts.total == 0:

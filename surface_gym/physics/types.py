@@ -29,7 +29,8 @@ class Grid(NamedTuple):
     along_factor: float  # [-] by which every rotor's friction along its axis is multiplied
     across_factor: float  # [-] across it
     support_factor: float  # [-] every support's
-    gravity_along: float  # [m/s^2] g sin(tilt), towards +x
+    gravity_x: float  # [m/s^2] g sin(tilt), its part along x
+    gravity_y: float  # [m/s^2] along y
     gravity_normal: float  # [m/s^2] g cos(tilt)
 
 

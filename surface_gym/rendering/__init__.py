@@ -10,6 +10,7 @@ from surface_gym.rendering.scene import (
     ExitSide,
     ExitSpeed,
     Heading,
+    InletMark,
     Path,
     Scene,
     SceneParcel,
@@ -18,6 +19,6 @@ from surface_gym.rendering.scene import (
 )
 
 __all__ = [
-    "ExitMark", "ExitSide", "ExitSpeed", "Heading", "Painter", "Path", "Scene", "SceneParcel",
-    "StopLine", "TilePainter", "Traffic", "Window", "draw", "with_caption",
+    "ExitMark", "ExitSide", "ExitSpeed", "Heading", "InletMark", "Painter", "Path", "Scene",
+    "SceneParcel", "StopLine", "TilePainter", "Traffic", "Window", "draw", "with_caption",
 ]  # fmt: skip

@@ -28,6 +28,8 @@ FAINT_INK: Colour = (108, 116, 128)
 PARCEL: Colour = (146, 152, 164)
 GOAL: Colour = (190, 24, 72)
 SENSED: Colour = (94, 60, 170)
+RUNS: Colour = (52, 60, 72)  # a conveyor after the surface
+STANDS: Colour = (172, 177, 185)  # the same while it stands
 
 # Far from the four orientations' colours and from each other, for dichromats too.
 EXITS: tuple[Colour, ...] = (
@@ -88,7 +90,7 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
 
 
 def exit_colour(index: int) -> Colour:
-    """Return the colour of an exit; colours repeat where there are more exits."""
+    """Return the colour of an exit or a group; colours repeat where there are more of them."""
     return EXITS[index % len(EXITS)]
 
 

@@ -1,10 +1,11 @@
 """Marks of a picture: parcels, supports, zone, modules, goals, exits and queue.
 
-A parcel without an exit is drawn in grey with an arrow along its heading. A parcel of a stream is
-drawn in the colour of its exit, quickly, as there are many.
+A parcel without a colour is drawn in grey with an arrow along its heading. A parcel of a stream is
+drawn in the colour of its exit or group, quickly, as there are many.
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -43,7 +44,8 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
     """Draw the recent path of the centre: fading, or coloured and thinner towards the oldest."""
     if len(parcel.trail) < 2:
         return
-    if parcel.exit is None:
+    index = parcel.colour_index
+    if index is None:
         points = ink.thinned(layout.pixels(parcel.trail), _FINE_STEP)
         for first in range(0, len(points) - 1, _TRAIL_PIECE):
             piece = points[first : first + _TRAIL_PIECE + 1]
@@ -52,7 +54,7 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
             ink.line(canvas, piece, layout.stroke, ink.INK, 1.0 - 0.6 * age)
         return
     points = ink.thinned(layout.pixels(parcel.trail), _COARSE_STEP)
-    colour = ink.exit_colour(parcel.exit)
+    colour = ink.exit_colour(index)
     wide = max(2, round(0.25 * layout.cell))
     ends = np.linspace(0, len(points) - 1, wide + 1).astype(np.int64).tolist()
     for width, (first, last) in enumerate(pairwise(ends), start=1):
@@ -62,21 +64,25 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
 
 
 def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: SceneParcel) -> None:
-    """Draw the base: translucent with an arrow, or in its exit's colour with front and label."""
+    """Draw the base: translucent with an arrow, or in its colour with front and label."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
-    if parcel.exit is None:
+    index = parcel.colour_index
+    if index is None:
         ink.polygon(canvas, corners, ink.PARCEL, 0.45)
         ink.outline(canvas, corners, layout.stroke, ink.INK)
         draw_heading(canvas, layout, parcel.outline, parcel.pose, ink.INK)
         return
-    colour = ink.exit_colour(parcel.exit)
+    colour = ink.exit_colour(index)
     rim = max(1, round(0.22 * layout.cell))
     inside = ink.inset(corners, 0.5 * rim + 0.5)
     ink.wash(canvas, inside, colour, _OPACITY)
     ink.border(canvas, inside, rim + 1, colour)
     ink.border(canvas, corners, max(1, round(0.13 * layout.cell)), ink.INK)
+    if parcel.wrong:
+        ink.border(canvas, corners, max(2, round(0.3 * layout.cell)), ink.GOAL)
     _draw_front(canvas, layout, parcel, ink.text_on(colour))
-    _draw_label(canvas, layout, parcel, parcel.label or scene.exits[parcel.exit].name, colour)
+    own = "" if parcel.exit is None else scene.exits[parcel.exit].name
+    _draw_label(canvas, layout, parcel, parcel.label or own, colour)
 
 
 def draw_heading(
@@ -168,6 +174,8 @@ _BAND = 1.0  # [cells] thickness of a hatched exit
 _ARROW = 2.4  # [cells] length of the arrow through it
 _PATH_STEP = 2.0  # [px] between a path's points
 _QUEUE_SHOWN = 3  # parcels drawn at the entry, at most
+_BAR = 0.3  # [cells] thickness of the bar beside mouths
+_FAINT = 0.75  # share of the paper in an inlet
 _PALEST, _DARKEST = 0.86, 0.45  # shares of the plate in an exit, inside and outside
 
 
@@ -208,8 +216,11 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
     sheet.set_clip(None)
     if scene.traffic is not None:
         pygame.draw.rect(sheet, ink.PLATE_EDGE, layout.plate, 1)
+        for index, inlet in enumerate(scene.traffic.inlets):
+            _paint_inlet(sheet, layout, inlet, ink.exit_colour(index))
+        _paint_closed(sheet, layout, scene.exits)
     for index, mark in enumerate(scene.exits):
-        _paint_exit(sheet, layout, mark, ink.exit_colour(index))
+        _paint_exit(sheet, layout, mark, exit_colour(scene, index))
     return sheet.subsurface(layout.area).copy()
 
 
@@ -306,8 +317,20 @@ def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):
-        _write_label(canvas, layout, mark, ink.exit_colour(index), scene.traffic.delivered[index])
-    _draw_queue(canvas, layout, scene.traffic.waiting)
+        count = scene.traffic.delivered[index]
+        _write_label(canvas, layout, mark, exit_colour(scene, index), count)
+    if not scene.traffic.inlets:
+        _draw_queue(canvas, layout, scene.traffic.waiting)
+    for inlet, count in zip(scene.traffic.inlets, scene.traffic.queues, strict=True):
+        _write_queue(canvas, layout, inlet, count)
+
+
+def exit_colour(scene: Scene, index: int) -> ink.Colour:
+    """Return the colour of an exit: its own, or whether the conveyor after it runs."""
+    runs = None if scene.traffic is None else scene.traffic.runs
+    if runs is None:
+        return ink.exit_colour(index)
+    return ink.RUNS if runs else ink.STANDS
 
 
 def _line_area(layout: Layout, scene: Scene) -> pygame.Rect:
@@ -379,6 +402,36 @@ def _paint_exit(
     )  # fmt: skip
 
 
+def _paint_closed(canvas: pygame.Surface, layout: Layout, exits: Sequence[scenes.ExitMark]) -> None:
+    """Paint a bar across the end of the rotors, where mouths take only some of it, but for them."""
+    mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
+    if not mouths:
+        return
+    rotors, left = layout.rotors, min(mouth.left for mouth in mouths)
+    bar = max(2, round(_BAR * layout.cell))
+    behind = pygame.Rect(left, rotors.top, layout.plate.right - left, rotors.height)
+    canvas.fill(ink.mixed(ink.PLATE, ink.PLATE_EDGE, 0.6), behind)
+    top = rotors.top
+    for mouth in [*sorted(mouths, key=lambda each: each.top), pygame.Rect(0, rotors.bottom, 0, 0)]:
+        if mouth.top > top:
+            canvas.fill(ink.FAINT_INK, pygame.Rect(left, top, bar, mouth.top - top))
+        top = max(top, mouth.bottom)
+
+
+def _paint_inlet(
+    canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, colour: ink.Colour
+) -> None:
+    """Paint what never changes of an inlet: a pale area between two rails."""
+    area, rail = layout.inlet(mark), max(2, layout.cell // 8)
+    canvas.fill(ink.mixed(colour, ink.PAPER, _FAINT), area)
+    if mark.side == 0:
+        for top in (area.top, area.bottom - rail):
+            canvas.fill(colour, pygame.Rect(area.left, top, area.width, rail))
+        return
+    for left in (area.left, area.right - rail):
+        canvas.fill(colour, pygame.Rect(left, area.top, rail, area.height))
+
+
 def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: ink.Colour) -> None:
     """Fill an exit with a colour that grows outwards."""
     length = area.height if side else area.width
@@ -438,17 +491,41 @@ def _write_label(
 def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
     """Draw the number of parcels that wait at the entry."""
     cell, rotors, size = layout.cell, layout.rotors, layout.label_size
-    left, right = layout.area.left, rotors.left
+    left, right, begin = layout.area.left, rotors.left, rotors.bottom
+    if begin + round(1.6 * cell) + 2 * size > layout.area.bottom:  # rotors take all rows
+        begin = rotors.centery - 2 * cell
     side, step = round(0.8 * cell), round(1.05 * cell)
     shown, rounded = min(waiting, _QUEUE_SHOWN), max(1, cell // 8)
     middle, x = (left + right) // 2, (left + right - (shown - 1) * step) // 2
     for k in range(shown):
         box = pygame.Rect(0, 0, side, side)
-        box.midtop = (x + k * step, rotors.bottom + cell // 2)
+        box.midtop = (x + k * step, begin + cell // 2)
         pygame.draw.rect(canvas, ink.mixed(ink.PARCEL, ink.PLATE, 0.3), box, border_radius=rounded)
         pygame.draw.rect(canvas, ink.INK, box, max(1, cell // 10), border_radius=rounded)
     colour, room = ink.INK if waiting else ink.FAINT_INK, right - left
-    place = (middle, rotors.bottom + round(1.6 * cell))
+    place = (middle, begin + round(1.6 * cell))
     number = ink.write(canvas, str(waiting), round(1.5 * size), colour, room, midtop=place)
     if ink.text_width("waiting", size) <= room:
         ink.write(canvas, "waiting", size, colour, midtop=(middle, number.bottom))
+
+
+def _write_queue(
+    canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, count: int
+) -> None:
+    """Write an inlet's name and the number of parcels that wait there, where they have room."""
+    area, size, large = layout.inlet(mark), layout.label_size, round(1.25 * layout.label_size)
+    colour = ink.INK if count else ink.FAINT_INK
+    x, y = area.center
+    room = area.width - size // 2
+    if mark.side:
+        gap, taken = size // 2, ink.text_width(str(count), large)
+        name = min(ink.text_width(mark.name, size), max(1, room - gap - taken))
+        left = x - (name + gap + taken) // 2
+        ink.write(canvas, mark.name, size, colour, name, midleft=(left, y + 1))
+        ink.write(canvas, str(count), large, colour, midleft=(left + name + gap, y + 1))
+        return
+    if area.height < 2 * size:
+        ink.write(canvas, str(count), size, colour, room, center=(x, y))
+        return
+    ink.write(canvas, mark.name, size, colour, room, midbottom=(x, y + size // 10))
+    ink.write(canvas, str(count), large, colour, room, midtop=(x, y + size // 10))

@@ -72,7 +72,7 @@ class Strips:
         end = self._write_scale(canvas, area, layout)
         if scene.tilt != 0.0:
             place = (end - self.margin, self._middle_below(area))
-            end = self._write_tilt(canvas, scene.tilt, place)
+            end = self._write_tilt(canvas, scene.tilt, scene.tilt_direction, place)
         self.write_legend(canvas, area, [scene], end - self.margin)
 
     def write_legend(
@@ -84,7 +84,8 @@ class Strips:
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
         if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
             x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
-        exits = max((scene.exits for scene in scenes), key=len)
+        widest = max(scenes, key=lambda scene: len(scene.exits))
+        exits = widest.exits
         gap, middle = self._gap, self._middle_below(area)
         if exits:
             after = (x + 3 * gap, middle)
@@ -92,7 +93,7 @@ class Strips:
         for index, mark in enumerate(exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
-            after, colour = (x + gap // 2, middle), ink.exit_colour(index)
+            after, colour = (x + gap // 2, middle), marks.exit_colour(widest, index)
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
@@ -154,14 +155,17 @@ class Strips:
         text = ink.write(canvas, f"{metres:g} m", self.small, ink.INK, midbottom=place)
         return min(bar.left, text.left)
 
-    def _write_tilt(self, canvas: pygame.Surface, tilt: float, midright: tuple[int, int]) -> int:
+    def _write_tilt(
+        self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
+    ) -> int:
         """Write the tilt with an arrow that points downhill; the x where it begins."""
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
         tip, begin = area.left - 8, area.left - 8 - 2 * self.small
-        ends = np.array([[begin, area.centery], [tip, area.centery]], dtype=np.float64)
-        tail, head = ends if tilt > 0.0 else ends[::-1]
-        ink.arrow(canvas, tail, head, 0.13 * self.small, ink.INK)
+        middle = np.array([0.5 * (begin + tip), area.centery])
+        half = math.copysign(0.5 * (tip - begin), tilt)  # pixels count downwards, y upwards
+        way = half * np.array([math.cos(direction), -math.sin(direction)])
+        ink.arrow(canvas, middle - way, middle + way, 0.13 * self.small, ink.INK)
         return begin
 
     def _middle_below(self, area: pygame.Rect) -> int:
@@ -361,7 +365,8 @@ class _Field:
         canvas.set_clip(clip)
 
     def _painted_ground(self, scene: Scene) -> pygame.Surface:
-        key = (scene.rotor.tobytes(), scene.zone, scene.exits)
+        traffic = scene.traffic and (scene.traffic.inlets, scene.traffic.runs)
+        key = (scene.rotor.tobytes(), scene.zone, scene.exits, traffic)
         if self._ground is None or key != self._ground_key:
             self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
         return self._ground

@@ -1,7 +1,8 @@
 """A scene of one parcel or many, and its layout on a picture."""
 
+import math
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,6 +15,7 @@ Zone: TypeAlias = tuple[int, int, int, int]  # first row, rows, first column and
 Pose: TypeAlias = tuple[float, float, float]  # [m, m, rad]
 
 _ROUNDING = 1e-9  # [m] by which a span may pass the surface's end or its neighbour's
+_EVERYWHERE = (-math.inf, math.inf)  # [m]
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,9 @@ class SceneParcel:
     # (points, 2) [m] recent positions of the parcel's centre, oldest first
     trail: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     sensed_pose: Pose | None = None  # according to the sensors
-    label: str = ""  # written on it where it has room; empty: the name of its exit
+    label: str = ""  # written on it where it has room; empty: the name of its exit, if any
+    group: int | None = None  # index of its colour; None: that of its exit
+    wrong: bool = False  # it has left otherwise than it was to
 
     def __post_init__(self) -> None:
         _set(self, outline=checks.array("outline", self.outline, (None, 2)))
@@ -100,6 +104,13 @@ class SceneParcel:
             _set(self, sensed_pose=_checked_pose("sensed_pose", self.sensed_pose))
         if not isinstance(self.label, str):
             raise ValueError(f"label must be a text, got {self.label!r}")
+        if self.group is not None:
+            _set(self, group=checks.integer("group", self.group, least=0))
+
+    @property
+    def colour_index(self) -> int | None:
+        """Index of its colour; None: it is grey."""
+        return self.exit if self.group is None else self.group
 
 
 @dataclass(frozen=True)
@@ -110,6 +121,45 @@ class ExitMark:
     side: int  # +1 to the left, y > 0; -1 to the right, y < 0; 0 straight on
     first: float  # [m] x where it begins
     last: float  # [m] x where it ends
+    # [m] y of a mouth straight on, least and greatest; None: all rotor rows
+    span: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name must be a text, got {self.name!r}")
+        _set(self, side=checks.one_of("side", self.side, (-1, 0, 1)))
+        _set(self, first=checks.number("first", self.first))
+        _set(self, last=checks.number("last", self.last))
+        if self.last <= self.first:
+            raise ValueError(f"last must be greater than first, {self.first}, got {self.last}")
+        if self.span is None:
+            return
+        low, high = checks.array("span", self.span, (2,)).tolist()
+        if self.side or high <= low:
+            raise ValueError(
+                f"span must be the least and the greatest y of a mouth straight on, or None, "
+                f"got {self.span!r}"
+            )
+        _set(self, span=(low, high))
+
+    def overlaps(self, other: "ExitMark") -> bool:
+        """Return whether another exit of the same side takes some of its room."""
+        (low, high), (least, most) = (each.span or _EVERYWHERE for each in (self, other))
+        return (
+            self.side == other.side
+            and max(self.first, other.first) < min(self.last, other.last) - _ROUNDING
+            and max(low, least) < min(high, most) - _ROUNDING
+        )
+
+
+@dataclass(frozen=True)
+class InletMark:
+    """A place on the edge of the rotors where parcels come in, as wide as its span."""
+
+    name: str  # short: it is written there
+    side: int  # 0 at the start, where y spans it; +1 to the left, y > 0, where x does; -1 right
+    first: float  # [m] x or y where it begins
+    last: float  # [m] where it ends
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -123,20 +173,28 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The exits of a line, the queue at its entry, and the counts of a stream of parcels."""
+    """The exits of a line, the queues at its entries, and the counts of a stream of parcels."""
 
     exits: tuple[ExitMark, ...]
     delivered: tuple[int, ...]  # for each exit, the parcels that rightly left there
     missorted: int = 0  # parcels that left by another exit than asked
     waiting: int = 0  # parcels at the entry
+    inlets: tuple[InletMark, ...] = ()  # none: parcels come in by the whole edge
+    queues: tuple[int, ...] = ()  # for each inlet, the parcels that wait there
+    # whether the conveyor after the exits, which then have no colours, runs; None: there is none
+    runs: bool | None = None
 
     def __post_init__(self) -> None:
-        _set(self, exits=tuple(self.exits))
+        _set(self, exits=tuple(self.exits), inlets=tuple(self.inlets))
         for mark in self.exits:
             if not isinstance(mark, ExitMark):
                 raise ValueError(f"exits must be ExitMark, got {mark!r}")
-        for before, mark in pairwise(sorted(self.exits, key=lambda each: (each.side, each.first))):
-            if before.side == mark.side and mark.first < before.last - _ROUNDING:
+        for inlet in self.inlets:
+            if not isinstance(inlet, InletMark):
+                raise ValueError(f"inlets must be InletMark, got {inlet!r}")
+        in_order = sorted(self.exits, key=lambda each: (each.side, each.first))
+        for before, mark in combinations(in_order, 2):
+            if before.overlaps(mark):
                 raise ValueError(f"exits of one side must not overlap, got {before!r} and {mark!r}")
         counts = (checks.integer("delivered", count, least=0) for count in self.delivered)
         _set(self, delivered=tuple(counts))
@@ -144,6 +202,12 @@ class Traffic:
             raise ValueError(
                 f"delivered must be one count for each of the {len(self.exits)} exits, "
                 f"got {self.delivered!r}"
+            )
+        _set(self, queues=tuple(checks.integer("queues", each, least=0) for each in self.queues))
+        if len(self.queues) != len(self.inlets):
+            raise ValueError(
+                f"queues must be one count for each of the {len(self.inlets)} inlets, "
+                f"got {self.queues!r}"
             )
         _set(self, missorted=checks.integer("missorted", self.missorted, least=0))
         _set(self, waiting=checks.integer("waiting", self.waiting, least=0))
@@ -153,8 +217,8 @@ class Traffic:
 class Scene:
     """One moment of a surface and of the parcels on it.
 
-    With `traffic`, exits and queue are drawn beside the rotor rows, and parcels in the colours of
-    their exits; without, the whole surface is drawn, and parcels in grey.
+    With `traffic`, exits and queues are drawn beside the rotor rows, and parcels in the colours of
+    their exits or groups; without, the whole surface is drawn, and parcels in grey.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
@@ -166,7 +230,8 @@ class Scene:
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
     zone: Zone | None = None  # the modules that obey a controller; None: all do
-    tilt: float = 0.0  # [rad] downhill towards +x
+    tilt: float = 0.0  # [rad] downhill towards `tilt_direction`
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
     title: str = ""
     readings: tuple[tuple[str, str], ...] = ()  # label and text of each number shown
 
@@ -182,6 +247,7 @@ class Scene:
         _set(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
         _set(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
         _set(self, tilt=checks.number("tilt", self.tilt))
+        _set(self, tilt_direction=checks.angle("tilt_direction", self.tilt_direction))
         if self.zone is not None:
             _set(self, zone=_checked_zone(self.zone, self.rows, self.columns))
         if self.goal is not None and not isinstance(self.goal, Goal):
@@ -219,11 +285,18 @@ class Scene:
     def _check_exits(self) -> None:
         begin = self.origin[0] - 0.5 * self.pitches[0]
         end = begin + self.columns * self.pitches[0]
+        low = self.origin[1] - 0.5 * self.pitches[1]
+        high = low + self.rows * self.pitches[1]
         for mark in self.exits:
             if mark.first < begin - _ROUNDING or mark.last > end + _ROUNDING:
                 raise ValueError(
                     f"exits must lie within the surface, x from {begin:g} to {end:g} m, "
                     f"got {mark!r}"
+                )
+            least, most = mark.span or (low, high)
+            if least < low - _ROUNDING or most > high + _ROUNDING:
+                raise ValueError(
+                    f"exits must lie within the surface, y from {low:g} to {high:g} m, got {mark!r}"
                 )
         for parcel in self.parcels:
             if not isinstance(parcel, SceneParcel):
@@ -381,15 +454,37 @@ class Layout:
 
     def mouth(self, mark: ExitMark) -> pygame.Rect:
         """Compute the area of an exit: from the rotor rows outwards, or across them."""
-        ends = self.pixels(np.array([[mark.first, 0.0], [mark.last, 0.0]]))[:, 0]
-        left, right = (round(float(x)) for x in ends)
+        left, right = self.columns_between(mark.first, mark.last)
         plate, rotors = self.plate, self.rotors
         top, bottom = rotors.top, rotors.bottom
+        if mark.span is not None:
+            top, bottom = self.rows_between(*mark.span)
         if mark.side > 0:
             top, bottom = plate.top, rotors.top
         elif mark.side < 0:
             top, bottom = rotors.bottom, plate.bottom
         return pygame.Rect(left, top, right - left, bottom - top)
+
+    def inlet(self, mark: InletMark) -> pygame.Rect:
+        """Compute the area of an inlet: before the surface, or beside it."""
+        area, plate = self.area, self.plate
+        if mark.side == 0:
+            top, bottom = self.rows_between(mark.first, mark.last)
+            return pygame.Rect(area.left, top, plate.left - area.left, bottom - top)
+        left, right = self.columns_between(mark.first, mark.last)
+        if mark.side > 0:
+            return pygame.Rect(left, area.top, right - left, plate.top - area.top)
+        return pygame.Rect(left, plate.bottom, right - left, area.bottom - plate.bottom)
+
+    def columns_between(self, first: float, last: float) -> tuple[int, int]:
+        """Compute the left and the right [px] of a span of x [m]."""
+        left, right = self.pixels(np.array([[first, 0.0], [last, 0.0]]))[:, 0]
+        return round(float(left)), round(float(right))
+
+    def rows_between(self, low: float, high: float) -> tuple[int, int]:
+        """Compute the top and the bottom [px] of a span of y [m]."""
+        top, bottom = self.pixels(np.array([[0.0, high], [0.0, low]]))[:, 1]
+        return round(float(top)), round(float(bottom))
 
     def label(self, mark: ExitMark) -> pygame.Rect:
         """Compute the area of an exit's name and count."""

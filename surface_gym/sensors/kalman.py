@@ -21,7 +21,7 @@ from surface_gym.physics.jit import inlined, kernel_function
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Body, Grid, Scratch
 from surface_gym.sensors.base import LEARNED, Entry, Physics, Sensor, enter
-from surface_gym.state import GRAVITY_ALONG, GRAVITY_NORMAL, NOISE_ROWS, EnvState
+from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, GRAVITY_Y, NOISE_ROWS, EnvState
 
 SIZE = 6  # of pose and velocity
 COVARIANCE = ph.STATE_SIZE  # first column; row by row
@@ -249,7 +249,8 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Con
         factor,
         1.0,
         1.0,
-        state.surface[GRAVITY_ALONG],
+        state.surface[GRAVITY_X],
+        state.surface[GRAVITY_Y],
         state.surface[GRAVITY_NORMAL],
     )
     report, contacts = step_implicit(grid, body, estimate, physics.scratch, dt)

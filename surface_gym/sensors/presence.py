@@ -10,7 +10,7 @@ from surface_gym.sensors import kalman
 from surface_gym.sensors.base import Entry, Physics
 from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Observer
 from surface_gym.sensors.switches import agree, mean_of_pressed, take_contradictions, take_switches
-from surface_gym.state import GRAVITY_ALONG, EnvState
+from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 
 SURE = 3.0  # standard deviations of an entry that count
 # [-] of the energy that a load over the centroid has at most: over one off centre the centroid is
@@ -30,7 +30,9 @@ def most_energy(state: EnvState) -> float:
     `state.sensor_state` holds, and of the way down the whole surface.
     """
     estimate = state.sensor_state
-    energy = 2.0 * abs(state.surface[GRAVITY_ALONG]) * state.elements.pitch_x * state.rotor.shape[1]
+    rows, columns = state.rotor.shape
+    energy = 2.0 * abs(state.surface[GRAVITY_X]) * state.elements.pitch_x * columns
+    energy += 2.0 * abs(state.surface[GRAVITY_Y]) * state.elements.pitch_y * rows
     for k in range(3, SIZE):
         fastest = abs(estimate[k]) + SURE * math.sqrt(estimate[COVARIANCE + (SIZE + 1) * k])
         energy += fastest * fastest * (state.body[GYRATION] if k == OMEGA else 1.0)

@@ -40,7 +40,7 @@ class Start(NamedTuple):
     pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
     velocity: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m/s, m/s, rad/s]
     goal: tuple[ArrayLike, ...]  # the task's own: as many as its `goals`
-    tilt: ArrayLike = 0.0  # [rad] of the surface
+    tilt: ArrayLike = 0.0  # [rad] of the surface, downhill towards +x
     path: Numbers | None = None  # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of a path to follow
 
 

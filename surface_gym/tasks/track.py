@@ -13,7 +13,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
-from surface_gym.state import GRAVITY_ALONG, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
+from surface_gym.state import GRAVITY_X, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import Feature, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
@@ -349,7 +349,7 @@ asked one |
         see[4] = state.goal[SPEED] - 0.8
         for k in range(len(AHEAD)):
             _, see[5 + k] = _path_at(state, x + AHEAD[k])
-        see[9] = state.surface[GRAVITY_ALONG] / GRAVITY / 0.2
+        see[9] = state.surface[GRAVITY_X] / GRAVITY / 0.2
         see[10] = math.sin(theta)
         see[11] = math.cos(theta)
         see[12] = sensed[OMEGA] / 3.0

@@ -18,7 +18,8 @@ class Options:
 
     Prints Table 7 for Adams as printed and for MuJoCo, Adams's displacements as far as they are
     printed, from which tilt the sort completes, how far MuJoCo itself has converged, and how fast
-    each method is. Takes about a minute on two cores, with --heights or --touching two more each.
+    each method is. Takes about a minute on two cores, with --heights two more, with --touching
+    eight.
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -28,7 +29,7 @@ class Options:
     heights: bool = False
     """Study supports that differ by micrometres in height, or in stiffness, as well."""
     touching: bool = False
-    """Study two parcels that push each other as well, on drawn surfaces."""
+    """Study parcels that push each other as well: two that meet, and crowds held and let go."""
     workers: int = usable_cores()
     """Processes that run at once."""
     cluster: str | None = None

@@ -280,14 +280,14 @@ class MeetingRun:
 def run_meeting(meeting: Meeting) -> MeetingRun:
     """Run a meeting in MuJoCo, twice, and by the analytic model."""
     mujoco = meeting.mujoco()
-    reference = _ends(mujoco)
-    analytic = [_ends(meeting.analytic(dt).trajectories) for dt in STEPS]
+    reference = ends(mujoco)
+    analytic = [ends(meeting.analytic(dt).trajectories) for dt in STEPS]
     tips = any(bool(trajectory.tipping.any()) for trajectory in mujoco)
-    harder = UNIT * (_ends(meeting.mujoco(2.0)) - reference)
+    harder = UNIT * (ends(meeting.mujoco(2.0)) - reference)
     return MeetingRun(meeting, UNIT * (np.array(analytic) - reference), harder, tips)
 
 
-def _ends(trajectories: tuple[Trajectory, ...]) -> Array:
+def ends(trajectories: tuple[Trajectory, ...]) -> Array:
     """Return the end poses (2, 3) [m, m, rad]."""
     return np.array([trajectory.pose[-1] for trajectory in trajectories])
 

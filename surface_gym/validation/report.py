@@ -20,6 +20,7 @@ from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison
+from surface_gym.validation.crowds import DURATION, CrowdRun
 from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
 from surface_gym.validation.study import Study
 
@@ -56,6 +57,8 @@ def _parts(study: Study) -> Iterator[RenderableType]:
         yield _spreads(study)
     if study.meetings:
         yield _meetings(study.meetings)
+    if study.crowds:
+        yield _crowds(study.crowds)
     yield LIMITS
 
 
@@ -133,6 +136,31 @@ def _meetings(runs: Sequence[MeetingRun]) -> Table:
         table.add_row(
             name, *_numbers(np.median(differences, axis=0)), *_numbers(np.max(differences, axis=0))
         )
+    tipped = sum(run.tips for run in runs)
+    if tipped:
+        table.caption = Text(f"{tipped} of them tip in MuJoCo, the analytic parcels do not.")
+    return table
+
+
+def _crowds(runs: Sequence[CrowdRun]) -> Table:
+    """Tabulate how far each parcel of all crowds ends from where it does in MuJoCo."""
+    parcels = sum(len(run.harder) for run in runs)
+    table = make_table(
+        f"Crowds held and let go, {len(runs)} drawn, {parcels} parcels, {DURATION:g} s: distance "
+        "from MuJoCo's end pose, of each parcel",
+        *(
+            "",
+            *(name for each in ("median", "p90", "worst") for name in (f"{each}\n[mm]", "\n[deg]")),
+        ),
+    )
+    rows = [
+        (f"implicit, {1e3 * dt:g} ms", np.concatenate([run.analytic[k] for run in runs]))
+        for k, dt in enumerate(STEPS)
+    ]
+    rows.append(("MuJoCo, step / 2, sides x 2", np.concatenate([run.harder for run in runs])))
+    for name, shifts in rows:
+        apart = np.column_stack([np.hypot(shifts[:, 0], shifts[:, 1]), np.abs(shifts[:, 2])])
+        table.add_row(name, *_numbers(np.percentile(apart, (50, 90, 100), axis=0).ravel()))
     tipped = sum(run.tips for run in runs)
     if tipped:
         table.caption = Text(f"{tipped} of them tip in MuJoCo, the analytic parcels do not.")
@@ -264,6 +292,16 @@ def as_data(study: Study) -> dict[str, Any]:
                 "mujoco_shift_mm_mm_deg": run.harder.tolist(),
             }
             for run in study.meetings
+        ],
+        "crowds": [
+            {
+                "seed": run.crowd.seed,
+                "tips_in_mujoco": run.tips,
+                "step_s": list(STEPS),
+                "error_mm_mm_deg": run.analytic.tolist(),
+                "mujoco_shift_mm_mm_deg": run.harder.tolist(),
+            }
+            for run in study.crowds
         ],
         "speed": [asdict(speed) for speed in study.speeds],
         "uneven_supports": [

@@ -206,7 +206,8 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = recipe.friction_stiffening
     option.tolerance = recipe.tolerance
-    option.gravity = [GRAVITY * math.sin(surface.tilt), 0.0, -GRAVITY * math.cos(surface.tilt)]
+    grid = surface.grid
+    option.gravity = [grid.gravity_x, grid.gravity_y, -grid.gravity_normal]
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
@@ -367,10 +368,12 @@ def simulate_together(
     within: Booleans,
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
+    turns: Sequence[tuple[float, Array]] = (),
 ) -> tuple[Trajectory, ...]:
     """Move parcels that push each other, as `surface_gym.simulate_together` does.
 
-    `within` (rows, columns) are the elements to build.
+    `within` (rows, columns) are the elements to build. At each time [s] of `turns` the axes turn to
+    (rows, columns) [rad].
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -382,7 +385,7 @@ def simulate_together(
         stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
         weight = GRAVITY * math.cos(surface.tilt)
         sags.append(static_sag(np.zeros(len(stiffness)), stiffness, weight))
-    return _run(scene, surface, parcels, start, motion, sags, duration, recipe)
+    return _run(scene, surface, parcels, start, motion, sags, duration, recipe, turns)
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
@@ -436,6 +439,7 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 def _run(
     scene: Scene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
     sags: Sequence[float], duration: float, recipe: Recipe,
+    turns: Sequence[tuple[float, Array]] = (),
 ) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to its end."""
     mujoco = load_mujoco()
@@ -452,8 +456,11 @@ def _run(
     place, speed = np.zeros((steps + 1, count, 7)), np.zeros((steps + 1, count, 6))
     # A bearing's friction grows with the load its rotor carries, which MuJoCo has no name for.
     loss_per_newton = float(surface.mu_min) * recipe.rotor_radius
+    turned = {round(when / recipe.step): axis for when, axis in turns}
     for k in range(steps + 1):
         if k > 0:
+            if k - 1 in turned:
+                _turn_axes(scene, turned[k - 1])
             if k > whole:
                 model.opt.timestep = rest
             mujoco.mj_step(model, data)
@@ -474,6 +481,16 @@ def _run(
         _make_trajectory(surface, parcel, start[k, 2], time, place[:, k], speed[:, k])
         for k, parcel in enumerate(parcels)
     )
+
+
+def _turn_axes(scene: Scene, axis: Array) -> None:
+    """Turn the rotors' hinges to axes (rows, columns) [rad]."""
+    model = scene.model
+    for k in range(1, model.nbody):
+        row, comma, column = model.body(k).name.partition(",")
+        if comma:
+            half_turn = 0.5 * axis[int(row), int(column)]
+            model.body_quat[k] = math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)
 
 
 def _make_trajectory(

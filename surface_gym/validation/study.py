@@ -15,10 +15,12 @@ from surface_gym.paper.runs import Integration
 from surface_gym.physics.types import Array
 from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import Case, Run, Summary
+from surface_gym.validation.crowds import Crowd, CrowdRun, run_crowd
 from surface_gym.validation.simulation import RECIPE, Recipe
 
 DRAWS = 20  # surfaces for each unevenness
 MEETINGS = 30  # of two parcels that push each other
+CROWDS = 24  # held and let go
 
 CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
 VARIANTS = {
@@ -154,6 +156,7 @@ class Study:
     speeds: tuple[Speed, ...]
     spreads: tuple[drawn.Spread, ...]  # empty if not asked for
     meetings: tuple[drawn.MeetingRun, ...] = ()  # empty if not asked for
+    crowds: tuple[CrowdRun, ...] = ()  # empty if not asked for
 
     @property
     def summaries(self) -> tuple[Summary, Summary]:
@@ -183,11 +186,13 @@ def run_study(
     cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
+    held = [Crowd(seed + k) for k in range(CROWDS if with_touching else 0)]
     parts: tuple[tuple[Any, Sequence[Any]], ...] = (
         (comparison.run_case, cases),
         (run_variant, JOBS),
         (drawn.run_draw, draws),
         (drawn.run_meeting, meetings),
+        (run_crowd, held),
     )
     jobs = [
         partial(parallel.without_report, partial(function, each))
@@ -200,11 +205,14 @@ def run_study(
     )  # fmt: skip
     found: dict[int, Any] = dict(done)
     results = iter(found[place] for place in range(len(jobs)))
-    runs, variants, ends, meeting_runs = [[next(results) for _ in group] for _, group in parts]
+    runs, variants, ends, meeting_runs, crowd_runs = (
+        [next(results) for _ in group] for _, group in parts
+    )
     with console.status("timing, one core"):
         speeds = tuple(measure(method) for method in METHODS)
     return Study(
         sweep=tuple(runs[:-2]), pushed=runs[-2], long=runs[-1],
         convergence=compare_variants(variants), speeds=speeds,
         spreads=drawn.compare_draws(draws, ends) if draws else (), meetings=tuple(meeting_runs),
+        crowds=tuple(crowd_runs),
     )  # fmt: skip

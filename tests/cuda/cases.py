@@ -29,7 +29,7 @@ CASES: dict[str, dict[str, Any]] = {
 # Short lines with more parcels than can pass: some touch.
 DENSE_STREAM: dict[str, Any] = {
     "task": "flow", "line": SHORT, "stream": DENSE, "max_parcels": 6, "duration": 0.8,
-    "control_period": 0.04,
+    "control_period": 0.04, "tilt": 0.03, "tilt_direction": 0.6,
 }  # fmt: skip
 STREAMS: dict[str, dict[str, Any]] = {
     "a stream of modules": {**DENSE_STREAM, "actions": "modules"},

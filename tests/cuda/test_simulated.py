@@ -17,13 +17,15 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
-from surface_gym.flow.batch import FIGURES
+from surface_gym.flow.batch import list_figures
+from surface_gym.flow.task import Flow
 from surface_gym.registration import make_device_env
 from tests.cuda.cases import CASES, STREAMS, needs_numba_cuda, sample_actions
 
 LIMIT, PERIODS = 5, 12  # control periods of an episode, and of a comparison
 COUNTS = {**dict.fromkeys(CASES, 3), **dict.fromkeys(STREAMS, 2)}  # of environments
 FINAL = {"final_obs", "final_info", "_final_obs", "_final_info"}
+FIGURES = list_figures(Flow())
 HOST_ONLY = {*FIGURES, *(f"_{name}" for name in FIGURES)}
 
 

@@ -16,7 +16,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.arrivals import Arrival, Poisson, Trace
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import flow_line
-from surface_gym.flow.state import ENTERED
+from surface_gym.flow.state import ENTERED, INLET
 from surface_gym.flow.stream import Stream
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
@@ -124,7 +124,7 @@ def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None 
     parcels.sensed[:count, 3:] = moving
     parcels.body[:count] = streams.body[0, :count]
     asked = streams.exit[0, :count]
-    parcels.goal[:count] = np.column_stack([asked, batch.stream_params.exits[asked]])
+    parcels.goal[:count, :INLET] = np.column_stack([asked, batch.stream_params.exits[asked]])
     for values in (parcels.memory, parcels.clock, parcels.steps):
         values[:count] = 0
     streams.number[0, :count] = np.arange(count)
@@ -141,7 +141,8 @@ def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     axis = np.full(settings.site.rotor.shape, math.pi / 2)
     axis[first_row : first_row + rows, first : first + columns] = angle
     level = settings.chosen_line.surface(axis, settings.site.rotor)
-    return dataclasses.replace(level, tilt=settings.stream_task.tilt)
+    task = settings.stream_task
+    return dataclasses.replace(level, tilt=task.tilt, tilt_direction=task.tilt_direction)
 
 
 def assert_alike(first: Any, second: Any) -> None:

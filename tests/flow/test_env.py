@@ -20,9 +20,9 @@ import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.resets import place_parcel
 from surface_gym.flow.arrivals import Schedule
-from surface_gym.flow.batch import FIGURES, BodyPool
+from surface_gym.flow.batch import BodyPool, list_figures
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import FEATURES
+from surface_gym.flow.task import FEATURES, Flow
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import FLOW
 from surface_gym.vector_env import SmartSurfaceVectorEnv
@@ -63,7 +63,7 @@ class TestEpisodes:
             assert terminated == (info["outcome"] == "jam")
             assert truncated == (info["outcome"] == "out of time")
             ended = terminated or truncated
-            assert ended or not any(info[name] for name in FIGURES)
+            assert ended or not any(info[name] for name in list_figures(Flow()))
         assert ended
         assert info["episode_turns_per_hour"] > 0.0
 

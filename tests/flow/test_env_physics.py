@@ -20,15 +20,23 @@ from tests.environments import terms
 from tests.flow import flows
 
 DT = 0.005  # [s]
+ASKEW = {"tilt": 0.06, "tilt_direction": 1.2}
 
 
 class TestPhysics:
     @pytest.mark.parametrize(
-        ("box", "choice"), [(flows.BOX, flows.MINUS_45), (flows.LARGE_BOX, flows.ROLL)]
-    )
-    def test_one_alone_moves_as_by_simulate(self, box: sg.Parcel, choice: int) -> None:
+        ("box", "choice", "slope"),
+        [
+            (flows.BOX, flows.MINUS_45, {}), (flows.LARGE_BOX, flows.ROLL, {}),
+            (flows.BOX, flows.PLUS_45, ASKEW),
+        ],
+    )  # fmt: skip
+    def test_one_alone_moves_as_by_simulate(
+        self, box: sg.Parcel, choice: int, slope: dict[str, float]
+    ) -> None:
         """To the bit, until no rotor bears it any more."""
-        env = flows.bare(stream=flows.trace((0.0, "left 1"), parcel=box, speed=1.7), duration=10.0)
+        stream = flows.trace((0.0, "left 1"), parcel=box, speed=1.7)
+        env = flows.bare(stream=stream, duration=10.0, **slope)
         env.reset(seed=0)
         surface = flows.surface_of(env.config, env.config.chosen_orientations[choice])
         start = (box.base.length / 2.0, flows.SHORT.line_y, 0.0)
@@ -44,12 +52,13 @@ class TestPhysics:
         assert 8 * (period - 1) < step <= 8 * period
         np.testing.assert_array_equal(env.batch.parcels.truth[0, :3], run.pose[step])
 
-    def test_two_move_as_by_simulate_together(self) -> None:
+    @pytest.mark.parametrize("slope", [{}, ASKEW])
+    def test_two_move_as_by_simulate_together(self, slope: dict[str, float]) -> None:
         """To the bit; and they begin to touch as often as it says."""
         poses = [(0.7, 1.0, 0.1), (0.35, 1.02, 0.0)]
         velocities = [(0.3, 0.0, 0.0), (1.5, 0.0, 0.0)]
         stream = flows.trace((0.0, "straight"), (0.0, "straight"))
-        batch = flows.batch_with(stream, duration=5.0, restitution=0.5)
+        batch = flows.batch_with(stream, duration=5.0, restitution=0.5, **slope)
         flows.set_down(batch, poses, velocities)
         surface = flows.surface_of(batch.config, math.pi / 2)
         run = sg.simulate_together(
@@ -66,16 +75,21 @@ class TestPhysics:
 
 
 class TestMirror:
-    @pytest.mark.parametrize("actions", ["modules", "parcels"])
-    def test_a_mirrored_stream_runs_in_a_mirror(self, actions: str) -> None:
+    @pytest.mark.parametrize(
+        ("actions", "slope"), [("modules", {}), ("parcels", {}), ("modules", ASKEW)]
+    )
+    def test_a_mirrored_stream_runs_in_a_mirror(
+        self, actions: str, slope: dict[str, float]
+    ) -> None:
         names = ("left 1", "right 2", "right 1", "straight", "left 2")
         mirrored = ("right 1", "left 2", "left 1", "straight", "right 2")
+        other_way = slope | {"tilt_direction": -slope.get("tilt_direction", 0.0)}
         env, mirror = (
             flows.bare(
                 stream=flows.trace(*[(0.4 * k, name) for k, name in enumerate(each)]),
-                actions=actions, duration=2.4,
+                actions=actions, duration=2.4, **way,
             )
-            for each in (names, mirrored)
+            for each, way in ((names, slope), (mirrored, other_way))
         )  # fmt: skip
         kind = env.config.action_kind
         env.action_space.seed(3)

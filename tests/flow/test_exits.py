@@ -17,7 +17,13 @@ STRAIGHT = Exit("straight", 0)
 def test_chutes_are_two_to_either_side_and_sides_as_long_as_the_line() -> None:
     exits = chutes()
     assert exits.names == ("left 1", "left 2", "right 1", "right 2", "straight")
-    expected = [[1, 0.6, 2.8], [1, 3.2, 5.8], [-1, 0.6, 2.8], [-1, 3.2, 5.8], [0, 0.0, math.inf]]
+    expected = [
+        [1, 0.6, 2.8],
+        [1, 3.2, 5.8],
+        [-1, 0.6, 2.8],
+        [-1, 3.2, 5.8],
+        [0, -math.inf, math.inf],
+    ]
     np.testing.assert_allclose(exits.table, expected)
     exits = sides(4.5)
     assert exits.names == ("left", "right", "straight")
@@ -28,7 +34,9 @@ def test_chutes_are_two_to_either_side_and_sides_as_long_as_the_line() -> None:
 def test_presets_scale_with_the_line_which_must_be_long(name: str) -> None:
     short, long = EXITS[name](3.0), EXITS[name](6.0)
     assert short.names == long.names
-    np.testing.assert_allclose(2.0 * short.table[:, 1:], long.table[:, 1:])
+    aside = long.table[:, 0] != 0.0
+    np.testing.assert_allclose(2.0 * short.table[aside, 1:], long.table[aside, 1:])
+    np.testing.assert_array_equal(short.table[~aside], long.table[~aside])  # of y
     for length in (0.0, -1.0, math.nan, None):
         with pytest.raises(ValueError, match="length must be"):
             EXITS[name](length)
@@ -38,16 +46,18 @@ def test_presets_scale_with_the_line_which_must_be_long(name: str) -> None:
 def test_the_table_says_the_same_as_the_rule(x: float, side: int) -> None:
     exits = chutes()
     of_side, first, last = exits.table.T
-    inside = (of_side == side) & ((side == 0) | ((first <= x) & (x < last)))
+    inside = (of_side == side) & (first <= x) & (x < last)
     assert inside.sum() <= 1
     assert exits.at(side, x) == (int(np.argmax(inside)) if inside.any() else NOWHERE)
 
 
-def test_a_parcel_at_the_end_of_a_span_is_past_it_and_straight_on_has_no_span() -> None:
+def test_a_parcel_at_the_end_of_a_span_is_past_it_and_straight_on_has_a_span_of_y() -> None:
     exits = Exits((LEFT, Exit("next", 1, 2.0)))
     assert [exits.at(1, x) for x in (0.4, 0.5, 1.9, 2.0, 90.0)] == [NOWHERE, 0, 0, 1, 1]
-    exits = Exits((LEFT, Exit("end", 0, 1.0, 2.0)))
-    assert exits.at(0, 6.0) == 1
+    exits = Exits((LEFT, Exit("end", 0)))
+    assert [exits.at(0, y) for y in (-6.0, 0.0, 6.0)] == [1, 1, 1]
+    exits = Exits((Exit("middle", 0, -0.3, 0.3), Exit("left", 0, 0.3, 0.6)))
+    assert [exits.at(0, y) for y in (-0.31, -0.3, 0.29, 0.3, 0.6)] == [NOWHERE, 0, 0, 1, NOWHERE]
     assert Exits((LEFT,)).at(0, 6.0) == NOWHERE
 
 
@@ -70,7 +80,9 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
     assert exits_option([LEFT], 3.0) == Exits((LEFT,))
     assert exits_option(sides(), 3.0) == sides()
     for value in ("doors", None, 3):
-        with pytest.raises(ValueError, match="exits must be one of 'chutes', 'sides', got"):
+        with pytest.raises(
+            ValueError, match="exits must be one of 'chutes', 'sides', 'end', 'mouth', 'mouths'"
+        ):
             exits_option(value, 3.0)
 
 
@@ -92,7 +104,10 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
         (LEFT, "exits must be at least one Exit in a tuple, got Exit"),
         ((LEFT, "straight"), "exits must be Exit objects, got 'straight'"),
         ((LEFT, Exit("left", 0)), "exits must have names of their own, got 'left' twice"),
-        ((STRAIGHT, LEFT, Exit("end", 0)), "exits must hold at most one straight on, got"),
+        (
+            (STRAIGHT, LEFT, Exit("end", 0)),
+            "exits must not overlap on one side, got 'straight' from -inf to inf m",
+        ),
         (
             (LEFT, STRAIGHT, Exit("wide", 1, 1.9)),
             "exits must not overlap on one side, got 'left' from 0.5 to 2 m and 'wide' "

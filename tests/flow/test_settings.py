@@ -33,6 +33,7 @@ BAD: dict[str, list[Any]] = {
     "max_parcels": [0, 257, 2.0, True],
     "line": ["line", SHORT.rotor],
     "tilt": [math.nan],
+    "tilt_direction": [90.0, None],
     "stuck of actuators": [Actuators(stuck=((99, 0),))],
     "restitution": [-0.1, 1.1, None],
     "gate": [1, None],

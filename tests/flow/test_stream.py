@@ -206,7 +206,7 @@ BAD: dict[str, list[tuple[Any, str]]] = {
         (("left",), "destinations must be in pairs with their odds, got 'left'"),
         ({"left": -1}, "odds of destinations must be greater than 0, got -1"),
         ({1: 1.0}, "destinations must be text without spaces .*, got 1"),
-        ((("left", 1), ("left", 2)), "destinations must name an exit once, got 'left' twice"),
+        ((("left", 1), ("left", 2)), "destinations must name each once, got 'left' twice"),
     ],
     "speeds": [
         (5.1, "speeds must be between 0 and 5, got 5.1"),

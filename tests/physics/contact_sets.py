@@ -57,10 +57,10 @@ def make_contacts(
     return scratch, ph.Contacts(count, len(supports))
 
 
-def make_grid(along: float = 0.0) -> ph.Grid:
+def make_grid(gravity_x: float = 0.0, gravity_y: float = 0.0) -> ph.Grid:
     """A grid of one element, for functions that read no more than gravity."""
     return sg.Surface(np.zeros((1, 1)), np.ones((1, 1), dtype=bool)).grid._replace(
-        gravity_along=along, gravity_normal=WEIGHT
+        gravity_x=gravity_x, gravity_y=gravity_y, gravity_normal=WEIGHT
     )
 
 

@@ -234,6 +234,16 @@ def test_who_overlaps_is_moved_apart_the_heavier_less_and_no_faster() -> None:
     np.testing.assert_array_equal(meeting.velocity, 0.0)
 
 
+def test_who_is_pushed_into_a_third_that_alone_it_would_not_reach_is_moved_out_of_it() -> None:
+    disc = sg.Parcel(sg.Disc(0.1))
+    poses = [(1.0, 1.0, 0.0), (1.201, 1.0, 0.0), (1.403, 1.0, 0.0)]
+    meeting = Meeting(ice(), [disc] * 3, poses, [(2.0, 0.0, 0.0), (0, 0, 0), (0, 0, 0)], 1.0)
+    meeting.step(DT)
+    assert meeting.velocity[1, 0] == pytest.approx(2.0)
+    assert overlap(meeting) <= CONTACT_DISTANCE
+    assert len(meeting.step(DT)) > 0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_crowd_that_leans_on_each_other_stays_whatever_the_order_of_its_rows(seed: int) -> None:
     # With axes along the slope: they hold three of the eight in a row.

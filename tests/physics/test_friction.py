@@ -37,7 +37,7 @@ class Problem:
     @property
     def free_velocity(self) -> np.ndarray:
         """Velocity after the step without friction."""
-        return self.velocity + np.array([self.dt * self.grid.gravity_along, 0.0, 0.0])
+        return self.velocity + self.dt * np.array([self.grid.gravity_x, self.grid.gravity_y, 0.0])
 
     @property
     def slides(self) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +69,7 @@ def draw_problem(rng: np.random.Generator, rotors: float) -> Problem:
     """Contacts of a 5 x 5 grid, a share of them rotors; speeds from creeping to fast."""
     count = int(rng.integers(1, 26))
     return Problem(
-        grid=sets.make_grid(along=float(rng.choice([0.0, 1.0, -2.0]))),
+        grid=sets.make_grid(*rng.choice([0.0, 1.0, -2.0], size=2).tolist()),
         gyration=float(rng.uniform(0.002, 0.05)),
         dt=float(rng.choice([1e-4, 1e-3, 5e-3, 1e-2, 0.1])),
         velocity=rng.normal(size=3) * rng.choice([0.0, 1e-5, 1e-2, 1.0, 3.0]),
@@ -166,10 +166,13 @@ def test_supports_slow_in_the_direction_of_motion(velocity: Triple, left: float)
     np.testing.assert_allclose(after, left * np.array(velocity), rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("along", [0.0, 0.4 * sets.WEIGHT, -0.4 * sets.WEIGHT])
-def test_friction_holds_a_parcel_on_a_slope(along: float) -> None:
-    after = over_square(True, (0.0, 0.0, 0.0), grid=sets.make_grid(along=along)).step()
+@pytest.mark.parametrize("pull", [0.0, 0.4 * sets.WEIGHT, -0.4 * sets.WEIGHT])
+@pytest.mark.parametrize("axis", [0.0, 0.5 * np.pi])
+def test_friction_holds_a_parcel_on_a_slope(axis: float, pull: float) -> None:
+    way = np.array([axis == 0.0, axis != 0.0], dtype=float)
+    grid = sets.make_grid(*(pull * way))
+    after = over_square(True, (0.0, 0.0, 0.0), axis, grid=grid).step()
     # The rounded friction lets it creep: v + dt mu N v / ROUNDING = dt g sin(gamma).
-    creep = DT * along / (1.0 + DT * 0.5 * sets.WEIGHT / ROUNDING)
+    creep = DT * pull / (1.0 + DT * 0.5 * sets.WEIGHT / ROUNDING)
     assert abs(creep) < ROUNDING
-    np.testing.assert_allclose(after, [creep, 0.0, 0.0], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(after, [*(creep * way), 0.0], rtol=0.0, atol=1e-12)

@@ -11,7 +11,12 @@ from hypothesis import given, strategies as st
 import surface_gym as sg
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.references import scipy_normal_forces, step_explicit, step_implicit
+from surface_gym.physics.references import (
+    load_point,
+    scipy_normal_forces,
+    step_explicit,
+    step_implicit,
+)
 from surface_gym.physics.step import (
     BALANCED,
     OFF_SURFACE,
@@ -39,10 +44,11 @@ def state_of(pose: Triple, velocity: Triple) -> Array:
     return state
 
 
-def supports_only(mu: float, tilt: float = 0.0) -> sg.Surface:
+def supports_only(mu: float, tilt: float = 0.0, tilt_direction: float = 0.0) -> sg.Surface:
     return sg.Surface(
-        axis=np.zeros((20, 40)), rotor=np.zeros((20, 40), dtype=bool), mu_support=mu, tilt=tilt
-    )
+        axis=np.zeros((20, 40)), rotor=np.zeros((20, 40), dtype=bool), mu_support=mu, tilt=tilt,
+        tilt_direction=tilt_direction,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -135,6 +141,45 @@ def test_sliding_over_supports_is_uniformly_accelerated(dt: float, degrees: floa
         state[[ph.VX, ph.VY, ph.OMEGA]], [speed + acceleration * time, 0, 0], atol=1e-9
     )
     assert state[ph.AX] == pytest.approx(acceleration, abs=1e-3)
+
+
+@pytest.mark.parametrize("step", [step_implicit, step_explicit])
+@pytest.mark.parametrize("direction", [0.0, 0.7, math.pi / 2, -math.pi / 2, -0.5])
+def test_a_slope_in_any_direction_speeds_up_what_slides_down(step: Step, direction: float) -> None:
+    mu, speed, dt, steps = 0.1, 1.0, 1e-3, 100
+    surface = supports_only(mu, math.radians(10.0), direction)
+    way = np.array([math.cos(direction), math.sin(direction)])
+    state = state_of((1.5, 1.0, 0.0), (*(speed * way), 0.0))
+    state[ph.VX] = max(state[ph.VX], 1e-3)  # the explicit step wants motion towards +x
+    parcel, scratch = sg.Parcel(sg.Rectangle(0.4, 0.4)), ph.make_scratch()
+    for _ in range(steps):
+        step(surface.grid, parcel.body, state, scratch, dt)
+    acceleration = G * (math.sin(surface.tilt) - mu * math.cos(surface.tilt))
+    after = speed + steps * dt * acceleration
+    np.testing.assert_allclose(state[[ph.VX, ph.VY]], after * way, rtol=0.0, atol=1e-3)
+    assert state[ph.OMEGA] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.7, math.pi / 2, 2.5, -math.pi / 2])
+def test_the_slope_throws_the_load_to_the_downhill_side(direction: float) -> None:
+    surface = supports_only(0.1, math.radians(10.0), direction)
+    parcel, scratch = sg.Parcel(sg.Rectangle(0.4, 0.4), com_height=0.1), ph.make_scratch()
+    state = state_of((1.5, 1.0, 0.0), (0.0, 0.0, 0.0))
+    load = load_point(surface.grid, parcel.body, state)
+    shift = 0.1 * math.tan(surface.tilt) * np.array([math.cos(direction), math.sin(direction)])
+    np.testing.assert_allclose(load, shift, rtol=1e-12, atol=1e-17)
+    # The normal forces balance there.
+    report, contacts = step_implicit(surface.grid, parcel.body, state, scratch, DT)
+    assert (report, contacts.total) == (BALANCED, 16)
+    normal, x, y = (
+        ph.table_row(scratch, row, contacts.total) for row in (ph.NORMAL, ph.ARM_X, ph.ARM_Y)
+    )
+    np.testing.assert_allclose([normal @ x, normal @ y], shift * normal.sum(), atol=1e-12)
+    downhill = x * math.cos(direction) + y * math.sin(direction)
+    assert normal[downhill > 0.01].min() > normal[downhill < -0.01].max()
+    # What speeds up freely down the slope leaves the load in the middle.
+    state[[ph.AX, ph.AY]] = surface.grid.gravity_x, surface.grid.gravity_y
+    assert load_point(surface.grid, parcel.body, state) == (0.0, 0.0)
 
 
 @given(mu=st.floats(0.15, 0.5), speed=st.floats(0.2, 1.5), direction=st.floats(-math.pi, math.pi))

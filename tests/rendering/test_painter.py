@@ -129,6 +129,34 @@ class TestPicture:
         assert (later[: plate.top] != flat[: plate.top]).any()
         np.testing.assert_array_equal(later[plate.top :], flat[plate.top :])
 
+    def test_the_arrow_points_downhill(self, bare):
+        plate, flat = Plate(bare), draw(bare)
+
+        def arrow(tilt, direction):
+            """The picture; width, height [px] of the arrow, and its centroid off the middle."""
+            picture = draw(replace(bare, tilt=tilt, tilt_direction=direction))
+            drawn = (picture[plate.bottom :] != flat[plate.bottom :]).any(axis=2)
+            columns = np.flatnonzero(drawn.any(axis=0))
+            words = columns[np.argmax(np.diff(columns) > 4) + 1]  # after the arrow comes its text
+            rows, columns = np.nonzero(drawn[:, :words])
+            # To the right and upwards: the head has most of the pixels.
+            right, up = (
+                places.mean() - 0.5 * (places.min() + places.max()) for places in (columns, -rows)
+            )
+            return picture, np.ptp(columns), np.ptp(rows), (right, up)
+
+        towards_x, width, height, head = arrow(0.09, 0.0)
+        assert width > 2 * height
+        assert head[0] > 0.5
+        back, _, _, head = arrow(0.09, math.pi)
+        assert head[0] < -0.5
+        np.testing.assert_array_equal(back, arrow(-0.09, 0.0)[0])
+        for direction, way in ((math.pi / 2, 1.0), (-math.pi / 2, -1.0)):
+            _, width, height, head = arrow(0.09, direction)
+            assert height > 2 * width
+            assert way * head[1] > 0.5
+        assert (towards_x != back).any()
+
     def test_texts_may_be_larger_beside_the_same_surface(self, sorting):
         usual, large = (Painter(960, text).draw(sorting.scene(40)) for text in (1.0, 1.5))
         assert large.shape[1] == usual.shape[1]

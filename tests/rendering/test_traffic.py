@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.rendering import ExitMark, SceneParcel, Traffic, draw
-from surface_gym.rendering.ink import GOAL, PLATE, axis_colour, exit_colour, inset
+from surface_gym.rendering import ExitMark, InletMark, SceneParcel, Traffic, draw
+from surface_gym.rendering.ink import (
+    FAINT_INK,
+    GOAL,
+    PLATE,
+    RUNS,
+    STANDS,
+    axis_colour,
+    exit_colour,
+    inset,
+)
 from surface_gym.rendering.marks import contact_point
 from tests.rendering.conftest import EXITS, HIGHEST, LONG, LOWEST, SMALL, Plate, differing, middle
 
@@ -108,6 +117,58 @@ class TestLine:
         parcel = SceneParcel(SMALL, (3.0, 10.0 * pitch[1], 0.0), 0)
         left, right, top, bottom = differing(draw(with_parcels(oblong, parcel)), draw(oblong))
         assert right - left == pytest.approx(bottom - top, abs=2.0)
+
+
+class TestSlope:
+    """What the tasks with a take-away draw beside."""
+
+    MOUTH = ExitMark("mouth", 0, 6.0, 6.6, (0.9, 1.1))
+
+    def test_a_bar_closes_the_end_beside_a_mouth(self, empty, plate):
+        picture = draw(replace(empty, traffic=Traffic((self.MOUTH,), (0,))))
+        for y, closed in ((0.85, True), (0.95, False), (1.05, False), (1.15, True), (1.25, False)):
+            assert (at(picture, plate.pixel(6.015, y)) == FAINT_INK) == closed
+        whole = draw(replace(empty, traffic=Traffic((replace(self.MOUTH, span=None),), (0,))))
+        assert at(whole, plate.pixel(6.015, 0.85)) != FAINT_INK
+
+    def test_exits_have_the_colour_of_the_take_away(self, empty, plate):
+        for runs, colour in ((True, RUNS), (False, STANDS), (None, exit_colour(0))):
+            traffic = Traffic((self.MOUTH,), (0,), runs=runs)
+            picture = draw(replace(empty, traffic=traffic))
+            assert at(picture, plate.pixel(6.65, 1.0)) == colour
+
+    @pytest.mark.parametrize("side", [0, 1, -1])
+    def test_inlets_are_marked_with_their_queues(self, empty, plate, side):
+        span = (0.85, 1.15) if side == 0 else (1.0, 2.0)
+        traffic = Traffic(EXITS[2:], (0,), inlets=(InletMark("in", side, *span),), queues=(3,))
+        none = replace(traffic, inlets=(), queues=())
+        picture, more, without = (
+            draw(replace(empty, traffic=each))
+            for each in (traffic, replace(traffic, queues=(4,)), none)
+        )
+        assert (picture != more).any()
+        rows = {0: slice(None), 1: slice(0, plate.top), -1: slice(plate.bottom, None)}[side]
+        columns = slice(0, plate.left) if side == 0 else slice(plate.left, None)
+        left, right, _, _ = differing(picture[rows, columns], without[rows, columns])
+        if side:
+            assert right - left == pytest.approx(10.0 * plate.cell, abs=1.0)
+
+    def test_the_queue_is_within_a_picture_full_of_rotors(self, empty):
+        full = replace(empty, rotor=np.ones((20, 66), bool), traffic=NO_EXITS)
+        pictures = (draw(with_traffic(full, waiting=count)) for count in (0, 3))
+        _, _, top, bottom = differing(*pictures)
+        assert top > 0.4 * bottom
+
+    def test_groups_have_colours_and_one_that_is_wrong_a_border(self, empty, plate):
+        parcel = SceneParcel(sg.Rectangle(0.45, 0.45).outline, (5.0, 1.0, 0.0), group=1)
+        picture = draw(with_parcels(empty, parcel))
+        assert at(picture, plate.pixel(4.795, 0.95)) == exit_colour(1)
+        assert not (picture == GOAL).all(axis=2).any()
+        wrong = draw(with_parcels(empty, replace(parcel, wrong=True)))
+        assert (wrong == GOAL).all(axis=2).sum() > 200
+        for label in ("", "12"):
+            other = draw(with_parcels(empty, replace(parcel, label=label)))
+            assert (other == picture).all() == (label == "")
 
 
 class TestParcels:

@@ -10,7 +10,7 @@ import surface_gym as sg
 from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import GYRATION
 from surface_gym.sensors import AdaptiveCamera, Camera, Exact, Presence, presence, switches
-from surface_gym.state import EnvState, env_state
+from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState, env_state
 from tests.sensors.runs import MINUS_45, all_say, contradicts
 
 TOLERANCE = 0.001  # [m]
@@ -24,6 +24,11 @@ def agree(state: Any, tolerance: float) -> None:
 @compiled
 def keep_possible(state: Any, energy: float) -> None:
     presence.keep_possible(state, energy)
+
+
+@compiled
+def most_energy(state: Any) -> float:
+    return presence.most_energy(state)
 
 
 @compiled
@@ -121,6 +126,20 @@ def test_what_is_possible_stays_and_what_is_too_fast_is_slowed_down_on_its_way()
     vx, vy, omega = state.sensor_state[3:6]
     assert vx**2 + vy**2 + state.body[GYRATION] * omega**2 == pytest.approx(4.0)
     assert vy / vx == pytest.approx(4.0 / 3.0)
+
+
+def test_the_way_down_a_slope_in_any_direction_is_possible() -> None:
+    _, state = placed("track", "S")
+    rows, columns = state.rotor.shape
+
+    def most(x: float, y: float) -> float:
+        state.surface[[GRAVITY_X, GRAVITY_Y]] = x, y
+        return most_energy(state) / presence.MARGIN
+
+    level = most(0.0, 0.0)
+    assert most(0.5, 0.0) - level == pytest.approx(2.0 * 0.5 * 0.1 * columns)
+    assert most(0.0, -0.3) - level == pytest.approx(2.0 * 0.3 * 0.1 * rows)
+    assert most(-0.5, 0.3) - level == pytest.approx(0.1 * columns + 0.06 * rows)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from surface_gym.sensors.base import LEARNED
 from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, SPREADS, TAKEN
 from surface_gym.sensors.kalman import CONSTANT, DECAY, DOUBT, EFFECT, LAST
 from surface_gym.tasks import Slow
+from tests.flow import flows
 from tests.sensors.runs import BRAKE, PLUS_45, ROLL, all_say, errors, rms
 
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
@@ -112,6 +113,22 @@ def test_late_frames_do_no_harm_to_a_filter_that_knows_the_physics() -> None:
         found = np.abs(errors(camera, PLUS_45, speed=1.5, parcel="S"))
         assert found[:, :2].max() < 1e-3
         assert found[:, 3:5].max() < 2e-2
+
+
+@pytest.mark.parametrize("tilt_direction", [0.0, math.pi / 2, -2.0])
+def test_between_frames_the_filter_moves_a_parcel_down_a_slope_as_physics_does(
+    tilt_direction: float,
+) -> None:
+    blind = Camera(frame_rate=0.01, latency=0.0, entry=SURE)
+    stream = flows.trace((0.0, "straight"))
+    batch = flows.batch_with(
+        stream, sensors=blind, actions="parcels", tilt=0.08, tilt_direction=tilt_direction
+    )
+    for _ in range(15):
+        batch.step(flows.command(batch, PLUS_45))
+    parcels = batch.parcels
+    assert parcels.truth[0, 0] > 0.7
+    np.testing.assert_allclose(parcels.sensed[0], parcels.truth[0], rtol=0.0, atol=1e-9)
 
 
 def test_friction_unlike_the_assumed_one_is_made_up_for_by_the_frames() -> None:

@@ -56,10 +56,11 @@ def test_a_mesh_moves_as_the_shape_it_stands_for(one, other, tolerance):
     np.testing.assert_allclose(runs[0].pose[-1], runs[1].pose[-1], atol=tolerance)
 
 
-def test_any_layout_and_parcel_agree_with_simulate():
+@pytest.mark.parametrize("tilt_direction", [0.0, 1.0])
+def test_any_layout_and_parcel_agree_with_simulate(tilt_direction):
     rng = np.random.default_rng(3)
     axis, rotor = rng.uniform(-math.pi, math.pi, (20, 40)), rng.random((20, 40)) < 0.7
-    surface = sg.Surface(axis, rotor, tilt=math.radians(6.0))
+    surface = sg.Surface(axis, rotor, tilt=math.radians(6.0), tilt_direction=tilt_direction)
     parcel = sg.Parcel(sg.Disc(0.22), mass=3.0, com_offset=(0.03, 0.01), com_height=0.05)
     start, velocity = (0.6, 1.0, 7.0), (1.0, 0.2, 2.0)
     light = validation.Recipe().lighter_rotors(1000.0)

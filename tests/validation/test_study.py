@@ -10,7 +10,7 @@ from rich.console import Console
 import surface_gym as sg
 from surface_gym import validation
 from surface_gym.trajectory import Trajectory
-from surface_gym.validation import command, comparison, drawn, study
+from surface_gym.validation import command, comparison, crowds, drawn, study
 from surface_gym.validation.comparison import Errors
 from surface_gym.validation.report import as_data, draw_all, print_report
 
@@ -96,6 +96,10 @@ def found(tilted, pushed):
             drawn.MeetingRun(drawn.Meeting(k), rng.normal(size=(2, 2, 3)), np.eye(2, 3), k == 1)
             for k in range(3)
         ),
+        crowds=tuple(
+            crowds.CrowdRun(crowds.Crowd(k), rng.normal(size=(2, 7, 3)), np.ones((7, 3)), k == 1)
+            for k in range(2)
+        ),
     )
 
 
@@ -121,7 +125,7 @@ def test_the_report_holds_every_part(found, tmp_path):
     text = (tmp_path / "report").read_text()
     for part in (
         "Adams / MATLAB, printed", "MuJoCo 10 deg", "3 drawn meetings", "implicit, 5 ms",
-        "1 of them tip in MuJoCo", "What this cannot show: the base is flat",
+        "1 of them tip in MuJoCo", "2 drawn, 14 parcels", "What this cannot show: the base is flat",
     ):  # fmt: skip
         assert part in text
     assert "…" not in text  # nothing is cut off at 80 columns
@@ -133,6 +137,7 @@ def test_the_data_is_json_and_every_figure_is_drawn(found, tmp_path):
     assert len(data["uneven_supports"]) == len(drawn.CASES) * len(drawn.UNEVEN)
     assert [each["tips_in_mujoco"] for each in data["meetings"]] == [False, True, False]
     np.testing.assert_allclose(data["meetings"][2]["error_mm_mm_deg"], found.meetings[2].analytic)
+    np.testing.assert_allclose(data["crowds"][1]["error_mm_mm_deg"], found.crowds[1].analytic)
     paths = draw_all(found, tmp_path)
     figures = [f"figure{k}" for k in range(12, 17)]
     assert [path.stem for path in paths] == [*figures, "uneven_supports"]

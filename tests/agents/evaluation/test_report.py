@@ -23,6 +23,7 @@ from surface_gym.agents.evaluation import capacity, report, streams, tables
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
+from surface_gym.agents.evaluation.material_flow import TASKS as SLOPES
 from surface_gym.agents.evaluation.methods import rules
 from surface_gym.agents.evaluation.robustness import FILE as SWEPT
 from surface_gym.agents.evaluation.tables import task_table
@@ -144,7 +145,7 @@ def keep(rows: Sequence[Any], file: Path) -> list[str]:
     ],
 )
 def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> None:
-    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS)
+    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS, *SLOPES)
     with pytest.raises(ValueError, match=message):
         EvaluateConfig(**given)
 

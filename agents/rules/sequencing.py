@@ -1,0 +1,258 @@
+"""A rule that brings parcels into an order on a slope: a passage in the middle, parking beside it.
+
+Who must let others go first is led aside and held; who may go rolls past those that wait, straight
+on where nobody is ahead, or through the passage.
+"""
+
+import math
+from typing import NamedTuple
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.sequence import PLACE, Sequence
+from surface_gym.physics.jit import compiled, inlined, linked
+
+from ..base import Integers, Numbers, Singles
+from .singulation import (
+    NOBODY,
+    Brakes,
+    Parcels,
+    Slope,
+    SlopeMemory,
+    SlopeRule,
+    Slots,
+    Tuning,
+    choose_halves,
+    find_distance,
+    find_slot,
+    follow,
+    forget_slots,
+    give_slot,
+    hold,
+    read_parcels,
+    rolling_time,
+    speed_for,
+)
+
+
+class Parking(NamedTuple):
+    """Where parcels wait."""
+
+    beside: float = 0.47  # [m] from the middle to those that wait beside the passage
+    passage: float = 0.22  # [m] half of the passage's width
+    spacing: float = 0.08  # [m] behind one that goes before,
+    leading_out: float = 0.07  # [m] behind one that is to be passed, beside what that takes
+    stop: float = 0.35  # [m] before the end, of the first
+    near: float = 0.02  # [m] from where a parcel is to be that is near enough
+
+
+@linked
+def sort_by_place(table: Singles, order: Integers) -> int:
+    """Write the rows of parcels in the order in which they are to leave; return their number."""
+    count = 0
+    for k in range(table.shape[0]):
+        if table[k, ta.PRESENT] < 0.5 or table[k, ta.WAITS] > 0.5:
+            continue
+        place = count
+        while place > 0 and table[order[place - 1], PLACE] > table[k, PLACE]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = k
+        count += 1
+    for place in range(count, order.shape[0]):
+        order[place] = NOBODY
+    return count
+
+
+@inlined
+def _overlap(parcels: Parcels, j: int, k: int) -> bool:
+    """Whether one is ahead of or behind another, so that they would meet."""
+    across = parcels.across[j] + parcels.across[k]
+    return abs(parcels.y[j] - parcels.y[k]) < across - 0.005
+
+
+@inlined
+def _must_wait(parcels: Parcels, order: Integers, ready: int, place: int) -> bool:
+    """Whether one that is to leave before a parcel has not come, or is behind it."""
+    if place >= ready:
+        return True
+    k = order[place]
+    for before in range(place):
+        j = order[before]
+        if parcels.x[j] < parcels.x[k] + 0.5 * (parcels.along[k] - parcels.along[j]):
+            return True
+    return False
+
+
+@linked
+def find_parking(
+    slope: Slope, parking: Parking, parcels: Parcels, order: Integers, count: int, place: int
+) -> tuple[float, float]:
+    """Find where a parcel is to wait: [m] its y, and the x of its front at most.
+
+    It keeps to the side that it is on; from the middle it goes where fewer wait that it must pass.
+    """
+    k = order[place]
+    room_left = room_right = slope.length - parking.stop
+    cost_left = cost_right = 0.0
+    for other in range(count):
+        j = order[other]
+        if j == k or parcels.x[j] <= parcels.x[k]:
+            continue
+        passes = other > place
+        rear = parcels.x[j] - parcels.along[j]
+        rear -= parking.spacing
+        if passes:
+            rear -= parking.leading_out + parcels.across[j] + parcels.across[k]
+        if parcels.y[j] + parcels.across[j] > parking.passage:
+            room_left = min(room_left, rear)
+            cost_left += 1.0 if passes else 0.0
+        if parcels.y[j] - parcels.across[j] < -parking.passage:
+            room_right = min(room_right, rear)
+            cost_right += 1.0 if passes else 0.0
+    front = parcels.x[k] + parcels.along[k] + parking.beside
+    cost_left += 10.0 * max(0.0, front - room_left) - 0.1 * room_left
+    cost_right += 10.0 * max(0.0, front - room_right) - 0.1 * room_right
+    if abs(parcels.y[k]) > 0.08:
+        side = math.copysign(1.0, parcels.y[k])
+    else:
+        side = 1.0 if cost_left <= cost_right else -1.0
+    y = min(parking.beside, slope.half_width - parcels.across[k] - 0.01)
+    y = max(y, min(slope.half_width - parcels.across[k], parking.passage + parcels.across[k]))
+    return side * y, room_left if side > 0.0 else room_right
+
+
+@linked
+def limit_in_order(
+    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int, free: bool
+) -> float:
+    """[m/s] at most, so that a parcel keeps off those ahead of it.
+
+    One that is to be led past another keeps the room that this takes, until it is free to go.
+    """
+    limit = math.inf
+    for place in range(count):
+        j = order[place]
+        if j == k or parcels.x[j] <= parcels.x[k] or not _overlap(parcels, j, k):
+            continue
+        room = parcels.x[j] - parcels.x[k] - parcels.along[j] - parcels.along[k]
+        shift = parcels.shift[k]
+        if shift != 0.0:
+            aside = parcels.y[k] + shift - parcels.y[j]
+            past = parcels.across[j] + parcels.across[k]
+            away = past - math.copysign(1.0, shift) * (parcels.y[k] - parcels.y[j])
+            if abs(aside) >= past - 0.005:
+                if free and away + 0.02 < room:
+                    continue
+                room -= away + 0.03
+        room -= 0.3 * tuning.clear
+        limit = min(limit, follow(slope, tuning, room, max(0.0, parcels.vx[j])))
+    return limit
+
+
+@linked
+def is_free(parcels: Parcels, order: Integers, count: int, k: int) -> bool:
+    """Return whether no other is beside a parcel where it is to be led, or will be by then.
+
+    Those that it would meet as it is are none of these: it follows them, or they follow it.
+    """
+    shift = parcels.shift[k]
+    for place in range(count):
+        j = order[place]
+        ahead = parcels.x[j] - parcels.x[k]
+        aside = math.copysign(1.0, shift) * (parcels.y[j] - parcels.y[k])
+        long, wide = parcels.along[j] + parcels.along[k], parcels.across[j] + parcels.across[k]
+        if j == k or aside < wide - 0.005 or aside >= abs(shift) + wide + 0.01:
+            continue
+        nears = 0.5 * max(0.0, parcels.vx[j] - parcels.vx[k])
+        if -(long + 0.02 + nears) < ahead < long + 0.05 + aside - wide:
+            return False
+    return True
+
+
+@compiled
+def choose_in_order(
+    tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: Parcels,
+    slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
+) -> None:  # fmt: skip
+    """Choose halves (num_envs, rows, 2) that let parcels leave in their order."""
+    for i in range(tables.shape[0]):
+        table = tables[i]
+        read_parcels(table, slope, tuning, parcels)
+        count = sort_by_place(table, order[i])
+        for k in range(table.shape[0]):
+            if table[k, ta.PRESENT] > 0.5 and table[k, ta.TIME] < came[i, k]:
+                brakes.due[i, k] = 0.5
+            came[i, k] = table[k, ta.TIME]
+        ready = 0  # so many of the first in the order are all there
+        while ready < count and 8.0 * table[order[i, ready], PLACE] < ready + 0.5:
+            ready += 1
+        forget_slots(slots)
+        for place in range(count):
+            k = order[i, place]
+            distance = find_distance(slope, parcels, k)
+            parcels.shift[k] = 0.0
+            waits = _must_wait(parcels, order[i], ready, place)
+            if waits:
+                y, front = find_parking(slope, parking, parcels, order[i], count, place)
+                if abs(y - parcels.y[k]) > parking.near:
+                    parcels.shift[k] = y - parcels.y[k]
+                # It comes as far along as aside while it is led.
+                room = front - parcels.x[k] - parcels.along[k] - abs(parcels.shift[k])
+                speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
+                free = is_free(parcels, order[i], count, k)
+                if parcels.shift[k] != 0.0 and free:
+                    speed = max(speed, 0.25)
+                room = slope.length - 0.1 - parcels.x[k] - parcels.along[k]
+                most = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
+                speed = min(speed, most)
+            else:
+                _lead_out(parking, parcels, order[i], count, place)
+                free = is_free(parcels, order[i], count, k)
+                late = abs(parcels.shift[k]) * tuning.shift_cost
+                slot = rolling_time(slope, distance, parcels.vx[k]) + late
+                slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
+                give_slot(slope, parcels, slots, k, slot)
+                time = slot - late - min(0.02, 0.02 * distance)
+                speed = speed_for(slope, distance, time)
+                gained = min(slope.take_away, speed + slope.rolls * slope.period)
+                speed = gained if speed > 0.0 else 0.0
+            limit = limit_in_order(slope, tuning, parcels, order[i], count, k, free)
+            speed = min(speed, limit)
+            choose_halves(slope, tuning, parcels, k, speed, free, brakes, i, halves[i, k])
+            if not free or parcels.shift[k] == 0.0:
+                hold(parcels, k, speed, halves[i, k])
+
+
+@inlined
+def _lead_out(parking: Parking, parcels: Parcels, order: Integers, count: int, place: int) -> None:
+    """Let a parcel that goes be led into the passage if one that waits is ahead of it."""
+    k = order[place]
+    for after in range(place + 1, count):
+        j = order[after]
+        if parcels.x[j] > parcels.x[k] and _overlap(parcels, j, k):
+            if abs(parcels.y[k]) > parking.near:
+                parcels.shift[k] = -parcels.y[k]
+            break
+
+
+class PassAndPark(SlopeRule):
+    """Let parcels leave in their order: who must wait is parked beside a passage."""
+
+    def __init__(
+        self, config: EnvConfig, tuning: Tuning | None = None, parking: Parking | None = None
+    ) -> None:
+        checks.instance("task", config.task, Sequence, "a Sequence")
+        super().__init__(config, tuning)
+        self._slope = self._slope._replace(alignment=min(self._slope.alignment, ALIGNMENT))
+        self._parking = Parking() if parking is None else parking
+
+    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
+        choose_in_order(
+            tables, self._slope, self._tuning, self._parking, self._parcels, self._slots,
+            *memory, halves,
+        )  # fmt: skip
+
+
+ALIGNMENT = math.radians(8.0)  # to which parcels are turned, as they are narrower then

@@ -1,0 +1,105 @@
+"""The task of bringing parcels into an order on a slope."""
+
+import math
+from dataclasses import dataclass
+
+from surface_gym import checks
+from surface_gym.flow import state as fs
+from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.state import StreamParams
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import FEATURES, NEXT, TakeAwayTask, bulk_parcels, slope_line
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import Array
+from surface_gym.state import EnvState
+from surface_gym.tasks.base import Feature
+
+PLACE = len(FEATURES)  # place of the feature of a parcel's place in the order
+MOST_WINDOW = 64
+_observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
+
+
+def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
+    """Make boxes of mixed sizes that come one by one, out of order, at a mean rate [parcels/h].
+
+    So many in a row as the window has come in an order by chance; at least 1 s apart, in the middle
+    of the upper edge, nearly straight, at 0.8 m/s.
+    """
+    turned = (-math.radians(5.0), math.radians(5.0))
+    law = Poisson(rate, least_gap=1.0)
+    return Stream(law, bulk_parcels(), speeds=0.8, turned=turned, window=window)
+
+
+@dataclass(frozen=True)
+class Sequence(TakeAwayTask):
+    """Bring parcels into the order in which they are to leave: a truck's load, a kit.
+
+    Each parcel has a place in an order. They come out of it, by a window: of so many in a row any
+    may be first. They are to leave by the lower end in their order, each at least `gap` behind the
+    one before. No motor drives them: the slope pulls, and the modules brake, hold, turn and lead
+    them aside. Parcels whose turn has not come must wait where others can pass them.
+
+    What `Singulate` says of the surface, the end, actions, reward, episode and infos holds here; so
+    does its table, which has one feature more. The surface is shorter, 3 m x 1.4 m.
+
+    ### Order
+
+    `stream` numbers the parcels: `Stream(..., window=4)` numbers each four in a row by chance. A
+    parcel leaves rightly only if all of a lower number have left. By default they come one by one
+    in the middle, 2000 an hour, with a window of 4.
+
+    ### Observation
+
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 28 | what Singulate shows |
+    | 29 | how many are to leave before it, of those that have not / 8 |
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Sequence-v0", actions="parcels", duration=8.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> truncated = False
+        >>> while not truncated:  # every parcel rolls on
+        ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
+        >>> info["entered"], info["right"], info["wrong"]
+        (6, 4, 1)
+
+    ### Version history
+
+    - `v0`: first version.
+    """
+
+    stream: Stream = shuffled()
+
+    patience: float = 20.0  # [s] without motion that make a jam: parcels may wait for one to come
+
+    line = slope_line(3.0)
+    features = (
+        *FEATURES,
+        Feature("place", -100.0, 100.0, "how many are to leave before it, of those still to / 8"),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.integer("window", self.stream.window, 1, MOST_WINDOW)
+
+    @staticmethod
+    @inlined
+    def deliver(
+        params: StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
+    ) -> tuple[bool, float, float]:
+        """Return whether a parcel has left as Singulate asks, and in its turn; its gap [m] and
+        [rad] how it is turned.
+        """
+        right, gap, off = _deliver(params, state, taken, passed, belt, runs)
+        return right and state.goal[fs.ORDER] <= passed[fs.NEXT], gap, off
+
+    @staticmethod
+    @inlined
+    def observe(state: EnvState, waits: bool) -> None:
+        """Show a parcel as it is sensed, and its place in the order."""
+        _observe(state, waits)
+        before = state.goal[fs.ORDER] - state.goal[NEXT]
+        state.observation[PLACE] = min(100.0, max(-100.0, before / 8.0))

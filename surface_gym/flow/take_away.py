@@ -1,0 +1,534 @@
+"""Tasks on a slope whose parcels leave by its end onto a take-away conveyor.
+
+What they share: the line, the bulk of parcels that comes, who has left rightly, the observation,
+the reward, and the statistics of an episode.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks, state as st
+from surface_gym.flow import state as fs
+from surface_gym.flow.arrivals import HOUR, Poisson
+from surface_gym.flow.exits import PITCH, RUN_OUT
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import StreamTask
+from surface_gym.lines import Pattern
+from surface_gym.parcel import Parcel, Rectangle
+from surface_gym.physics.jit import inlined
+from surface_gym.physics.types import (
+    GRAVITY,
+    HALF_LENGTH,
+    OMEGA,
+    RADIUS,
+    THETA,
+    VX,
+    VY,
+    Array,
+    Booleans,
+    Integers,
+    X,
+    Y,
+)
+from surface_gym.state import EnvState, reach_along
+from surface_gym.tasks.base import Feature
+
+
+def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
+    """Make a surface of rotors [m] long and wide, with supports after it.
+
+    Parcels leave before their rear is past the rotors, so that the supports bear what hangs over.
+    """
+    columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
+    rows = round(checks.positive("width", width, *checks.LENGTH) / PITCH)
+    rotor = np.zeros((rows, columns + RUN_OUT), dtype=bool)
+    rotor[:, :columns] = True
+    return Pattern(rotor=rotor)
+
+
+BULK_SEED = 28
+LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
+
+
+def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
+    """Draw boxes of mixed sizes, the same for the same seed.
+
+    Length, width and mass are uniform: 0.2 to 0.45 m, 0.2 to 0.4 m and 1 to 15 kg.
+
+    Args:
+        count: of parcels.
+        seed: of the draws.
+    """
+    checks.integer("count", count, least=1)
+    rng = np.random.default_rng(checks.integer("seed", seed, least=0))
+    return tuple(
+        Parcel(Rectangle(rng.uniform(*LENGTHS), rng.uniform(*WIDTHS)), mass=rng.uniform(*MASSES))
+        for _ in range(count)
+    )
+
+
+def bulk(rate: float = 9000.0) -> Stream:
+    """Make a bulk of boxes of mixed sizes at a mean rate [parcels/h].
+
+    They come at random, anywhere across the surface, turned by any angle, at 0.8 m/s.
+    """
+    turned = (-math.pi, math.pi)
+    return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, aside=(-1.0, 1.0), turned=turned)
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Stops of the take-away: it runs and stands in turn, each for a uniform time."""
+
+    run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
+    stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
+    notice: float = 1.0  # [s] before each stop from which on it shows as standing
+
+    def __post_init__(self) -> None:
+        for name in ("run", "stop"):
+            low, high = checks.array(name, getattr(self, name), (2,)).tolist()
+            if not checks.PATIENCE[0] <= low <= high <= checks.EPISODE:
+                raise ValueError(
+                    f"{name} must be the least and the greatest time, from {checks.PATIENCE[0]:g} "
+                    f"to {checks.EPISODE:g} s, got {getattr(self, name)!r}"
+                )
+            object.__setattr__(self, name, (low, high))
+        notice = checks.not_negative("notice", self.notice, self.run[0])
+        object.__setattr__(self, "notice", notice)
+
+
+# Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
+FEATURES: tuple[Feature, ...] = (
+    Feature("to the end", -20.0, 1000.0, "from its centre along x / 1 m"),
+    Feature("offset", -20.0, 20.0, "of its centre from the line's middle, y / 0.5 m"),
+    Feature("sine of theta", -1.0, 1.0, ""),
+    Feature("cosine of theta", -1.0, 1.0, ""),
+    Feature("forward speed", -10.0, 10.0, "vx / 1 m/s - 1"),
+    Feature("lateral speed", -20.0, 20.0, "vy / 0.5 m/s"),
+    Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
+    Feature("length", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m"),
+    Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
+    Feature("front", -10.0, 100.0, "(reach of its base along x, turned as it is - 0.2 m) / 0.1 m"),
+    Feature("rear", -10.0, 100.0, "of its base against x, in the same way"),
+    Feature("left", -10.0, 100.0, "of its base along y"),
+    Feature("right", -10.0, 100.0, "of its base against y"),
+    Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth / 0.3 m"),
+    Feature("to turn", -1.0, 1.0, "until its sides lie along the line / 45 deg"),
+    Feature("rolling", 0.0, 20.0, "time until it has left if it rolls / 4 s"),
+    Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap / 0.5 m"),
+    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
+    Feature("time", -1000.0, 1000.0, "since it entered / 4 s; negative: since its time came"),
+    Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
+    Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface"),
+    *(
+        Feature(f"{name} {where}", low, high, meaning)
+        for where in ("ahead", "behind")
+        for name, low, high, meaning in (
+            ("gap", -20.0, 20.0, "clear along x / 0.5 m; 8: there is none"),
+            ("speed", -20.0, 20.0, "its vx over the own / 0.5 m/s"),
+            ("offset", -20.0, 20.0, "its y over the own / 0.3 m"),
+            ("extent", -10.0, 100.0, "half of its extent along y, as of this one"),
+        )
+    ),
+)
+END, OFFSET, SINE, COSINE, FORWARD, LATERAL, TURNING, LENGTH, WIDTH = range(9)
+FRONT, REAR, LEFT, RIGHT, TO_MOUTH, TO_TURN, ROLLS, CLEAR = range(9, 17)
+TAKES_AWAY, TIME, PRESENT, WAITS = range(17, 21)
+NEIGHBOUR = WAITS + 1  # place of the first number of the neighbour ahead
+NEIGHBOUR_SIZE = 4
+FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
+
+PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "progress", "time")
+RIGHT_REWARD = 1.0  # once, as a parcel leaves as it was to
+WRONG_REWARD = -1.0  # once, as it leaves otherwise
+TOUCH_REWARD = -0.02  # for each parcel that begins to touch another
+PROGRESS_REWARD = 0.05  # per metre towards the end
+TIME_REWARD = -0.02  # per second of each parcel on the surface
+
+GRIP = 0.5  # [-] friction of the take-away's belt, which a parcel slides on until it has its speed
+ROUND_OFF = 1e-6  # [m]
+AT_LEAST = 1e-3  # [m/s] speed of one that leaves, for where it was as its centre passed the end
+QUARTER, EIGHTH = 0.5 * math.pi, 0.25 * math.pi  # [rad]
+
+# Places in a parcel's goal, after those of every stream.
+LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
+BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
+
+
+@inlined
+def misalignment(state: EnvState, theta: float) -> float:
+    """[rad] by which a base is turned from its sides lying along the line, within 45 deg.
+
+    A disc lies as it should whichever way it is turned.
+    """
+    if state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0:
+        return 0.0
+    return theta - QUARTER * math.floor(theta / QUARTER + 0.5)
+
+
+@inlined
+def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
+    """Whether a normal of the edges of `normals` keeps two bases a gap [m] apart."""
+    cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
+    dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
+    for k in range(normals.edges.shape[0]):
+        nx = cosine * normals.edges[k, 0] - sine * normals.edges[k, 1]
+        ny = sine * normals.edges[k, 0] + cosine * normals.edges[k, 1]
+        if nx * dx + ny * dy < 0.0:
+            nx, ny = -nx, -ny
+        reach = reach_along(one, one.truth[THETA], nx, ny)
+        reach += reach_along(other, other.truth[THETA], -nx, -ny)
+        if nx * dx + ny * dy - reach >= gap:
+            return True
+    return False
+
+
+@inlined
+def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
+    """Whether two bases lie a gap [m] apart, by a line between them along an edge or across the
+    line of their centres.
+    """
+    dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
+    apart = math.sqrt(dx * dx + dy * dy)
+    if apart == 0.0:
+        return False
+    nx, ny = dx / apart, dy / apart
+    reach = reach_along(one, one.truth[THETA], nx, ny)
+    if apart - reach - reach_along(other, other.truth[THETA], -nx, -ny) >= gap:
+        return True
+    return _separates(one, other, one, gap) or _separates(one, other, other, gap)
+
+
+@inlined
+def rolling_time(distance: float, speed: float, acceleration: float) -> float:
+    """[s] until a parcel has gone a distance [m] that rolls from a speed [m/s]."""
+    start = max(0.0, speed)
+    if acceleration <= 1e-6:
+        return distance / max(start, 1e-3)
+    return (math.sqrt(start * start + 2.0 * acceleration * distance) - start) / acceleration
+
+
+@dataclass(frozen=True)
+class TakeAwayStatistics:
+    """Statistics of one episode; nan where nothing happened."""
+
+    delivered: int  # parcels that left the surface
+    parcels_per_hour: float  # [1/h] that left as they were to
+    right_gaps: float  # [-] share, of gaps on the take-away, that are at least as asked
+    gap_mean: float  # [m] between parcels on the take-away, one after the other
+    gap_5: float  # [m] their 5th percentile
+    gap_spread: float  # [m] their standard deviation
+    aligned: float  # [-] share, of those that left by a mouth, that lay as asked
+    beside: float  # [-] share, of those that left, beside the mouths or over the sides
+    touches_per_1000: float  # times that two began to touch, per 1000 parcels delivered
+    jams_per_1000: float  # jams per 1000 parcels delivered
+    impulse_most: float  # [N s] largest between two in a physics step
+    squeeze_most: float  # [N] largest force between two, as a mean over 0.1 s
+    time_mean: float  # [s] on the surface
+    time_95: float  # [s] its 95th percentile
+    waiting_mean: float  # [s] at the entry, of those that have entered
+    unfairness: float  # [s] largest mean wait of an inlet, less the smallest
+    order_errors: float  # [-] share, of those that left, that did before one of a lower place
+    turns_per_hour: float  # [1/h] of a module's axis, mean over those that obey: its wear
+
+
+def compute_statistics(
+    task: "TakeAwayTask", streams: fs.StreamState, surface: int, jammed: bool, obeying: int
+) -> TakeAwayStatistics:
+    """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+    count = int(streams.arrivals[surface])
+    time, entered, left, gap = (
+        values[surface, :count]
+        for values in (streams.time, streams.entered, streams.left, streams.gap)
+    )
+    taken, right = streams.taken[surface, :count], streams.right[surface, :count]
+    clock, off = float(streams.clock[surface]), streams.off[surface, :count]
+    gone, through = ~np.isnan(left), taken >= 0
+    delivered = int(gone.sum())
+    gaps = gap[through & np.isfinite(gap)]
+    stay = (left - entered)[gone]
+    inside = ~np.isnan(entered)
+    inlet = streams.inlet[surface, :count]
+    waits = [
+        float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
+    ]
+    per_parcel = 1000.0 / delivered if delivered else np.nan
+    turns = HOUR * float(streams.tally[surface, fs.TURNS])
+    return TakeAwayStatistics(
+        delivered=delivered,
+        parcels_per_hour=HOUR * float(right.sum()) / clock if clock > 0.0 else np.nan,
+        right_gaps=fs.mean(gaps >= task.gap - ROUND_OFF),
+        gap_mean=fs.mean(gaps),
+        gap_5=fs.percentile(gaps, 5.0),
+        gap_spread=float(gaps.std()) if gaps.size else np.nan,
+        aligned=fs.mean(np.abs(off[through]) <= task.alignment + ROUND_OFF),
+        beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
+        touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
+        jams_per_1000=float(jammed) * per_parcel,
+        impulse_most=float(streams.impulse[surface]),
+        squeeze_most=float(streams.squeeze[surface]),
+        time_mean=fs.mean(stay),
+        time_95=fs.percentile(stay, 95.0),
+        waiting_mean=fs.mean((entered - time)[inside]),
+        unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
+        order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], left[gone])),
+        turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
+    )
+
+
+def _is_early(order: Integers, left: Array) -> Booleans:
+    """Return (parcels,) which of those that left did so before one of a lower place had."""
+    by_time = np.argsort(left, kind="stable")
+    after = np.minimum.accumulate(order[by_time][::-1])[::-1]
+    early = np.zeros(len(order), dtype=np.bool_)
+    early[by_time[:-1]] = order[by_time[:-1]] > after[1:]
+    return early
+
+
+@dataclass(frozen=True)
+class TakeAwayTask(StreamTask):
+    """A task on a slope whose parcels leave by its end onto a take-away conveyor.
+
+    A parcel leaves as its centre passes the end of the rotors. The take-away then carries it at its
+    own speed; until it has that speed it slides, with a friction of 0.5. The gap to the parcel
+    before it is the one between their bases on the take-away.
+    """
+
+    stream: Stream = bulk()
+    exits: Any = "end"  # "end", "mouth", "mouths", or `Exits` that all lie straight on
+    tilt: float = math.radians(8.0)  # [rad] downhill towards +x
+    max_parcels: int = 32
+    entry_gap: float = 0.0  # [m] that one that enters is clear of all others, in any direction
+    patience: float = 4.0  # [s] without motion, while the take-away runs, that make a jam
+    take_away: float = 2.0  # [m/s] speed of the conveyor after the surface
+    gap: float = 0.3  # [m] at least between parcels on it
+    alignment: float = EIGHTH  # [rad] a parcel's sides may be off the line's; 45 deg: anyhow
+    demand: Stops | None = None  # when the take-away stands; None: never
+
+    line = slope_line()
+    features = FEATURES
+    parcel_terms = PARCEL_TERMS
+    terms = (*PARCEL_TERMS, "waiting", "jam")
+    waiting_reward: ClassVar[float] = 0.0
+    goals = fs.GOALS + 7
+    memories = 2
+    statistics = TakeAwayStatistics
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        set_field = object.__setattr__
+        set_field(
+            self, "take_away", checks.positive("take_away", self.take_away, most=checks.SPEED)
+        )
+        set_field(self, "gap", checks.not_negative("gap", self.gap, checks.LENGTH[1]))
+        set_field(self, "alignment", checks.angle("alignment", self.alignment, 0.0, EIGHTH))
+        checks.instance("demand", self.demand, Stops | None, "Stops, or None")
+
+    def check(self, config: Any) -> None:
+        for each in config.exits:
+            if each.side:
+                raise ValueError(f"exits must all lie straight on, got {each.name!r} to a side")
+        super().check(config)
+
+    @property
+    def most_changes(self) -> int:
+        if self.demand is None:
+            return 0
+        return 2 * math.ceil(self.duration / (self.demand.run[0] + self.demand.stop[0])) + 2
+
+    @property
+    def notice(self) -> float:
+        return 0.0 if self.demand is None else self.demand.notice
+
+    def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        if self.demand is None:
+            return np.zeros(0)
+        count = self.most_changes // 2
+        times = [rng.uniform(*bounds, count) for bounds in (self.demand.run, self.demand.stop)]
+        return np.cumsum(np.transpose(times).ravel())
+
+    def compute_statistics(
+        self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
+    ) -> TakeAwayStatistics:
+        return compute_statistics(self, streams, surface, jammed, obeying)
+
+    @staticmethod
+    @inlined
+    def begin(state: EnvState) -> None:
+        """Remember where the parcel enters."""
+        state.memory[BEFORE] = state.truth[X]
+
+    @staticmethod
+    @inlined
+    def outside(state: EnvState, x: float, y: float) -> float:
+        """Return how far a point lies outside the base, as it is sensed: parcels lie any way."""
+        sensed = state.sensed
+        cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
+        dx, dy = x - sensed[X], y - sensed[Y]
+        if state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0:
+            return max(0.0, math.sqrt(dx * dx + dy * dy) - state.body[RADIUS])
+        own_x, own_y = cosine * dx + sine * dy, cosine * dy - sine * dx
+        most = 0.0
+        for k in range(state.edges.shape[0]):
+            edge = state.edges[k]
+            most = max(most, edge[0] * own_x + edge[1] * own_y - edge[2])
+        return most
+
+    @staticmethod
+    @inlined
+    def has_room(params: fs.StreamParams, state: EnvState, other: EnvState) -> bool:
+        """Return whether the bases of one that enters and of another are `entry_gap` apart."""
+        return is_clear_of(state, other, params.entry_gap)
+
+    @staticmethod
+    @inlined
+    def has_left(params: fs.StreamParams, state: EnvState) -> bool:
+        """Return whether the parcel's centre is past the rotors, or no rotor bears it."""
+        if not state.on_rotors:
+            return True
+        if state.com[X] <= params.rotors_end - state.body[RADIUS]:
+            return False
+        st.read_truth(state)
+        return state.truth[X] > params.rotors_end
+
+    @staticmethod
+    @inlined
+    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
+        """Find the exit by which a parcel has left past the end, or BETWEEN them."""
+        offset = state.truth[Y] - state.elements.line_y
+        if state.truth[X] > params.rotors_end:
+            for k in range(params.exits.shape[0]):
+                if params.exits[k, 1] <= offset < params.exits[k, 2]:
+                    return k
+        return fs.BETWEEN
+
+    @staticmethod
+    @inlined
+    def deliver(
+        params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
+    ) -> tuple[bool, float, float]:
+        """Return whether a parcel has left through a mouth, with its gap, aligned, while the
+        take-away runs; its gap [m], nan where none came before it; and [rad] how it is turned.
+        """
+        off = misalignment(state, state.truth[THETA])
+        if taken == fs.BETWEEN:
+            return False, math.nan, off
+        truth = state.truth
+        theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
+        beyond = speed - params.take_away
+        slip = beyond * abs(beyond) / (2.0 * GRIP * GRAVITY)
+        # The take-away had moved so far as the centre passed the end.
+        at_end = belt - params.take_away * (truth[X] - params.rotors_end) / speed
+        front = slip + reach_along(state, theta, 1.0, 0.0)
+        gap = math.nan if passed[fs.ANY] == 0.0 else at_end + passed[fs.REAR] - front
+        passed[fs.ANY] = 1.0
+        passed[fs.REAR] = slip - reach_along(state, theta, -1.0, 0.0) - at_end
+        offset = truth[Y] - state.elements.line_y
+        inside = (
+            offset + reach_along(state, theta, 0.0, 1.0) <= params.exits[taken, 2]
+            and offset - reach_along(state, theta, 0.0, -1.0) >= params.exits[taken, 1]
+        )
+        aligned = abs(off) <= params.alignment + ROUND_OFF
+        return runs and inside and aligned and not gap < params.gap - ROUND_OFF, gap, off
+
+    @staticmethod
+    @inlined
+    def inform(
+        params: fs.StreamParams,
+        state: EnvState,
+        passed: Array,
+        belt: float,
+        runs: bool,
+        stops: bool,
+    ) -> None:
+        """Write the nearest mouth, and where the last parcel that left by it is, into the goal."""
+        offset = state.sensed[Y] - state.elements.line_y
+        nearest, least = 0, math.inf
+        for k in range(params.exits.shape[0]):
+            away = max(params.exits[k, 1] - offset, offset - params.exits[k, 2])
+            if away < least:
+                nearest, least = k, away
+        goal = state.goal
+        goal[LOW] = params.exits[nearest, 1]
+        goal[HIGH] = params.exits[nearest, 2]
+        goal[LAST_REAR] = belt + passed[nearest, fs.REAR] if passed[nearest, fs.ANY] else math.inf
+        goal[RUNS] = 1.0 if runs and not stops else 0.0
+        goal[SLOPE_END] = params.rotors_end
+        goal[GAP] = params.gap
+        goal[NEXT] = passed[0, fs.NEXT]
+
+    @staticmethod
+    @inlined
+    def reward(state: EnvState, outcome: int) -> None:
+        """Pay for delivery and progress, and charge for touches and time."""
+        terms = state.terms
+        terms[0] = RIGHT_REWARD if outcome == fs.LEFT_RIGHT else 0.0
+        terms[1] = WRONG_REWARD if outcome == fs.LEFT_WRONG else 0.0
+        terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
+        terms[3] = PROGRESS_REWARD * (state.truth[X] - state.memory[BEFORE])
+        terms[4] = TIME_REWARD * state.period
+        state.memory[BEFORE] = state.truth[X]
+
+    @staticmethod
+    @inlined
+    def observe(state: EnvState, waits: bool) -> None:
+        """Show a parcel as it is sensed."""
+        sensed, goal = state.sensed, state.goal
+        theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
+        distance = goal[SLOPE_END] - sensed[X]
+        left, right = reach_along(state, theta, 0.0, 1.0), reach_along(state, theta, 0.0, -1.0)
+        # How far it must move so that neither of its sides is beyond the mouth's, or both alike.
+        below, above = goal[LOW] - (offset - right), goal[HIGH] - (offset + left)
+        to_mouth = max(0.0, below) + min(0.0, above)
+        if below > above:  # it is wider than the mouth
+            to_mouth = 0.5 * (below + above)
+        acceleration = state.surface[st.GRAVITY_X] - 0.01 * state.surface[st.GRAVITY_NORMAL]
+        see = state.observation
+        see[END] = min(1000.0, max(-20.0, distance))
+        see[OFFSET] = min(20.0, max(-20.0, offset / 0.5))
+        see[SINE] = math.sin(theta)
+        see[COSINE] = math.cos(theta)
+        see[FORWARD] = min(10.0, max(-10.0, sensed[VX] - 1.0))
+        see[LATERAL] = min(20.0, max(-20.0, sensed[VY] / 0.5))
+        see[TURNING] = min(50.0, max(-50.0, sensed[OMEGA] / 3.0))
+        see[LENGTH] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+        see[WIDTH] = (reach_along(state, 0.0, 0.0, 1.0) - 0.175) / 0.05
+        see[FRONT] = (reach_along(state, theta, 1.0, 0.0) - 0.2) / 0.1
+        see[REAR] = (reach_along(state, theta, -1.0, 0.0) - 0.2) / 0.1
+        see[LEFT] = (left - 0.2) / 0.1
+        see[RIGHT] = (right - 0.2) / 0.1
+        see[TO_MOUTH] = min(20.0, max(-20.0, to_mouth / 0.3))
+        see[TO_TURN] = min(1.0, max(-1.0, -misalignment(state, theta) / EIGHTH))
+        see[ROLLS] = min(20.0, rolling_time(max(0.0, distance), sensed[VX], acceleration) / 4.0)
+        see[CLEAR] = min(20.0, max(-20.0, (goal[LAST_REAR] - goal[GAP]) / 0.5))
+        see[TAKES_AWAY] = goal[RUNS]
+        see[TIME] = min(1000.0, max(-1000.0, state.clock / 4.0))
+        see[PRESENT] = 1.0
+        see[WAITS] = 1.0 if waits else 0.0
+
+    @staticmethod
+    @inlined
+    def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
+        """Show the next parcel ahead or behind, seen from this one."""
+        see = state.observation
+        first = NEIGHBOUR if ahead else NEIGHBOUR + NEIGHBOUR_SIZE
+        theta = other.sensed[THETA]
+        across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)
+        see[first] = min(2.0 * FAR, max(-2.0 * FAR, gap / 0.5))
+        see[first + 1] = min(20.0, max(-20.0, (other.sensed[VX] - state.sensed[VX]) / 0.5))
+        see[first + 2] = min(20.0, max(-20.0, (other.sensed[Y] - state.sensed[Y]) / 0.3))
+        see[first + 3] = (0.5 * across - 0.2) / 0.1
+
+    @staticmethod
+    @inlined
+    def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
+        """Show that there is no parcel that way."""
+        see = state.observation
+        first = NEIGHBOUR if ahead else NEIGHBOUR + NEIGHBOUR_SIZE
+        see[first] = 2.0 * FAR
+        for k in range(1, NEIGHBOUR_SIZE):
+            see[first + k] = 0.0

@@ -1,0 +1,158 @@
+"""Rules on slopes: who leaves rightly, held against what each task asks, and off their tuning."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.agents.rules.sequencing import PassAndPark
+from surface_gym.agents.rules.singulation import HoldAndRelease, SlopeRule, TimeSlots, read_slope
+from surface_gym.config import EnvConfig
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.inlets import side_by_side
+from surface_gym.flow.merge import lines
+from surface_gym.flow.sequence import shuffled
+from surface_gym.flow.state import JAM
+from surface_gym.flow.take_away import Stops, TakeAwayStatistics, bulk, slope_line
+from surface_gym.state import RUNNING
+
+ALIGNMENT, TILT = math.radians(10.0), math.radians(8.0)
+MOUTH: dict[str, Any] = {"exits": "mouth", "alignment": ALIGNMENT}
+
+
+def played(make: Any, task: str, **arguments: Any) -> tuple[TakeAwayStatistics, StreamBatch]:
+    """Play two minutes of a stream."""
+    given = {"duration": 120.0, **arguments}
+    config = EnvConfig(task, actions="parcels", **given)
+    batch = StreamBatch(config, 1)
+    batch.seed(0, np.random.default_rng(0))
+    batch.reset(np.array([0]))
+    rule, state = make(config), None
+    while batch.outcome[0] == RUNNING:
+        action, state = rule.predict(batch.observation, state, np.array([state is None]))
+        batch.step(config.action_kind.commands(action, 1))
+    return config.stream_task.compute_statistics(batch.streams, 0, False, 1), batch
+
+
+class TestTimeSlots:
+    @pytest.mark.parametrize(
+        ("task", "arguments", "least"),
+        [
+            ("singulate", {"stream": bulk(14_000.0)}, 8000.0),
+            ("singulate", {"stream": bulk(14_000.0), **MOUTH}, 5500.0),
+            ("singulate", {"stream": bulk(14_000.0), **MOUTH, "exits": "mouths"}, 7500.0),
+            ("singulate", {"stream": bulk(14_000.0), "demand": Stops()}, 4500.0),
+            ("merge", {"stream": lines(9000.0)}, 6000.0),
+            ("merge", {"stream": lines(9000.0), "inlets": side_by_side(2)}, 6000.0),
+        ],
+    )
+    def test_parcels_leave_one_by_one(self, task, arguments, least) -> None:
+        found, batch = played(TimeSlots, task, **arguments)
+        assert batch.outcome[0] != JAM
+        assert found.parcels_per_hour > least
+        assert found.right_gaps == 1.0
+        assert found.aligned > 0.99
+        assert found.beside < 0.01
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            {"line": slope_line(4.0, 1.0)},
+            {"tilt": math.radians(5.0)},
+            {"take_away": 1.2, "gap": 0.6},
+            {"control_period": 0.02},
+            {"sensors": sg.sensors.Camera(), "randomisation": sg.Randomisation(friction=0.2)},
+            {"max_parcels": 6},
+        ],
+    )
+    def test_it_holds_off_what_it_was_tuned_on(self, arguments) -> None:
+        found, batch = played(TimeSlots, "singulate", stream=bulk(12_000.0), **arguments)
+        assert batch.outcome[0] != JAM
+        assert found.right_gaps > 0.98
+        assert found.parcels_per_hour > 2500.0
+
+    def test_a_thin_stream_passes_as_it_comes(self) -> None:
+        found, batch = played(TimeSlots, "singulate", stream=bulk(900.0))
+        assert batch.streams.right[0, : batch.streams.arrivals[0] - 4].all()
+        assert found.time_mean < 2.9  # rolling takes 2.5 s
+
+
+def test_one_that_holds_and_releases_keeps_parcels_longer_and_gaps_right() -> None:
+    held, batch = played(HoldAndRelease, "singulate", stream=bulk(14_000.0))
+    slots, _ = played(TimeSlots, "singulate", stream=bulk(14_000.0))
+    assert batch.outcome[0] != JAM
+    assert held.right_gaps > 0.99
+    assert held.parcels_per_hour > 2500.0
+    assert held.time_mean > slots.time_mean
+
+
+@pytest.mark.parametrize(("window", "rate"), [(1, 3000.0), (2, 2600.0), (4, 2200.0), (8, 1600.0)])
+def test_parcels_leave_in_their_order(window: int, rate: float) -> None:
+    found, batch = played(PassAndPark, "sequence", stream=shuffled(rate, window))
+    assert batch.outcome[0] != JAM
+    assert found.order_errors == 0.0
+    assert found.right_gaps == 1.0
+    assert batch.streams.tally[0, 2] == 0  # wrong
+    assert found.parcels_per_hour > 0.85 * rate
+
+
+@pytest.mark.parametrize(
+    ("make", "task"),
+    [(TimeSlots, "merge"), (HoldAndRelease, "singulate"), (PassAndPark, "sequence")],
+)
+def test_a_batch_is_led_as_each_of_it_alone(make: type[SlopeRule], task: str) -> None:
+    config = EnvConfig(task, actions="parcels", duration=6.0)
+    rule, count = make(config), 3
+    together = StreamBatch(config, count)
+    alone = [StreamBatch(config, 1) for _ in range(count)]
+    for i in range(count):
+        together.seed(i, np.random.default_rng((7, i)))
+        alone[i].seed(0, np.random.default_rng((7, i)))
+        alone[i].reset(np.array([0]))
+    together.reset(np.arange(count))
+    state, states = None, [None] * count
+    for _ in range(150):
+        actions, state = rule.predict(together.observation, state)
+        for i, batch in enumerate(alone):
+            action, states[i] = rule.predict(batch.observation[0], states[i])
+            np.testing.assert_array_equal(action, actions[i])
+            batch.step(action[np.newaxis])
+        together.step(actions)
+
+
+def test_an_episode_that_begins_anew_forgets_the_last() -> None:
+    config = EnvConfig("singulate", actions="parcels")
+    rule = TimeSlots(config)
+    batch = StreamBatch(config, 2)
+    for i in range(2):
+        batch.seed(i, np.random.default_rng(5))
+    batch.reset(np.arange(2))
+    first, state = rule.predict(batch.observation)
+    other = rule.predict(np.roll(batch.observation, 1, axis=1), state)[1]
+    again, _ = rule.predict(batch.observation, other, np.array([True, False]))
+    np.testing.assert_array_equal(first[0], again[0])
+
+
+class TestArguments:
+    def test_a_surface_that_nothing_rolls_down_is_refused(self) -> None:
+        config = EnvConfig("singulate", actions="parcels", tilt=0.0)
+        with pytest.raises(ValueError, match="tilt must let parcels roll"):
+            TimeSlots(config)
+
+    def test_other_tasks_and_actions_are_refused(self) -> None:
+        with pytest.raises(ValueError, match="task must be one with a take-away"):
+            TimeSlots(EnvConfig("flow", actions="parcels"))
+        with pytest.raises(ValueError, match="task must be a Sequence"):
+            PassAndPark(EnvConfig("merge", actions="parcels"))
+        with pytest.raises(ValueError, match="actions must be"):
+            TimeSlots(EnvConfig("singulate"))
+        with pytest.raises(ValueError, match="hold must be"):
+            HoldAndRelease(EnvConfig("singulate", actions="parcels"), hold=-1.0)
+
+    def test_the_slope_is_that_of_the_physics(self) -> None:
+        slope = read_slope(EnvConfig("singulate", actions="parcels"))
+        assert slope.rolls == pytest.approx(9.81 * (math.sin(TILT) - 0.01 * math.cos(TILT)))
+        assert slope.length == pytest.approx(5.0)
+        np.testing.assert_allclose(slope.mouths, [[-0.7, 0.7]])
