@@ -410,11 +410,20 @@ class EnvConfig:
         """[m] edge of the line, where the rear of a parcel is as it enters."""
         return self.chosen_line.column_edge(0)
 
+    @cached_property
+    def rotors(self) -> tuple[int, int, int, int]:
+        """First row, rows, first column and columns of the part of the line that has rotors."""
+        rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
+        return (
+            int(rows[0]), int(rows[-1] - rows[0]) + 1,
+            int(columns[0]), int(columns[-1] - columns[0]) + 1,
+        )  # fmt: skip
+
     @property
     def rotors_end(self) -> float:
         """[m] x half a pitch past the last column with a rotor."""
-        last = int(np.nonzero(self.site.rotor.any(axis=0))[0][-1])
-        return self.chosen_line.column_edge(last + 1)
+        _, _, first_column, columns = self.rotors
+        return self.chosen_line.column_edge(first_column + columns)
 
     @property
     def inlets(self) -> Inlets:
@@ -424,9 +433,8 @@ class EnvConfig:
     @cached_property
     def entrances(self) -> tuple[Entrance, ...]:
         """The inlets as they lie on the surface."""
-        rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
-        rotors = int(rows[0]), len(rows), int(columns[0]), len(columns)
-        return tuple(find_entrance(each, self.chosen_line, rotors) for each in self.inlets)
+        line = self.chosen_line
+        return tuple(find_entrance(each, line, self.rotors) for each in self.inlets)
 
     @cached_property
     def exits(self) -> Exits:

@@ -263,9 +263,9 @@ class _StreamHistory:
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
     """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
     line, rotors_end = config.chosen_line, config.rotors_end
-    rows = np.nonzero(config.site.rotor.any(axis=1))[0]
-    low = line.origin[1] + line.pitch_y * (rows[0] - 0.5)
-    high = line.origin[1] + line.pitch_y * (rows[-1] + 0.5)
+    first_row, rows, _, _ = config.rotors
+    low = line.origin[1] + line.pitch_y * (first_row - 0.5)
+    high = line.origin[1] + line.pitch_y * (first_row + rows - 0.5)
     end = line.column_edge(line.columns)
     marks = []
     for each in config.exits:

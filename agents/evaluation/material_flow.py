@@ -28,7 +28,7 @@ from surface_gym.parallel import Workers
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.state import RUNNING
 
-from ..base import BatchController, Controller, Numbers
+from ..base import BatchController, Controller, Numbers, find_axes
 from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
 from ..scheduling.scheduler import begin_streams
@@ -41,6 +41,7 @@ TASKS = ("singulate", "merge", "sequence")
 REPLICATIONS = 10
 SECONDS = 200.0  # [s] of each
 ALIGNMENT = math.radians(10.0)
+TEXTS = ("scenario", "method", "preset", "rates")  # fields of a result that are no numbers
 OFFERED = {"singulate": 14_000.0, "merge": 10_000.0}  # [parcels/h] more than anybody takes
 IN_ORDER = 0.999  # [-] share of parcels that must leave in their order
 RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())  # [parcels/h] at which orders are tried
@@ -64,7 +65,7 @@ class RollOn(BatchController):
 
     def __init__(self, config: EnvConfig) -> None:
         self._size = config.action_kind.size
-        self._choice = config.action_kind.choices - 1  # 90 deg, the last on offer
+        self._choice = find_axes(config).roll
 
     def _predict(self, batch: Any, *_: Any, **__: bool) -> tuple[Any, None]:
         return np.full((len(batch), self._size), self._choice), None
@@ -228,11 +229,6 @@ def compute(scenario: Scenario, method: str, preset: str) -> MaterialFlowResult:
     return found
 
 
-def result(**plain: Any) -> MaterialFlowResult:
-    """Make a result from its fields as JSON has them."""
-    return MaterialFlowResult(**plain)
-
-
 def compute_material_flow(
     tasks: Sequence[str],
     workers: Workers,
@@ -247,7 +243,7 @@ def compute_material_flow(
         for preset in COMPARED
     }
     file = None if folder is None else folder / FILE
-    return list(compute_kept(jobs, result, workers, file, advance).values())
+    return list(compute_kept(jobs, MaterialFlowResult, workers, file, advance).values())
 
 
 def material_flow_tables(results: Sequence[MaterialFlowResult]) -> list[Table]:
@@ -326,9 +322,6 @@ def material_flow_numbers(results: Sequence[MaterialFlowResult]) -> list[dict[st
             for name, value in values.items()
         ]  # fmt: skip
     return rows
-
-
-TEXTS = ("scenario", "method", "preset", "rates")
 
 
 def write_material_flow(

@@ -14,7 +14,7 @@ from surface_gym.flow.sequence import PLACE, Sequence
 from surface_gym.physics.jit import compiled, inlined, linked
 
 from ..base import Integers, Numbers, Singles
-from .singulation import (
+from .slopes import (
     NOBODY,
     Brakes,
     Parcels,
@@ -30,10 +30,14 @@ from .singulation import (
     forget_slots,
     give_slot,
     hold,
+    is_there,
     read_parcels,
     rolling_time,
     speed_for,
+    stopping_speed,
 )
+
+ALIGNMENT = math.radians(8.0)  # to which parcels are turned, as they are narrower then
 
 
 class Parking(NamedTuple):
@@ -52,7 +56,7 @@ def sort_by_place(table: Singles, order: Integers) -> int:
     """Write the rows of parcels in the order in which they are to leave; return their number."""
     count = 0
     for k in range(table.shape[0]):
-        if table[k, ta.PRESENT] < 0.5 or table[k, ta.WAITS] > 0.5:
+        if not is_there(table[k]):
             continue
         place = count
         while place > 0 and table[order[place - 1], PLACE] > table[k, PLACE]:
@@ -200,13 +204,12 @@ def choose_in_order(
                     parcels.shift[k] = y - parcels.y[k]
                 # It comes as far along as aside while it is led.
                 room = front - parcels.x[k] - parcels.along[k] - abs(parcels.shift[k])
-                speed = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
+                speed = stopping_speed(slope, tuning, room)
                 free = is_free(parcels, order[i], count, k)
                 if parcels.shift[k] != 0.0 and free:
                     speed = max(speed, 0.25)
                 room = slope.length - 0.1 - parcels.x[k] - parcels.along[k]
-                most = math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
-                speed = min(speed, most)
+                speed = min(speed, stopping_speed(slope, tuning, room))
             else:
                 _lead_out(parking, parcels, order[i], count, place)
                 free = is_free(parcels, order[i], count, k)
@@ -253,6 +256,3 @@ class PassAndPark(SlopeRule):
             tables, self._slope, self._tuning, self._parking, self._parcels, self._slots,
             *memory, halves,
         )  # fmt: skip
-
-
-ALIGNMENT = math.radians(8.0)  # to which parcels are turned, as they are narrower then

@@ -33,18 +33,7 @@ class Exit:
     last: float = math.inf  # [m]
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        check_name("name", self.name)
-        set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        for name, endless in (("first", -math.inf), ("last", math.inf)):
-            value = getattr(self, name)
-            is_endless = isinstance(value, float) and value == endless
-            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
-        if self.last <= self.first:
-            raise ValueError(
-                f"last must be greater than first, {self.first:g}, got {self.last!r} "
-                f"for {self.name!r}"
-            )
+        check_place(self)
 
 
 @dataclass(frozen=True)
@@ -155,6 +144,22 @@ def exits_option(value: Any, length: float) -> Exits:
     if isinstance(value, (tuple, list)):
         return Exits(tuple(value))
     return EXITS[checks.one_of("exits", value, EXITS)](length)
+
+
+def check_place(place: Any) -> None:
+    """Check and set the name, the side and the span of an exit or an inlet, which are frozen."""
+    set_field = object.__setattr__
+    check_name("name", place.name)
+    set_field(place, "side", checks.one_of("side", place.side, SIDES))
+    for name, endless in (("first", -math.inf), ("last", math.inf)):
+        value = getattr(place, name)
+        is_endless = isinstance(value, float) and value == endless
+        set_field(place, name, endless if is_endless else checks.coordinate(name, value))
+    if place.last <= place.first:
+        raise ValueError(
+            f"last must be greater than first, {place.first:g}, got {place.last!r} "
+            f"for {place.name!r}"
+        )
 
 
 def check_name(name: str, value: Any) -> str:

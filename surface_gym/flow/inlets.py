@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from surface_gym import checks
-from surface_gym.flow.exits import check_name
+from surface_gym.flow.exits import check_place
 from surface_gym.lines import BaseLine
 
 # Where an inlet lies: at the upper end, from where parcels go towards +x, or at a side.
-START, LEFT, RIGHT = SIDES = (0, 1, -1)
+START, LEFT, RIGHT = 0, 1, -1
 MOST_INLETS = 32
 
 
@@ -29,18 +29,7 @@ class Inlet:
     last: float = math.inf  # [m] the same, to the last
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        check_name("name", self.name)
-        set_field(self, "side", checks.one_of("side", self.side, SIDES))
-        for name, endless in (("first", -math.inf), ("last", math.inf)):
-            value = getattr(self, name)
-            is_endless = isinstance(value, float) and value == endless
-            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
-        if self.last <= self.first:
-            raise ValueError(
-                f"last must be greater than first, {self.first:g}, got {self.last!r} "
-                f"for {self.name!r}"
-            )
+        check_place(self)
 
 
 class Entrance(NamedTuple):

@@ -1,6 +1,5 @@
 """The task of merging lines of parcels into one on a slope."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +7,7 @@ from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.inlets import MOST_INLETS, side_by_side
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.take_away import FEATURES, TakeAwayTask, bulk_parcels
+from surface_gym.flow.take_away import FEATURES, NEARLY_STRAIGHT, TakeAwayTask, bulk_parcels
 from surface_gym.physics.jit import inlined
 from surface_gym.state import EnvState
 from surface_gym.tasks.base import Feature
@@ -25,8 +24,7 @@ def lines(rate: float = 6000.0) -> Stream:
 
     They come at random, in the middle of their line, nearly straight, at 0.8 m/s.
     """
-    turned = (-math.radians(5.0), math.radians(5.0))
-    return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=turned)
+    return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """The task of bringing parcels into an order on a slope."""
 
-import math
 from dataclasses import dataclass
 
 from surface_gym import checks
@@ -8,7 +7,14 @@ from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.state import StreamParams
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.take_away import FEATURES, NEXT, TakeAwayTask, bulk_parcels, slope_line
+from surface_gym.flow.take_away import (
+    FEATURES,
+    NEARLY_STRAIGHT,
+    NEXT,
+    TakeAwayTask,
+    bulk_parcels,
+    slope_line,
+)
 from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Array
 from surface_gym.state import EnvState
@@ -25,9 +31,8 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
     So many in a row as the window has come in an order by chance; at least 1 s apart, in the middle
     of the upper edge, nearly straight, at 0.8 m/s.
     """
-    turned = (-math.radians(5.0), math.radians(5.0))
     law = Poisson(rate, least_gap=1.0)
-    return Stream(law, bulk_parcels(), speeds=0.8, turned=turned, window=window)
+    return Stream(law, bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT, window=window)
 
 
 @dataclass(frozen=True)

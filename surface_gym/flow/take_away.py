@@ -35,7 +35,7 @@ from surface_gym.physics.types import (
     Y,
 )
 from surface_gym.state import EnvState, reach_along
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.base import Feature, rising
 
 
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
@@ -51,6 +51,7 @@ def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
 
 
 BULK_SEED = 28
+NEARLY_STRAIGHT = (-math.radians(5.0), math.radians(5.0))  # [rad] how parcels in a row are turned
 LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
 
 
@@ -90,13 +91,8 @@ class Stops:
 
     def __post_init__(self) -> None:
         for name in ("run", "stop"):
-            low, high = checks.array(name, getattr(self, name), (2,)).tolist()
-            if not checks.PATIENCE[0] <= low <= high <= checks.EPISODE:
-                raise ValueError(
-                    f"{name} must be the least and the greatest time, from {checks.PATIENCE[0]:g} "
-                    f"to {checks.EPISODE:g} s, got {getattr(self, name)!r}"
-                )
-            object.__setattr__(self, name, (low, high))
+            times = rising(name, getattr(self, name), *checks.PATIENCE)
+            object.__setattr__(self, name, times)
         notice = checks.not_negative("notice", self.notice, self.run[0])
         object.__setattr__(self, "notice", notice)
 
@@ -160,12 +156,18 @@ BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
 
 
 @inlined
+def _is_disc(state: EnvState) -> bool:
+    """Whether a base is a disc, all of whose corners lie at its centroid."""
+    return state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0
+
+
+@inlined
 def misalignment(state: EnvState, theta: float) -> float:
     """[rad] by which a base is turned from its sides lying along the line, within 45 deg.
 
     A disc lies as it should whichever way it is turned.
     """
-    if state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0:
+    if _is_disc(state):
         return 0.0
     return theta - QUARTER * math.floor(theta / QUARTER + 0.5)
 
@@ -369,7 +371,7 @@ class TakeAwayTask(StreamTask):
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
-        if state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0:
+        if _is_disc(state):
             return max(0.0, math.sqrt(dx * dx + dy * dy) - state.body[RADIUS])
         own_x, own_y = cosine * dx + sine * dy, cosine * dy - sine * dx
         most = 0.0

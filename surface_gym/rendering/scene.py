@@ -113,6 +113,17 @@ class SceneParcel:
         return self.exit if self.group is None else self.group
 
 
+def _check_mark(mark: Any) -> None:
+    """Check and set the name, the side and the ends of a mark."""
+    if not isinstance(mark.name, str):
+        raise ValueError(f"name must be a text, got {mark.name!r}")
+    _set(mark, side=checks.one_of("side", mark.side, (-1, 0, 1)))
+    _set(mark, first=checks.number("first", mark.first))
+    _set(mark, last=checks.number("last", mark.last))
+    if mark.last <= mark.first:
+        raise ValueError(f"last must be greater than first, {mark.first}, got {mark.last}")
+
+
 @dataclass(frozen=True)
 class ExitMark:
     """A chute beside the line, or the way straight on."""
@@ -125,13 +136,7 @@ class ExitMark:
     span: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ValueError(f"name must be a text, got {self.name!r}")
-        _set(self, side=checks.one_of("side", self.side, (-1, 0, 1)))
-        _set(self, first=checks.number("first", self.first))
-        _set(self, last=checks.number("last", self.last))
-        if self.last <= self.first:
-            raise ValueError(f"last must be greater than first, {self.first}, got {self.last}")
+        _check_mark(self)
         if self.span is None:
             return
         low, high = checks.array("span", self.span, (2,)).tolist()
@@ -162,13 +167,7 @@ class InletMark:
     last: float  # [m] where it ends
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ValueError(f"name must be a text, got {self.name!r}")
-        _set(self, side=checks.one_of("side", self.side, (-1, 0, 1)))
-        _set(self, first=checks.number("first", self.first))
-        _set(self, last=checks.number("last", self.last))
-        if self.last <= self.first:
-            raise ValueError(f"last must be greater than first, {self.first}, got {self.last}")
+        _check_mark(self)
 
 
 @dataclass(frozen=True)
