@@ -15,23 +15,22 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS
 from surface_gym.files import read_bytes
-from surface_gym.registration import FLOW, FLOW_TASK, env_id
+from surface_gym.registration import FLOW, FLOW_TASK, ON_SLOPES, PERIODS, env_id
 from surface_gym.tasks import TASKS, Task
 
 from .yaml_file import YAML
 
 if TYPE_CHECKING:
-    from .module_policy import ModulePolicy
-    from .policy import Policy
-    from .schedule_policy import SchedulePolicy
+    from .policy import AnyPolicy
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.pt"
 CARD = "policy.yaml"
-ALGOS = ("ppo", "dqn", "modules", "schedule")
+ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels")
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
+MOST_PARCELS = 12  # on a slope at once, for a policy of parcels
 OWN = "Own/"  # before the class of a user's task, in place of an id
-_NAMES = {**{env_id(name): name for name in TASKS}, FLOW: FLOW_TASK}
+_NAMES = {env_id(name): name for name in PERIODS}
 
 
 def find_task(name: str) -> Task:
@@ -62,9 +61,7 @@ def task_label(name: str) -> str:
 
 def card_env_id(name: str) -> str:
     """Name the environment of a task for a policy's card: its id, or "Own/Class"."""
-    if name == FLOW_TASK:
-        return FLOW
-    return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
+    return env_id(name) if name in PERIODS else OWN + name.rpartition(":")[2]
 
 
 def task_files(name: str | None) -> tuple[Path, ...]:
@@ -101,7 +98,7 @@ class PolicyCard:
     """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
-    algo: str  # "ppo", "dqn"; shared-policy PPO per module, "modules"; on a schedule, "schedule"
+    algo: str  # "ppo", "dqn"; PPO per "modules" or "parcels"; on a "schedule"
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
@@ -120,9 +117,13 @@ class PolicyCard:
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
         checks.some_of("observe", self.observe, tuple(GROUPS))
-        if (self.algo == "schedule") != (self.env_id == FLOW):
-            raise ValueError(f"algo must be 'schedule' for {FLOW} alone, got {self.algo!r}")
-        if self.algo == "schedule":
+        of_streams = {"schedule": (FLOW,), "parcels": tuple(map(env_id, ON_SLOPES))}
+        for algo, ids in of_streams.items():
+            if (self.algo == algo) != (self.env_id in ids):
+                raise ValueError(
+                    f"algo must be {algo!r} for {', '.join(ids)} alone, got {self.algo!r}"
+                )
+        if self.algo in of_streams:
             checks.one_of("actions", self.actions, ("parcels",))
 
     @property
@@ -130,6 +131,8 @@ class PolicyCard:
         """Arguments of the environment the policy was trained on."""
         of_schedule = self.algo == "schedule"
         more: dict[str, Any] = {"gate": True, "queue": QUEUE} if of_schedule else {}
+        if self.algo == "parcels":
+            more["max_parcels"] = MOST_PARCELS
         if self.observe:
             more["observe"] = self.observe
         return {"actions": self.actions, "control_period": self.control_period, **more}
@@ -140,7 +143,7 @@ class PolicyCard:
         return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        if self.task == FLOW_TASK:
+        if self.task == FLOW_TASK or self.task in ON_SLOPES:
             raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
@@ -189,12 +192,13 @@ def load(
     seed: int | None = None,
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
-) -> "Policy | ModulePolicy | SchedulePolicy":
+) -> "AnyPolicy":
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
         seed: one of `seeds(name)`; None: the first.
-        config: of the environment that "flow-schedule" is for, with a gate; None: its `env_kwargs`.
+        config: of the environment that a policy of streams is for, with a gate for "flow-schedule";
+            None: its `env_kwargs`.
         most_touches: [-] per delivery that "flow-schedule" allows in its trial.
 
     Raises:
@@ -206,7 +210,7 @@ def load(
     return from_files(read_files(SHELF / name / f"seed-{chosen}"), None, config, most_touches)
 
 
-def read(folder: str | Path, task: Task | None = None) -> "Policy | ModulePolicy | SchedulePolicy":
+def read(folder: str | Path, task: Task | None = None) -> "AnyPolicy":
     """Read the policy that a run of any algorithm left in a folder.
 
     Raises:
@@ -220,7 +224,7 @@ def from_files(
     task: Task | None = None,
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
-) -> "Policy | ModulePolicy | SchedulePolicy":
+) -> "AnyPolicy":
     """Build a policy from the content of its files, wherever they were read; see `read` and
     `load`.
     """

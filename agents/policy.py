@@ -27,6 +27,7 @@ from surface_gym.tasks import TASKS, Task
 from .base import SIDE, BatchController, action_mirror
 from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, read_files
 from .module_policy import ModulePolicy, SharedNetwork
+from .parcel_policy import ParcelNetwork, ParcelPolicy
 from .schedule_policy import ScheduleNetwork, SchedulePolicy
 from .yaml_file import parse_yaml
 
@@ -108,6 +109,9 @@ class Policy(BatchController):
         return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
+AnyPolicy = Policy | ModulePolicy | SchedulePolicy | ParcelPolicy
+
+
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
     """Write weights and card into a folder, each whole or not at all."""
     buffer = BytesIO()
@@ -121,7 +125,7 @@ def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> Non
         part.write_text(yaml.safe_dump(fields, sort_keys=False))
 
 
-def load_policy(folder: Path, task: Task | None = None) -> Policy | ModulePolicy | SchedulePolicy:
+def load_policy(folder: Path, task: Task | None = None) -> AnyPolicy:
     """Read the policy that a run of any algorithm left in a folder; see `library.read`."""
     return build_policy(read_files(folder), task)
 
@@ -131,11 +135,11 @@ def build_policy(
     task: Task | None = None,
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
-) -> Policy | ModulePolicy | SchedulePolicy:
+) -> AnyPolicy:
     """Build a policy from the content of its files. No code in them is run.
 
     Args:
-        config: of the stream's environment, for a policy on a schedule; None: its own.
+        config: of the stream's environment, for a policy of streams; None: its own.
         most_touches: [-] per delivery that such a policy allows in its trial.
 
     Raises:
@@ -154,6 +158,12 @@ def build_policy(
             scores = ScheduleNetwork(card.hidden)
             _load_weights(scores, weights)
             return SchedulePolicy(scores, card, config, most_touches)
+        if card.algo == "parcels":
+            usual = EnvConfig(card.task, **card.env_kwargs)
+            features, choices = usual.row_space().shape[0], len(usual.chosen_orientations)
+            attention = ParcelNetwork(features, choices, card.hidden)
+            _load_weights(attention, weights)
+            return ParcelPolicy(attention, card, config)
         own = card.env_config(task)
         if card.algo == "modules":
             shared = SharedNetwork(len(own.chosen_orientations), card.hidden, card.observe)

@@ -10,7 +10,7 @@ import tyro
 
 from surface_gym.cli import TRAIN, command_line, typed
 from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
-from surface_gym.registration import FLOW_TASK
+from surface_gym.registration import FLOW_TASK, ON_SLOPES
 
 from .learning import config as configs
 from .learning.config import TrainConfig
@@ -133,7 +133,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     task = selection.task or "sort"
-    usual = "schedule" if task == FLOW_TASK else "ppo"
+    usual = {FLOW_TASK: "schedule", **dict.fromkeys(ON_SLOPES, "parcels")}.get(task, "ppo")
     names = {"algo": tuple(configs.CONFIGS), "preset": get_args(configs.PresetName)}
     names["device"] = get_args(configs.DeviceName)
     given = {key: value for key in names if (value := getattr(selection, key)) in names[key]}

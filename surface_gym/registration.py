@@ -10,11 +10,12 @@ if TYPE_CHECKING:
     from surface_gym.tasks.base import Task
 
 FLOW_TASK = "flow"  # the task of streams of parcels
+ON_SLOPES = ("singulate", "merge", "sequence")  # tasks on streams with a take-away
 # Control periods after which Gymnasium truncates an episode, by task: `Task.periods`, written down
 # here too so that no task is imported before it is used. None: a stream ends by itself.
 PERIODS = {
     "sort": 100, "slow": 100, "stop": 150, "track": 300, "orient": 200, FLOW_TASK: None,
-    "singulate": None, "merge": None, "sequence": None,
+    **dict.fromkeys(ON_SLOPES),
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from surface_gym import checks, parallel
 from surface_gym.cli import typed
-from surface_gym.registration import FLOW_TASK, PERIODS
+from surface_gym.registration import FLOW_TASK, ON_SLOPES, PERIODS
 
 if TYPE_CHECKING:
     from .methods import Method
@@ -97,7 +97,7 @@ def evaluate(config: EvaluateConfig, console: Console) -> None:
 
 def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
     with console.status(LOADING):
-        from . import benchmark, material_flow, report, streams
+        from . import benchmark, material_flow, material_flow_report, report, streams
 
     _forget(config, benchmark.FILE, streams.FILE, material_flow.FILE)
     methods = chosen_methods(config)
@@ -107,11 +107,18 @@ def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console
             several = streams.stream_methods()
             rows = streams.compute_streams(several, workers, config.out, advance, config.exits)
             sections = report.write_stream_report(several, rows, config.out, console)
-        on_slopes = [name for name in material_flow.TASKS if name in config.tasks]
+        on_slopes = [name for name in ON_SLOPES if name in config.tasks]
         if config.task is None and on_slopes:
             found = material_flow.compute_material_flow(on_slopes, workers, config.out, advance)
-            tables = material_flow.write_material_flow(found, config.out, console)
-            sections += [report.Section(table, []) for table in tables]
+            tables = material_flow_report.write_material_flow(found, config.out, console)
+            for task, table in zip(on_slopes, tables, strict=True):
+                advance(len(found), len(found), f"filming {task}")
+                shown = [
+                    each
+                    for preset in ("exact", "lab")
+                    for each in material_flow_report.film(task, preset, config.out)
+                ]
+                sections.append(report.Section(table, shown))
         results = benchmark.compute_results(methods, workers, config.out, advance)
         report.write_report(
             methods,

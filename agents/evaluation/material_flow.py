@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig
@@ -26,25 +25,25 @@ from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Parcel, assortment
+from surface_gym.registration import ON_SLOPES
 from surface_gym.state import RUNNING
 
-from ..base import BatchController, Controller, Numbers, find_axes
+from .. import library
+from ..base import BatchController, Controller, find_axes
+from ..library import PolicyFiles
 from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
 from ..scheduling.scheduler import begin_streams
-from .benchmark import SEED, Advance, compute_kept, half_interval
-from .tables import NOTHING, Table, bold, write_markdown, write_numbers
+from .benchmark import SEED, Advance, compute_kept
 
-NAME = "material-flow"
-FILE = f"{NAME}.jsonl"
-TASKS = ("singulate", "merge", "sequence")
+FILE = "material-flow.jsonl"
 REPLICATIONS = 10
 SECONDS = 200.0  # [s] of each
 ALIGNMENT = math.radians(10.0)
-TEXTS = ("scenario", "method", "preset", "rates")  # fields of a result that are no numbers
 OFFERED = {"singulate": 14_000.0, "merge": 10_000.0}  # [parcels/h] more than anybody takes
 IN_ORDER = 0.999  # [-] share of parcels that must leave in their order
 RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())  # [parcels/h] at which orders are tried
+ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] at which all are compared, by window
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab: those of no tuning
 LAB = PRESETS["lab"]
 COMPARED: dict[str, dict[str, Any]] = {
@@ -71,10 +70,52 @@ class RollOn(BatchController):
         return np.full((len(batch), self._size), self._choice), None
 
 
-Make = Callable[[EnvConfig], Controller]
-SINGLE: dict[str, Make] = {
-    "roll on": RollOn, "hold and release": HoldAndRelease, "time slots": TimeSlots,
-}  # fmt: skip
+@dataclass(frozen=True)
+class FlowMethod:
+    """A controller, in as many seeds as it was trained in."""
+
+    name: str
+    make: Callable[[EnvConfig, int], Controller]  # for an environment and a seed
+    seeds: tuple[int, ...] = (0,)
+    most: int | None = None  # parcels on the surface at once; None: as many as the environment has
+
+
+LEARNED = "PPO per parcel"
+
+
+def _of_rule(rule: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
+    return rule(config)
+
+
+ROLL_ON = FlowMethod("roll on", partial(_of_rule, RollOn))
+SINGLE = (
+    ROLL_ON,
+    FlowMethod("hold and release", partial(_of_rule, HoldAndRelease)),
+    FlowMethod("time slots", partial(_of_rule, TimeSlots)),
+    FlowMethod("time slots, 8 at once", partial(_of_rule, TimeSlots), most=8),
+)
+ORDER = (FlowMethod("pass and park", partial(_of_rule, PassAndPark)),)
+
+
+def find_learned(task: str) -> tuple[FlowMethod, ...]:
+    """Find the shipped agent of a task, if there is one."""
+    name = f"{task}-parcels"
+    if name not in library.names():
+        return ()
+    files = {
+        seed: library.read_files(library.SHELF / name / f"seed-{seed}")
+        for seed in library.seeds(name)
+    }
+    return (learned_method(files),)
+
+
+def learned_method(files: dict[int, PolicyFiles]) -> FlowMethod:
+    """Make the method of policies, by their seeds."""
+    return FlowMethod(LEARNED, partial(_read, files), tuple(files), library.MOST_PARCELS)
+
+
+def _read(files: dict[int, PolicyFiles], config: EnvConfig, seed: int) -> Controller:
+    return library.from_files(files[seed], config=config)
 
 
 @dataclass(frozen=True)
@@ -84,20 +125,20 @@ class Scenario:
     task: str
     name: str
     arguments: tuple[tuple[str, Any], ...]  # of the environment
-    methods: tuple[tuple[str, Make], ...]
+    methods: tuple[FlowMethod, ...]
+    rates: tuple[float, ...]  # [parcels/h] offered; the highest of several at which it holds
     window: int = 0  # of the order; 0: none is asked
 
-    def config(self, preset: str, rate: float) -> EnvConfig:
-        """Configure the environment at a rate [parcels/h]."""
-        given = COMPARED[preset]
+    def config(self, preset: str, rate: float, most: int | None = None) -> EnvConfig:
+        """Configure the environment at a rate [parcels/h], with so many at once or its own."""
+        given = dict(self.arguments) | COMPARED[preset]
         stream = self.stream(rate)
         if preset == "lab":
             shapes = assortment(NEVER_SEEN, SHAPES_SEED)
             stream = replace(stream, parcels=tuple((each, 1.0) for each in shapes))
-        return EnvConfig(
-            self.task, actions="parcels", duration=SECONDS, stream=stream,
-            **dict(self.arguments), **given,
-        )  # fmt: skip
+        if most is not None:
+            given["max_parcels"] = most
+        return EnvConfig(self.task, actions="parcels", duration=SECONDS, stream=stream, **given)
 
     def stream(self, rate: float) -> Stream:
         """Make the stream of parcels at a rate [parcels/h]."""
@@ -106,22 +147,29 @@ class Scenario:
         return bulk(rate) if self.task == "singulate" else lines(rate)
 
 
-def scenarios(tasks: Sequence[str] = TASKS) -> list[Scenario]:
-    """List the scenarios of some tasks."""
+def scenarios(tasks: Sequence[str] = ON_SLOPES, learned: bool = True) -> list[Scenario]:
+    """List the scenarios of some tasks, with the shipped agents or without."""
     aligned = ("alignment", ALIGNMENT)
-    singles, order = tuple(SINGLE.items()), (("pass and park", PassAndPark),)
+    mouth, stops = ("exits", "mouth"), ("demand", Stops())
+    most, given = {task: (rate,) for task, rate in OFFERED.items()}, {}
+    for task in ON_SLOPES:
+        rules = (ROLL_ON, *ORDER) if task == "sequence" else SINGLE
+        given[task] = rules + (find_learned(task) if learned else ())
+    singulate, merge, sequence = (partial(Scenario, task) for task in ON_SLOPES)
+    single, merged, ordered = (given[task] for task in ON_SLOPES)
     found = [
-        Scenario("singulate", "anywhere across", (), singles),
-        Scenario("singulate", "mouth of 0.6 m, 10 deg", (("exits", "mouth"), aligned), singles),
-        Scenario("singulate", "two mouths, 10 deg", (("exits", "mouths"), aligned), singles),
-        Scenario(
-            "singulate", "mouth, take-away stops",
-            (("exits", "mouth"), aligned, ("demand", Stops())), singles[1:],
+        singulate("anywhere across", (), single, most["singulate"]),
+        singulate("mouth of 0.6 m, 10 deg", (mouth, aligned), single, most["singulate"]),
+        singulate("two mouths, 10 deg", (("exits", "mouths"), aligned), single, most["singulate"]),
+        singulate("mouth, take-away stops", (mouth, aligned, stops), single[1:], most["singulate"]),
+        merge("three lines", (), merged, most["merge"]),
+        merge("two lines", (("inlets", side_by_side(2)),), merged, most["merge"]),
+        *(sequence(f"window of {k}", (), ORDER, RATES[::-1], k) for k in (2, 4, 8)),
+        *(
+            sequence(f"window of {k}, {rate:g} an hour", (), ordered, (rate,), k)
+            for k, rate in ORDERED.items()
         ),
-        Scenario("merge", "three lines", (), singles),
-        Scenario("merge", "two lines", (("inlets", side_by_side(2)),), singles),
-        *(Scenario("sequence", f"window of {k}", (), order, k) for k in (2, 4, 8)),
-    ]  # fmt: skip
+    ]
     return [each for each in found if each.task in tasks]
 
 
@@ -132,7 +180,8 @@ class MaterialFlowResult:
     scenario: str
     method: str
     preset: str
-    rates: list[float]  # [parcels/h] of right parcels, of each replication
+    rates: list[float]  # [parcels/h] of right parcels, of each replication, mean over seeds
+    of_seeds: list[float]  # [parcels/h] of right parcels, of each seed, mean over replications
     right: float  # [-] share of the parcels that left
     right_gaps: float  # [-] share
     aligned: float  # [-] share
@@ -143,7 +192,7 @@ class MaterialFlowResult:
     squeeze: float  # [N] largest
     time: float  # [s] on the surface, mean
     unfairness: float  # [s] difference of the inlets' mean waits
-    jams: int  # replications that ended so
+    jams: float  # replications that ended so, mean over seeds
     bound: float  # [parcels/h] that nobody exceeds
 
     @property
@@ -189,13 +238,19 @@ def play(config: EnvConfig, controller: Controller) -> StreamBatch:
 
 
 def _measure(
-    scenario: Scenario, method: str, preset: str, config: EnvConfig, controller: Controller
+    scenario: Scenario, method: FlowMethod, preset: str, config: EnvConfig
 ) -> MaterialFlowResult:
-    batch = play(config, controller)
-    task, streams = config.stream_task, batch.streams
-    jammed = batch.outcome == JAM
-    found = [task.compute_statistics(streams, k, bool(jammed[k]), 1) for k in range(REPLICATIONS)]
+    batches = [play(config, method.make(config, seed)) for seed in method.seeds]
+    jammed = np.array([batch.outcome == JAM for batch in batches])
+    found = [
+        config.stream_task.compute_statistics(batch.streams, k, bool(jams[k]), 1)
+        for batch, jams in zip(batches, jammed, strict=True)
+        for k in range(REPLICATIONS)
+    ]
     delivered = np.array([each.delivered for each in found])
+    # A replication that jams counts to its end: nothing comes after it.
+    right = np.array([batch.streams.tally[:, RIGHT] for batch in batches])
+    rates = HOUR * right / SECONDS
 
     def mean(name: str) -> float:
         values = np.array([getattr(each, name) for each in found], dtype=np.float64)
@@ -205,26 +260,25 @@ def _measure(
         return float(np.average(values[some], weights=np.maximum(1, delivered)[some]))
 
     return MaterialFlowResult(
-        scenario.name, method, preset,
-        # A replication that jams counts to its end: nothing comes after it.
-        rates=(HOUR * streams.tally[:, RIGHT] / SECONDS).tolist(),
-        right=float(streams.tally[:, RIGHT].sum() / max(1, delivered.sum())),
+        scenario.name, method.name, preset,
+        rates=rates.mean(axis=0).tolist(), of_seeds=rates.mean(axis=1).tolist(),
+        right=float(right.sum() / max(1, delivered.sum())),
         right_gaps=mean("right_gaps"), aligned=mean("aligned"), beside=mean("beside"),
         order_errors=mean("order_errors"), touches_per_1000=mean("touches_per_1000"),
-        impulse=float(streams.impulse.max()), squeeze=float(streams.squeeze.max()),
-        time=mean("time_mean"), unfairness=mean("unfairness"), jams=int(jammed.sum()),
+        impulse=max(each.impulse_most for each in found),
+        squeeze=max(each.squeeze_most for each in found),
+        time=mean("time_mean"), unfairness=mean("unfairness"),
+        jams=float(jammed.sum() / len(method.seeds)),
         bound=take_away_bound(config),
     )  # fmt: skip
 
 
-def compute(scenario: Scenario, method: str, preset: str) -> MaterialFlowResult:
-    """Measure a method; an order at the highest rate of `RATES` at which it holds, or the least."""
-    make = dict(scenario.methods)[method]
-    rates = RATES[::-1] if scenario.window else (OFFERED[scenario.task],)
-    for rate in rates:
-        config = scenario.config(preset, rate)
-        found = _measure(scenario, method, preset, config, make(config))
-        if not scenario.window or (found.right >= IN_ORDER and found.jams == 0):
+def compute(scenario: Scenario, method: FlowMethod, preset: str) -> MaterialFlowResult:
+    """Measure a method, at the highest of the scenario's rates at which it holds, or the least."""
+    for rate in scenario.rates:
+        config = scenario.config(preset, rate, method.most)
+        found = _measure(scenario, method, preset, config)
+        if found.right >= IN_ORDER and found.jams == 0:
             break
     return found
 
@@ -236,102 +290,21 @@ def compute_material_flow(
     advance: Advance = lambda *_: None,
 ) -> list[MaterialFlowResult]:
     """Compute all results of some tasks."""
+    file = None if folder is None else folder / FILE
+    return compute_scenarios(scenarios(tasks), workers, file, advance)
+
+
+def compute_scenarios(
+    compared: Sequence[Scenario],
+    workers: Workers,
+    file: Path | None = None,
+    advance: Advance = lambda *_: None,
+) -> list[MaterialFlowResult]:
+    """Compute all results of some scenarios."""
     jobs = {
-        ("material", each.name, method, preset): partial(compute, each, method, preset)
-        for each in scenarios(tasks)
-        for method, _ in each.methods
+        ("material", each.name, method.name, preset): partial(compute, each, method, preset)
+        for each in compared
+        for method in each.methods
         for preset in COMPARED
     }
-    file = None if folder is None else folder / FILE
     return list(compute_kept(jobs, MaterialFlowResult, workers, file, advance).values())
-
-
-def material_flow_tables(results: Sequence[MaterialFlowResult]) -> list[Table]:
-    """Show what each method delivers under each preset, a table a task."""
-    tables = []
-    for task in TASKS:
-        names = [each.name for each in scenarios((task,))]
-        rows = [each for each in results if each.scenario in names]
-        if rows:
-            tables.append(_table(task, rows))
-    return tables
-
-
-def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
-    rows = []
-    for name in dict.fromkeys(each.scenario for each in results):
-        here = [each for each in results if each.scenario == name]
-        for preset in COMPARED:
-            group = [each for each in here if each.preset == preset]
-            best = max(group, key=lambda each: each.rate, default=None)
-            rows += [_row(each, each is best and _is_ahead(each, group)) for each in group]
-    asked = (
-        f"at the highest rate, in steps of {RATES[1] - RATES[0]:g} an hour, at which "
-        f"{100.0 * IN_ORDER:g} % of all parcels leave rightly and none of the streams jams"
-        if task == "sequence"
-        else "offered more than the surface takes"
-    )
-    return Table(
-        f"{task} on a slope",
-        f"Right parcels an hour with Student's 95 % interval, over {REPLICATIONS} streams of "
-        f"{SECONDS:g} s that are the same for all, {asked}: the best in bold where the paired "
-        "intervals of all others lie below. Shares of right parcels, of gaps of at least 0.3 m on "
-        "the take-away at 2 m/s, of aligned parcels, and of those that left beside the mouths or "
-        "over the sides; touches per 1000; the largest force between two; streams that jammed. "
-        "Nobody exceeds the bound: there all lie with their narrowest side along the take-away.",
-        (
-            "scenario", "preset", "method", "right an hour", "right", "gaps", "aligned",
-            "beside", "touches", "squeeze [N]", "time [s]", "jams", "bound",
-        ),
-        tuple(rows),
-    )  # fmt: skip
-
-
-def _is_ahead(best: MaterialFlowResult, group: Sequence[MaterialFlowResult]) -> bool:
-    """Whether a method is ahead of every other beyond the interval of their differences."""
-    others = [np.array(best.rates) - each.rates for each in group if each is not best]
-    return bool(others) and all(apart.mean() > half_interval(apart) for apart in others)
-
-
-def _row(row: MaterialFlowResult, ahead: bool) -> tuple[str, ...]:
-    rates: Numbers = np.array(row.rates)
-    rate = f"{row.rate:.0f} ±{half_interval(rates):.0f}"
-
-    def share(value: float) -> str:
-        return f"{100.0 * value:.2f} %" if math.isfinite(value) else NOTHING
-
-    return (
-        row.scenario, row.preset, row.method, bold(rate) if ahead else rate, share(row.right),
-        share(row.right_gaps), share(row.aligned), share(row.beside),
-        f"{row.touches_per_1000:.0f}", f"{row.squeeze:.0f}", f"{row.time:.1f}", f"{row.jams}",
-        f"{row.bound:.0f}",
-    )  # fmt: skip
-
-
-def material_flow_numbers(results: Sequence[MaterialFlowResult]) -> list[dict[str, Any]]:
-    """List every number, a row for each."""
-    rows = []
-    for row in results:
-        values = {name: value for name, value in vars(row).items() if name not in TEXTS}
-        values = {"rate": row.rate, "margin": half_interval(np.array(row.rates)), **values}
-        rows += [
-            {
-                "scenario": row.scenario, "method": row.method, "preset": row.preset,
-                "metric": name, "value": value,
-            }
-            for name, value in values.items()
-        ]  # fmt: skip
-    return rows
-
-
-def write_material_flow(
-    results: Sequence[MaterialFlowResult], folder: Path, console: Console
-) -> list[Table]:
-    """Write material-flow.md, .csv and .json into a folder, and show and return the tables."""
-    tables = material_flow_tables(results)
-    for table in tables:
-        table.show(console)
-    write_markdown(tables, folder / f"{NAME}.md")
-    numbers = material_flow_numbers(results)
-    write_numbers(numbers, folder / f"{NAME}.csv", folder / f"{NAME}.json")
-    return tables

@@ -20,7 +20,7 @@ from rich.console import Console
 
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.parallel import Workers
-from surface_gym.registration import FLOW
+from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.tasks.benchmark import Column
 
 from .. import library
@@ -37,6 +37,7 @@ from .benchmark import (
     summarise,
 )
 from .capacity import STREAM_PRESETS, Case, StreamMethod
+from .material_flow_report import compare_run
 from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
 from .streams import ARRANGED, COLUMNS, FILMED, MODULES, SERIES, StreamResult, StreamResults
 from .video import Player, play, write_comparison
@@ -303,12 +304,16 @@ def _definitions(meanings: Mapping[str, str]) -> str:
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout, of streams with modules' scheduler.
+    """Compare the policies of a run with the fixed layout, of streams with the scheduler or rule.
 
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
     """
-    if is_of_streams(run):
+    of_streams = stream_task(run)
+    if of_streams in ON_SLOPES:
+        files = {seed: library.read_files(each) for seed, each in policy_folders(run).items()}
+        results = compare_run(of_streams, files, run, workers, console)
+    elif of_streams is not None:
         found = compare_streams(run, workers, console)
         results = {
             preset: {case.label: _stream_card(found, case) for case in streams.cases(preset)}
@@ -351,13 +356,14 @@ def _card_results(summaries: Summaries, agent: Method, preset: str) -> dict[str,
     }
 
 
-def is_of_streams(run: Path) -> bool:
-    """Check whether the first policy of a run is for streams; a damaged one is not."""
+def stream_task(run: Path) -> str | None:
+    """Find the task on streams that the first policy of a run is for; a damaged one has none."""
     folder = next(iter(policy_folders(run).values()))
     try:
-        return bool(read_yaml(folder / library.CARD)["env_id"] == FLOW)
+        wanted = read_yaml(folder / library.CARD)["env_id"]
     except (OSError, ValueError, KeyError):
-        return False
+        return None
+    return next((each for each in (FLOW_TASK, *ON_SLOPES) if env_id(each) == wanted), None)
 
 
 def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:

@@ -8,14 +8,14 @@ import yaml
 
 from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage, parse_number
-from surface_gym.registration import FLOW, FLOW_TASK, PERIODS, env_id
+from surface_gym.registration import FLOW_TASK, ON_SLOPES, PERIODS, env_id
 
 from ..yaml_file import read_yaml
 
 if TYPE_CHECKING:
     from ..library import PolicyCard
 
-AlgoName = Literal["ppo", "dqn", "modules", "schedule"]
+AlgoName = Literal["ppo", "dqn", "modules", "schedule", "parcels"]
 PresetName = Literal["nominal", "lab"]
 NOMINAL: PresetName = "nominal"
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
@@ -47,7 +47,7 @@ class TrainConfig:
     """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
     algo: AlgoName = "ppo"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow)."""
+    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
     seed: int = 0
     """Seed of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
@@ -187,7 +187,7 @@ class DQNConfig(TrainConfig):
 
     algo: AlgoName = "dqn"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow)."""
+    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
     buffer_size: int = 500_000
     """Transitions in the replay buffer."""
     learning_starts: int = 5_000
@@ -229,7 +229,7 @@ class ModulesConfig(PPOConfig):
 
     algo: AlgoName = "modules"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow)."""
+    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
@@ -278,17 +278,42 @@ class SchedulesConfig(TrainConfig):
             checks.integer(name, getattr(self, name), least=1)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ParcelsConfig(PPOConfig):
+    """Train one policy shared by all parcels on a slope, by PPO with a reward for each, beginning
+    from the task's rule; then compare it with that rule.
+
+    Defaults are in agents/hyperparams/parcels.yml.
+    """
+
+    task: str = "singulate"
+    """Task to learn: singulate, merge or sequence."""
+    algo: AlgoName = "parcels"
+    """PPO per parcel."""
+    actions: ActionName = "parcels"
+    """Kind of action, as in the environment."""
+
+    def _check_task(self) -> None:
+        self._check_no_zones()
+        checks.one_of("task", self.task, ON_SLOPES)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.one_of("actions", self.actions, ("parcels",))
+
+
 CONFIGS: dict[str, type[TrainConfig]] = {
     "ppo": PPOConfig,
     "dqn": DQNConfig,
     "modules": ModulesConfig,
     "schedule": SchedulesConfig,
+    "parcels": ParcelsConfig,
 }
 
 
 def is_registered(task: str) -> bool:
     """Return whether a name is that of a single-parcel task of the package."""
-    return task in PERIODS and task != FLOW_TASK
+    return PERIODS.get(task) is not None
 
 
 def on_device(config: TrainConfig) -> TypeGuard[PPOConfig]:
@@ -375,9 +400,7 @@ def write_hyperparams(config: TrainConfig, file: Path) -> None:
 
 def _entry_name(task: str) -> str:
     """Return the name of a task's entry: the id of the package's task, or `OWN`."""
-    if task == FLOW_TASK:
-        return FLOW
-    if is_registered(task):
+    if task in PERIODS:
         return env_id(task)
     from ..library import task_kind
 

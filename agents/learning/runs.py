@@ -44,7 +44,7 @@ from surface_gym.files import (
     replacing,
 )
 from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
-from surface_gym.registration import FLOW_TASK
+from surface_gym.registration import PERIODS
 
 from ..library import task_label
 from ..yaml_file import read_yaml
@@ -138,7 +138,7 @@ def read_config(file: Path, task: str | None = None) -> TrainConfig:
     try:
         plain = read_yaml(file)
         plain = {configs.RENAMED.get(name, name): value for name, value in plain.items()}
-        known = plain["task"] == FLOW_TASK or configs.is_registered(plain["task"])
+        known = plain["task"] in PERIODS
         asked = plain["task"] if task is None and known else task
         if plain["task"] != asked:
             raise ValueError(
@@ -351,6 +351,10 @@ def train(
         from .schedules import train_schedules
 
         return train_schedules(config, folder, on_progress)
+    if isinstance(config, configs.ParcelsConfig):
+        from .parcels import train_parcels
+
+        return train_parcels(config, folder, on_progress)
     if configs.on_device(config):
         from .cuda import train_on_device
 

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 import surface_gym as sg
-from surface_gym.agents.evaluation import material_flow as mf
+from surface_gym.agents.evaluation import material_flow as mf, material_flow_report as report
 from surface_gym.parcel import Parcel, assortment
 
 
@@ -16,7 +16,6 @@ from surface_gym.parcel import Parcel, assortment
 def short(monkeypatch) -> None:
     monkeypatch.setattr(mf, "SECONDS", 10.0)
     monkeypatch.setattr(mf, "REPLICATIONS", 2)
-    monkeypatch.setattr(mf, "RATES", (600.0, 1200.0))
 
 
 def test_the_narrowest_extent_is_the_least_over_all_angles() -> None:
@@ -55,21 +54,33 @@ def test_scenarios_are_configured_for_each_preset() -> None:
 class TestMeasurements:
     def test_an_order_is_asked_at_the_highest_rate_at_which_it_holds(self) -> None:
         scenario = next(each for each in mf.scenarios(["sequence"]) if each.window == 2)
-        found = mf.compute(scenario, "pass and park", "exact")
+        scenario = replace(scenario, rates=(1200.0, 600.0))
+        found = mf.compute(scenario, mf.ORDER[0], "exact")
         assert found.right == 1.0
         assert found.rate > 600.0
-        hasty = replace(scenario, methods=(("roll on", mf.RollOn),))
-        found = mf.compute(hasty, "roll on", "exact")
+        found = mf.compute(scenario, mf.ROLL_ON, "exact")
         assert found.right < mf.IN_ORDER
+
+    def test_of_several_seeds_each_counts_alike(self) -> None:
+        """A seed here says which rule it is."""
+        roll, slots = mf.SINGLE[0], mf.SINGLE[2]
+        both = mf.FlowMethod("both", lambda config, k: (roll, slots)[k].make(config, 0), (0, 1))
+        scenario = mf.scenarios(["merge"])[0]
+        one, other, found = (mf.compute(scenario, each, "exact") for each in (roll, slots, both))
+        assert found.of_seeds == [one.rate, other.rate]
+        assert found.rates == np.mean([one.rates, other.rates], axis=0).tolist()
+        assert found.squeeze == max(one.squeeze, other.squeeze)
 
     def test_results_are_kept_and_written(self, tmp_path) -> None:
         tasks = ["merge"]
         found = mf.compute_material_flow(tasks, 1, tmp_path)
         again = mf.compute_material_flow(tasks, 1, tmp_path)
         assert [repr(each) for each in again] == [repr(each) for each in found]  # nan is nan
-        tables = mf.write_material_flow(found, tmp_path, Console(quiet=True))
+        tables = report.write_material_flow(found, tmp_path, Console(quiet=True))
         assert [table.title for table in tables] == ["merge on a slope"]
-        assert len(tables[0].rows) == len(found) == 2 * 3 * 3
+        methods = {each.method for each in found}
+        assert methods >= {each.name for each in mf.SINGLE}
+        assert len(tables[0].rows) == len(found) == 2 * 3 * len(methods)
         for name in ("md", "csv", "json"):
             assert (tmp_path / f"material-flow.{name}").stat().st_size > 1000
 
@@ -77,12 +88,12 @@ class TestMeasurements:
 def test_only_one_that_is_ahead_of_all_others_is_bold() -> None:
     def row(method: str, *rates: float) -> mf.MaterialFlowResult:
         return mf.MaterialFlowResult(
-            "three lines", method, "exact", list(rates), *[0.5] * 10, jams=0, bound=9000.0
+            "three lines", method, "exact", list(rates), [0.5], *[0.5] * 10, jams=0, bound=9000.0
         )
 
     apart = [row("one", 100.0, 200.0, 300.0), row("other", 90.0, 189.0, 291.0)]
-    (table,) = mf.material_flow_tables(apart)
+    (table,) = report.material_flow_tables(apart)
     assert [cells[3].startswith("**") for cells in table.rows] == [True, False]
     near = [row("one", 100.0, 200.0, 300.0), row("other", 90.0, 260.0, 240.0)]
-    (table,) = mf.material_flow_tables(near)
+    (table,) = report.material_flow_tables(near)
     assert not any(cells[3].startswith("**") for cells in table.rows)

@@ -23,7 +23,6 @@ from surface_gym.agents.evaluation import capacity, report, streams, tables
 from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
 from surface_gym.agents.evaluation.capacity import Case
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
-from surface_gym.agents.evaluation.material_flow import TASKS as SLOPES
 from surface_gym.agents.evaluation.methods import rules
 from surface_gym.agents.evaluation.robustness import FILE as SWEPT
 from surface_gym.agents.evaluation.tables import task_table
@@ -34,7 +33,7 @@ from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.registration import FLOW_TASK
+from surface_gym.registration import FLOW_TASK, ON_SLOPES
 from surface_gym.rendering import with_caption
 from surface_gym.tasks import TASKS
 from tests.agents.evaluation import made
@@ -145,7 +144,7 @@ def keep(rows: Sequence[Any], file: Path) -> list[str]:
     ],
 )
 def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> None:
-    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS, *SLOPES)
+    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS, *ON_SLOPES)
     with pytest.raises(ValueError, match=message):
         EvaluateConfig(**given)
 
@@ -233,7 +232,7 @@ def test_every_seed_of_a_run_is_measured_beside_the_scheduler(tmp_path, monkeypa
 def test_other_runs_are_of_no_streams(tmp_path, text) -> None:
     if text is not None:
         (tmp_path / "policy.yaml").write_text(text)
-    assert not report.is_of_streams(tmp_path)
+    assert report.stream_task(tmp_path) is None
 
 
 GIVEN: dict[str, Any] = {
