@@ -3,6 +3,7 @@
 Each parcel has rewards of its own, and a part of the others'.
 """
 
+import copy
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.batch import StreamBatch
@@ -35,12 +37,13 @@ from .runs import Curve, OnProgress, TrainResult
 DURATION = 60.0  # [s] of an episode
 SHAPES = 64  # of the lab, in each of its groups of environments
 # Times its reward that a term counts in learning: time is dear, since a queue waits at the edge.
-WEIGHTS = {"right": 1.0, "wrong": 1.0, "touch": 1.0, "progress": 1.0, "time": 5.0}
+WEIGHTS = {"right": 1.0, "wrong": 2.0, "touch": 5.0, "progress": 1.0, "time": 5.0}
 JAMMED = -1.0  # reward of each parcel in a jam
 SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
 CRITIC_FIRST = 10  # rollouts in which only the critic learns
-MOST_KL = 0.06  # [nat] that a pass may move the policy before a rollout has taught enough
+MOST_KL = 0.03  # [nat] that a pass may move the policy before a rollout has taught enough
 VALUE_COEF = 0.5
+SMOOTH = 0.9  # [-] of the score of all rollouts before the last
 # Streams, offered faster than they are taken, and other arguments of the environments.
 SCENARIOS: dict[str, list[tuple[Stream, dict[str, Any]]]] = {
     "singulate": [(bulk(14_000.0), {"exits": "mouth", "alignment": math.radians(10.0)})],
@@ -187,8 +190,10 @@ class ParcelLearner:
         self._surfaces = Surfaces(configs, config.num_envs)
         features = configs[0].row_space().shape[0]
         torch.manual_seed(config.seed)
-        self.network = ParcelNetwork(features, self._surfaces.orientations, config.hidden)
-        self._optimiser = torch.optim.Adam(self.network.parameters(), config.learning_rate)
+        self._learning = ParcelNetwork(features, self._surfaces.orientations, config.hidden)
+        self.network = copy.deepcopy(self._learning)  # the best so far
+        self._optimiser = torch.optim.Adam(self._learning.parameters(), config.learning_rate)
+        self._score = self._best = -math.inf  # [1/s] rewards of an environment, smoothed
         self.steps = 0
 
     def begin(self, seed: int) -> None:
@@ -201,6 +206,9 @@ class ParcelLearner:
             group["lr"] = ppo.learning_rate(self._config, self.steps)
         tables, proposed, old = self._roll_out()
         critic_only = self.steps < CRITIC_FIRST * len(tables)
+        if self._score > self._best and not critic_only:
+            self._best = self._score
+            self.network.load_state_dict(self._learning.state_dict())
         for _ in range(self._config.n_epochs):
             order = self._rng.permutation(len(tables))
             moved = []
@@ -218,15 +226,26 @@ class ParcelLearner:
     def state(self) -> dict[str, Any]:
         return {
             "network": self.network.state_dict(),
+            "learning": self._learning.state_dict(),
+            "score": self._score,
+            "best": self._best,
             "optimiser": self._optimiser.state_dict(),
             "steps": self.steps,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        own = {"network": self.network.state_dict(), "steps": 0}
+        own = {
+            "network": self.network.state_dict(),
+            "learning": self.network.state_dict(),
+            "steps": 0,
+        }
         for name, values in own.items():
             check_like(name, state[name], values)
+        for name in ("score", "best"):
+            checks.instance(name, state[name], float, "a number")
+        self._score, self._best = state["score"], state["best"]
         self.network.load_state_dict(state["network"])
+        self._learning.load_state_dict(state["learning"])
         load_optimizer(self._optimiser, state["optimiser"])
         self.steps = state["steps"]
 
@@ -235,7 +254,7 @@ class ParcelLearner:
         """Draw choices; return halves (num_envs, rows, 2), and of all rows (num_envs x rows,)
         choice, logarithm of its probability, and value.
         """
-        found = self.network(*map(torch.from_numpy, seen))
+        found = self._learning(*map(torch.from_numpy, seen))
         log_probability = found.logits.log_softmax(dim=1)
         uniform = torch.from_numpy(self._rng.random((len(found.row), 1), dtype=np.float32))
         chosen = (uniform > log_probability.exp().cumsum(dim=1)[:, :-1]).sum(dim=1)
@@ -283,6 +302,7 @@ class ParcelLearner:
                 after[timed] = self._decide(last)[3].reshape(last.proposed.shape)
             following.append((after * ~stepped.left).ravel())
         following[-1] = np.where(ended[-1], following[-1], self._decide(self._seen)[3])
+        self._rate(np.stack(rewards))
         value = np.stack(values).astype(np.float64)
         advantage = ppo.compute_advantages(
             torch.from_numpy(np.stack(rewards)),
@@ -301,11 +321,18 @@ class ParcelLearner:
         old = np.stack([each.reshape(shape).astype(np.float32) for each in of_rows])
         return torch.from_numpy(tables), torch.from_numpy(proposed), torch.from_numpy(old)
 
+    def _rate(self, rewards: Numbers) -> None:
+        """Rate the policy by the rewards (periods, num_envs x rows) of a rollout."""
+        seconds = len(rewards) * self._surfaces.num_envs * self._config.control_period
+        score = float(rewards.sum()) / seconds
+        before = self._score if math.isfinite(self._score) else score
+        self._score = SMOOTH * before + (1.0 - SMOOTH) * score
+
     def _step(
         self, tables: torch.Tensor, proposed: torch.Tensor, old: torch.Tensor, critic_only: bool
     ) -> float:
         """Take a gradient step; return by how much [nat] the policy has moved."""
-        found = self.network(tables, proposed)
+        found = self._learning(tables, proposed)
         choice, old_log_prob, advantage, returns = old.flatten(1)[:, found.row]
         log_probability = found.logits.log_softmax(dim=1)
         log_prob = log_probability.gather(1, choice.long()[:, None])[:, 0]
@@ -317,10 +344,10 @@ class ParcelLearner:
         self._optimiser.zero_grad()
         torch.autograd.backward(loss)
         if critic_only:
-            for name, parameter in self.network.named_parameters():
+            for name, parameter in self._learning.named_parameters():
                 if not name.startswith("critic"):
                     parameter.grad = None
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), ppo.MAX_GRAD_NORM)
+        torch.nn.utils.clip_grad_norm_(self._learning.parameters(), ppo.MAX_GRAD_NORM)
         self._optimiser.step()
         ratio = (log_prob - old_log_prob).detach()
         return float((ratio.exp() - 1.0 - ratio).mean())

@@ -1,6 +1,7 @@
 """What the policy of parcels learns from: rewards of each, over environments that begin anew."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -86,10 +87,10 @@ def test_returns_of_a_parcel_end_as_it_leaves() -> None:
     """With a critic of zeros and all weight on the far, a return is the sum of what is to come."""
     config = replace(TINY, task="merge", gamma=1.0, gae_lambda=1.0, n_steps=96)
     learner = parcels.ParcelLearner(config)
-    for parameter in learner.network.critic.parameters():
+    for parameter in learner._learning.critic.parameters():
         torch.nn.init.zeros_(parameter)
     with torch.no_grad():
-        learner.network.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
+        learner._learning.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
     learner.begin(0)
     made = learner._surfaces
     rewards, left, step = [], [], made.step
@@ -117,12 +118,28 @@ def test_only_the_critic_learns_at_first() -> None:
     learner = parcels.ParcelLearner(replace(TINY, task="merge"))
     learner.begin(0)
     samples = learner._roll_out()
-    before = {name: each.clone() for name, each in learner.network.named_parameters()}
+    before = {name: each.clone() for name, each in learner._learning.named_parameters()}
     assert learner._step(*samples, critic_only=True) == pytest.approx(0.0, abs=1e-6)
-    for name, each in learner.network.named_parameters():
+    for name, each in learner._learning.named_parameters():
         assert torch.equal(each, before[name]) == (not name.startswith("critic"))
     learner._step(*samples, critic_only=False)
     assert learner._step(*samples, critic_only=False) > 0.0
+
+
+def test_the_best_network_so_far_is_kept() -> None:
+    learner = parcels.ParcelLearner(replace(TINY, task="merge"))
+    weights = learner._learning.critic[0].weight
+    kept = []
+    for steps, score in ((0, 1.0), (parcels.CRITIC_FIRST * 96, 1.0), (10**6, 0.5), (10**6, 2.0)):
+        learner.steps, learner._score = steps, score
+        with torch.no_grad():
+            weights += 1.0
+        learner._rate = lambda _: None
+        learner.begin(0)
+        before = weights.clone()
+        learner.learn(SimpleNamespace(add_episodes=lambda _: None))
+        kept.append(torch.equal(learner.network.critic[0].weight, before))
+    assert kept == [False, True, False, True]
 
 
 @pytest.mark.parametrize("task", ON_SLOPES)
