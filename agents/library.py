@@ -29,6 +29,7 @@ CARD = "policy.yaml"
 ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels")
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
 MOST_PARCELS = 12  # on a slope at once, for a policy of parcels
+HEADS = 4  # of its attention
 OWN = "Own/"  # before the class of a user's task, in place of an id
 _NAMES = {env_id(name): name for name in PERIODS}
 
@@ -125,6 +126,8 @@ class PolicyCard:
                 )
         if self.algo in of_streams:
             checks.one_of("actions", self.actions, ("parcels",))
+        if self.algo == "parcels":
+            check_heads(self.hidden)
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
@@ -152,6 +155,12 @@ class PolicyCard:
                 f"got {None if task is None else type(task).__name__}"
             )
         return EnvConfig(task=task if own and task is not None else self.task, **self.env_kwargs)
+
+
+def check_heads(hidden: tuple[int, ...]) -> None:
+    """Raise a ValueError unless heads of attention can share the one number of units."""
+    if len(hidden) != 1 or hidden[0] % HEADS:
+        raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
 
 
 @dataclass(frozen=True)

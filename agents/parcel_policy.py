@@ -18,12 +18,11 @@ from surface_gym.flow import take_away as ta
 from surface_gym.flow.task import HALVES
 
 from .base import BatchController, Booleans, Integers, Numbers, is_fresh
-from .library import PolicyCard
+from .library import HEADS, PolicyCard, check_heads
 from .rules.sequencing import PassAndPark
 from .rules.singulation import TimeSlots
 from .rules.slopes import SlopeRule
 
-HEADS = 4
 MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
 APART = (2.0, 1.4, 2.0)  # of two parcels, [m] along and across and [m/s], that differ at most
 PAIR = 5  # numbers that say how two parcels lie to each other
@@ -51,9 +50,8 @@ class ParcelNetwork(nn.Module):
 
     def __init__(self, features: int, orientations: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
+        check_heads(hidden)
         units = hidden[0]
-        if len(hidden) > 1 or units % HEADS:
-            raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
         self.choices = orientations**HALVES
         self.encoder = nn.Sequential(
             nn.Linear(features + self.choices, units), nn.ReLU(), nn.Linear(units, units), nn.ReLU()

@@ -280,8 +280,8 @@ class SchedulesConfig(TrainConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ParcelsConfig(PPOConfig):
-    """Train one policy shared by all parcels on a slope, by PPO with a reward for each, beginning
-    from the task's rule; then compare it with that rule.
+    """Train one policy shared by all parcels on a slope, which corrects the task's rule, by PPO
+    with a reward for each; then compare it with that rule.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -292,6 +292,8 @@ class ParcelsConfig(PPOConfig):
     """PPO per parcel."""
     actions: ActionName = "parcels"
     """Kind of action, as in the environment."""
+    hidden: tuple[int, ...] = (64,)
+    """Units of all layers, one number."""
 
     def _check_task(self) -> None:
         self._check_no_zones()
@@ -300,6 +302,9 @@ class ParcelsConfig(PPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         checks.one_of("actions", self.actions, ("parcels",))
+        from ..library import check_heads
+
+        check_heads(self.hidden)
 
 
 CONFIGS: dict[str, type[TrainConfig]] = {

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 import yaml
 
-from surface_gym import agents
+from surface_gym import agents, registration
 from surface_gym.agents.library import CARD, SHELF, read
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.tasks import TASKS
 
 FLOW = "flow-schedule"
+ON_SLOPES = {f"{task}-parcels" for task in registration.ON_SLOPES}
 FOR_THE_LAB = {"sort-dqn-lab", *(f"{task}-ppo-lab" for task in TASKS)}
 
 
-def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_a_flow() -> None:
+def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_streams() -> None:
     of_tasks = {f"{task}-{algo}" for task in TASKS for algo in ("ppo", "dqn")}
-    wanted = of_tasks | FOR_THE_LAB | {"sort-modules", FLOW}
+    wanted = of_tasks | FOR_THE_LAB | {"sort-modules", FLOW} | ON_SLOPES
     assert set(agents.names()) == wanted
 
 
@@ -33,7 +34,7 @@ class TestEach:
         envs = gym.make_vec(policy.env_id, num_envs=3, **policy.env_kwargs)
         observations, _ = envs.reset(seed=0)
         assert policy.predict(observations)[0] in envs.action_space
-        if name == FLOW:  # the first decision is the same, whatever was learned
+        if name == FLOW or name in ON_SLOPES:  # first decisions are the same
             cards = [SHELF / name / f"seed-{seed}" / CARD for seed in agents.seeds(name)]
             digests = {yaml.safe_load(card.read_text())["digest"] for card in cards}
             assert len(digests) == len(cards)
@@ -49,6 +50,11 @@ class TestEach:
         assert len(card["steps"]) == len(card["seconds"]) == len(card["seeds"]) >= 3
         for preset in ("exact", "camera", "lab") if name in FOR_THE_LAB else ("exact", "camera"):
             results = card["results"][preset]
+            if name in ON_SLOPES:
+                for scenario in results.values():
+                    assert len(scenario["right_an_hour_of_each_seed"]) == len(card["seeds"])
+                    assert 0.0 < scenario["share_right"] <= 1.0
+                continue
             if name == FLOW:
                 for stream in results.values():
                     assert len(stream["capacity_of_each_seed"]) == len(card["seeds"])

@@ -83,6 +83,7 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
     assert config == replace(configs.defaults("track", "dqn"), seed=3, out=tmp_path)
     assert config_of("--algo", "modules") == configs.defaults("sort", "modules")
     assert config_of("--task", "flow") == configs.defaults("flow", "schedule")
+    assert config_of("--task", "merge") == configs.defaults("merge", "parcels")
     lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
     assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
     # Earlier names of options are understood.

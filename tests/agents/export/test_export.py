@@ -21,6 +21,7 @@ from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.policy import save_policy
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
+from surface_gym.registration import ON_SLOPES
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Feature
 from tests.agents.test_policy import policy_of
@@ -51,7 +52,8 @@ def wanted(source: policy.Source, observations: policy.Singles) -> policy.Intege
     return chosen
 
 
-SHIPPED = [name for name in agents.names() if name != "flow-schedule"]
+OF_STREAMS = ("flow", *ON_SLOPES)
+SHIPPED = [name for name in agents.names() if name.split("-")[0] not in OF_STREAMS]
 COUNT = 1000
 
 
@@ -285,8 +287,9 @@ def test_what_is_no_export_is_refused(given, named) -> None:
 def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="preset must be one of"):
         _ = policy.Training("weather").presets
-    with pytest.raises(SystemExit, match="error: name must be that of an agent of single parcels"):
-        main(["flow-schedule", "--out", str(tmp_path / "out")])
+    for name in ("flow-schedule", "merge-parcels"):
+        with pytest.raises(SystemExit, match="error: name must be that of an agent of single"):
+            main([name, "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):
         main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()

@@ -11,7 +11,7 @@ import yaml
 
 from surface_gym.agents.learning import config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
-from surface_gym.registration import env_id
+from surface_gym.registration import ON_SLOPES, env_id
 from surface_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[3]
@@ -89,6 +89,7 @@ LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
     ("flow", "schedule"),
+    *((task, "parcels") for task in ON_SLOPES),
     (f"{ROOT}/examples/reach.py:Reach", "ppo"),
     (f"{ROOT}/examples/haste.py:Haste", "dqn"),
 ]
@@ -97,9 +98,10 @@ LEARNED = [
 @pytest.mark.parametrize(("task", "algo"), LEARNED)
 def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
     """Whole as a run's, and as hyper-parameters without seeds, folder and name."""
+    hidden = (12,) if algo == "parcels" else (7, 9, 11)
     config = replace(
         configs.defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2,
-        friction=0.35, control_period=0.02, hidden=(7, 9, 11), checkpoint_every=777,
+        friction=0.35, control_period=0.02, hidden=hidden, checkpoint_every=777,
     )  # fmt: skip
     whole = replace(config, seed=7, seeds=3, name="a", out=tmp_path)
     configs.write_hyperparams(whole, tmp_path / "own.yml")

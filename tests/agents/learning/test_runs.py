@@ -17,10 +17,11 @@ import torch
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.learning import config as configs, runs, schedules
+from surface_gym.agents.learning import config as configs, parcels, runs, schedules
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.library import WEIGHTS
+from surface_gym.flow.merge import Merge
 from surface_gym.tasks.sort import TERMS
 from surface_gym.tasks.stop import TERMS as STOP_TERMS
 from tests.agents.rules.runs import gated
@@ -28,6 +29,7 @@ from tests.agents.test_policy import Trap
 
 from .envs_on_cpu import envs_on_cpu
 
+SLOPE_TERMS = Merge.terms
 _STOP: dict[str, Any] = {
     "task": "stop", "num_envs": 16, "steps": 16_000, "checkpoint_every": 6_000, "hidden": (8,),
 }  # fmt: skip
@@ -38,6 +40,10 @@ _DQN: dict[str, Any] = {
 _FLOW: dict[str, Any] = {
     "steps": 800, "num_envs": 2, "lines": 1, "batch_size": 4, "gradient_steps": 2,
     "hidden": (8, 8), "checkpoint_every": 250,
+}  # fmt: skip
+_MERGE: dict[str, Any] = {
+    "task": "merge", "steps": 576, "num_envs": 6, "n_steps": 16, "batch_size": 32, "n_epochs": 1,
+    "hidden": (8,), "checkpoint_every": 192,
 }  # fmt: skip
 _CUDA: dict[str, Any] = {
     "device": "cuda", "camera_share": 0.0, "steps": 2048, "checkpoint_every": 1024,
@@ -51,6 +57,7 @@ RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
         configs.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
     ),
     "schedule": (configs.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
+    "parcels": (configs.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
     "cuda": (configs.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
 }  # fmt: skip
 TRAIN = """
@@ -67,6 +74,8 @@ train(read_config(folder / "config.yaml"), folder)
 def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines of training that take no time to make."""
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
+    monkeypatch.setattr(parcels, "DURATION", 0.6)
+    monkeypatch.setattr(parcels, "CRITIC_FIRST", 1)
 
 
 def run(
@@ -171,7 +180,7 @@ def test_a_damaged_checkpoint_and_a_foreign_one_are_refused(name, tmp_path) -> N
     config = replace(RUNS[name][0], steps=256)
     run(config, tmp_path)
     with pytest.raises(ValueError, match="damaged or of another run"):
-        run(replace(config, hidden=(8, 9)), tmp_path)
+        run(replace(config, hidden=(16,) if name == "parcels" else (8, 9)), tmp_path)
     file = tmp_path / runs.CHECKPOINT
     content = file.read_bytes()
     state = torch.load(file, weights_only=True)
