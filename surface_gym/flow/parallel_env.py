@@ -42,12 +42,14 @@ class FlowParallelEnv(ParallelEnv):
     - reward: that of its parcel, so without `waiting` and `jam`.
     - terminated: its parcel has left, or all are jammed. Truncated: the time is over.
     - info: `time` [s], `exit` the name of the one asked; and as it ends `outcome`: "right" or
-      "wrong" where it left, else "jam" or "out of time".
+      "wrong" where it left, else "jam" or "out of time". By tasks with a take-away it is right if
+      its gap, its turn and its place in the order are, too.
 
     `possible_agents` are all that come or may still come in this episode; before the first reset,
     as many as one draw of the stream has.
 
-    Arguments are those of `SmartSurfaceEnv` and of Flow, but `actions`, `gate` and `queue`.
+    Arguments are those of `SmartSurfaceEnv` and of the task, by default Flow, but `actions`, `gate`
+    and `queue`; `task="singulate"`, "merge" and "sequence" are others.
     `reset(options={"stream": ...})` gives an episode a stream of its own; other options are
     ignored, as PettingZoo's tests have it.
 
@@ -78,13 +80,16 @@ class FlowParallelEnv(ParallelEnv):
         self._observation_space = self.config.row_space()
         self._action_space = self._kind.space()
         probe = np.random.default_rng(0)
-        self._possible = len(self.task.stream.draw(probe, self.task.duration, self.config.exits))
+        drawn = self.task.stream.draw(
+            probe, self.task.duration, self.config.exits, self.config.inlets
+        )
+        self._possible = list(range(len(drawn)))
         self.agents: list[str] = []
 
     @property
     def possible_agents(self) -> list[str]:
         """The ids of all that come or may still come in this episode."""
-        return [_name(number) for number in range(self._possible)]
+        return [_name(number) for number in self._possible]
 
     def observation_space(self, agent: str) -> spaces.Box:
         del agent
@@ -153,7 +158,7 @@ class FlowParallelEnv(ParallelEnv):
             left = not streams.present[0, slot]
             info = {"time": float(streams.clock[0]), "exit": self.config.exits.names[asked]}
             if left:
-                info["outcome"] = "right" if streams.taken[0, number] == asked else "wrong"
+                info["outcome"] = "right" if streams.right[0, number] else "wrong"
             elif outcome == RUNNING:
                 there.append(number)
             else:
@@ -164,8 +169,10 @@ class FlowParallelEnv(ParallelEnv):
             truncated[agent] = bool(not left and outcome == OUT_OF_TIME)
             infos[agent] = info
         self.agents = [_name(number) for number in sorted(there)]
-        counted = streams.arrivals if outcome == RUNNING else streams.coming
-        self._possible = int(counted[0])
+        coming = np.arange(streams.arrivals[0])
+        if outcome != RUNNING:  # who has not entered cannot any more
+            coming = coming[~np.isnan(streams.entered[0, : len(coming)])]
+        self._possible = coming.tolist()
 
 
 def _name(number: int) -> str:

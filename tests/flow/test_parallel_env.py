@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 
 from surface_gym.flow.arrivals import Schedule, Steady
+from surface_gym.flow.merge import lines
 from surface_gym.flow.parallel_env import FlowParallelEnv
+from surface_gym.flow.sequence import shuffled
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import bulk
 from surface_gym.sensors import Presence
 from tests.environments import TWINS, assert_same
 from tests.flow.flows import BRAKE, DENSE, KINDS, MINUS_45, ROLL, SHORT, bare, trace
+from tests.flow.test_take_away import TASKS
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of its own games, as it is imported
@@ -33,6 +37,7 @@ SETTINGS: tuple[dict[str, Any], ...] = (
     {"orientations": "any", "sensors": Presence()},
     VARIED,
 )
+FAST = {"singulate": bulk(), "merge": lines(9000.0), "sequence": shuffled(3600.0)}
 NORTH = Stream(destinations={"north": 1.0})  # where no exit is
 
 
@@ -195,6 +200,41 @@ class TestAgents:
         while env.agents:
             assert_same(env.step(all_say(env, ROLL)), twin.step(all_say(twin, ROLL)))
         assert not twin.agents
+
+
+@pytest.mark.parametrize("task", TASKS)
+class TestTakeAway:
+    def test_pettingzoos_checks_pass(self, task: str, capsys: Any) -> None:
+        parallel_api_test(FlowParallelEnv(task=task, duration=3.0), num_cycles=100)
+        parallel_seed_test(lambda: FlowParallelEnv(task=task, duration=2.0))
+        assert "Passed" in capsys.readouterr().out
+
+    def test_rewards_are_the_envs_own_and_outcomes_all_that_is_asked(self, task: str) -> None:
+        env = FlowParallelEnv(task=task, duration=8.0, stream=FAST[task], exits="end")
+        env.reset(seed=1)
+        streams, outcomes = env.batch.streams, {}
+        while env.agents:
+            _, rewards, _, _, infos = env.step(all_say(env, ROLL))
+            # The last two terms are the surface's: of parcels that wait, and of a jam.
+            assert sum(rewards.values()) == pytest.approx(env.batch.terms[0, :-2].sum())
+            outcomes.update(
+                {agent: each["outcome"] for agent, each in infos.items() if "outcome" in each}
+            )
+        ended = {number_of(agent): outcome for agent, outcome in outcomes.items()}
+        gone = {number for number, outcome in ended.items() if outcome in ("right", "wrong")}
+        assert gone == set(np.flatnonzero(~np.isnan(streams.left[0])))
+        assert all((ended[k] == "right") == streams.right[0, k] for k in gone)
+        by_the_exit = {k for k in gone if streams.taken[0, k] == streams.exit[0, k]}
+        assert {ended[k] for k in by_the_exit} == {"right", "wrong"}
+
+    def test_possible_ones_after_the_end_are_those_that_entered(self, task: str) -> None:
+        env = FlowParallelEnv(task=task, duration=2.0, stream=FAST[task])
+        env.reset(seed=1)
+        assert len(env.possible_agents) == env.batch.streams.arrivals[0]
+        while env.agents:
+            env.step(all_say(env, BRAKE))
+        entered = np.flatnonzero(~np.isnan(env.batch.streams.entered[0]))
+        assert [number_of(agent) for agent in env.possible_agents] == entered.tolist()
 
 
 class TestBadInput:
