@@ -104,7 +104,9 @@ class Singulate(TakeAwayTask):
     largest impulse and squeeze, times.
 
     `reset(options={"stream": ...})` gives an episode a stream of its own. Sensors and randomisation
-    are those of each parcel, but friction and stiffness, which are the surface's.
+    are those of each parcel, but friction and stiffness, which are the surface's. In PettingZoo
+    `surface_gym.flow.parallel_env.FlowParallelEnv` makes each parcel an agent, and
+    `surface_gym.flow.module_parallel_env.ModuleParallelEnv` each module.
 
     ### Example
 

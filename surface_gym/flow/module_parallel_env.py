@@ -1,0 +1,162 @@
+"""Streams in PettingZoo: each module an agent that sees itself and what its neighbours pass on."""
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import with_arguments
+from surface_gym.env import SmartSurfaceEnv
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.module_view import ModuleView, module_space
+from surface_gym.flow.state import JAM, NOBODY
+from surface_gym.state import OUT_OF_TIME, RUNNING
+
+try:
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    raise ImportError(
+        f"the environment of agents needs PettingZoo ({error}): pip install 'surface_gym[multi]'"
+    ) from None
+
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+Returned = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
+
+REWARDS = ("parcel", "team")
+
+
+class ModuleParallelEnv(ParallelEnv):
+    """`SmartSurfaceEnv` of a stream on a slope with `actions="modules"`, each module an agent.
+
+    All modules with a rotor are there for the whole episode, 700 by default; "module_3_7" is that
+    in row 3 and column 7, rows from y < 0. Each sees only itself and what the modules around pass
+    on: see `surface_gym.flow.module_view`.
+
+    ## Agents
+
+    - observation: (60,) float32: where the module is; the parcel on it, or about to be, and where
+      the module lies under it; the nearest parcels in eight directions, 1 m far.
+    - action: the choice of its axis; with `orientations="any"` an array (1,) of its angle.
+    - reward: that of the parcel that it bore as it acted, 0 without one; with `reward="team"` that
+      of the whole surface, the same for all.
+    - terminated: all are, by a jam. Truncated: the time is over.
+    - info: `parcel`, the number in the order of arrival of the one on it or about to be, else -1;
+      as the episode ends also `outcome`: "jam" or "out of time".
+
+    Arguments are those of `SmartSurfaceEnv` and of the task, `task="singulate"` by default, "merge"
+    or "sequence", but `actions`, `gate` and `queue`; and `reward`. `reset(options={"stream": ...})`
+    gives an episode a stream of its own; other options are ignored, as PettingZoo's tests have it.
+
+    >>> env = ModuleParallelEnv(duration=4.0)
+    >>> observations, infos = env.reset(seed=0)
+    >>> right = 0
+    >>> while env.agents:  # every module lets parcels roll on
+    ...     roll = dict.fromkeys(env.agents, 3)
+    ...     observations, rewards, terminated, truncated, infos = env.step(roll)
+    >>> len(observations), infos["module_0_0"]
+    (700, {'parcel': -1, 'outcome': 'out of time'})
+    """
+
+    metadata = {**SmartSurfaceEnv.metadata, "name": "smart_surface_modules_v0"}
+
+    @with_arguments
+    def __init__(
+        self, render_mode: str | None = None, reward: str = "parcel", **config: Any
+    ) -> None:
+        for name, only in (("actions", "modules"), ("gate", False)):
+            if config.setdefault(name, only) != only:
+                raise ValueError(f"{name} must be {only!r} with agents, got {config[name]!r}")
+        self._team = checks.one_of("reward", reward, REWARDS) == "team"
+        self._env = SmartSurfaceEnv(**{"task": "singulate", **config}, render_mode=render_mode)
+        self.config = self._env.config
+        self.task = self.config.stream_task
+        self.render_mode = render_mode
+        batch = self._env.batch
+        assert isinstance(batch, StreamBatch)
+        self.batch = batch
+        self._view = ModuleView(self.config)
+        self._owner = np.full(self._view.modules, NOBODY)
+        kind = self.config.action_kind
+        places = {
+            f"module_{row}_{column}": row * kind.columns + column
+            for row, column in np.argwhere(self._view.rotor).tolist()
+        }
+        self._places = np.array(list(places.values()))
+        self.possible_agents = list(places)
+        self.agents: list[str] = []
+        self._observation_space = module_space()
+        self._action_space: spaces.Space[Any] = spaces.Discrete(kind.choices or 1)
+        if kind.continuous:
+            whole = kind.space()
+            assert isinstance(whole, spaces.Box)
+            self._action_space = spaces.Box(whole.low[:1], whole.high[:1], dtype=np.float32)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        del agent
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        del agent
+        return self._action_space
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        known = options
+        if isinstance(options, dict):
+            known = {name: options[name] for name in self.batch.options if name in options}
+        observation, _ = self._env.reset(seed=seed, options=known)
+        self.agents = list(self.possible_agents)
+        return self._look(observation)
+
+    def step(self, actions: dict[str, Any]) -> Returned:
+        """Move all parcels over a control period, by an action of every module."""
+        if not isinstance(actions, dict) or set(actions) != set(self.agents):
+            raise ValueError(f"actions must be one for each of {len(self.agents)} agents")
+        said = np.array([actions[agent] for agent in self.agents])
+        action = np.zeros(self._view.modules, said.dtype)
+        if self.agents:
+            if said.size != len(self.agents):
+                raise ValueError(f"actions must be one number each, got {said[0].tolist()!r}")
+            action[self._places] = said.reshape(-1)
+        observation, reward, terminated, truncated, _ = self._env.step(action)
+        agents, owner = self.agents, self._owner[self._places]
+        earned = np.full(len(owner), reward)
+        if not self._team:
+            earned = np.where(owner == NOBODY, 0.0, self.batch.parcels.reward[owner])
+        observations, infos = self._look(observation)
+        if terminated or truncated:
+            self.agents = []
+        return (
+            observations,
+            dict(zip(agents, earned.tolist(), strict=True)),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            infos,
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        return self._env.render()
+
+    def close(self) -> None:
+        self._env.close()
+
+    def _look(self, observation: NDArray[np.float32]) -> tuple[Observations, Infos]:
+        """Collect what each module sees, and its info."""
+        seen = self._view(observation[np.newaxis])
+        self._owner = seen.owner[0]
+        owner = self._owner[self._places]
+        number = np.where(owner == NOBODY, NOBODY, self.batch.streams.number[0, owner])
+        infos: Infos = {
+            agent: {"parcel": each}
+            for agent, each in zip(self.agents, number.tolist(), strict=True)
+        }
+        outcome = self.batch.outcome.item(0)
+        if outcome != RUNNING:
+            assert outcome in (JAM, OUT_OF_TIME)
+            for info in infos.values():
+                info["outcome"] = self.batch.outcomes[outcome]
+        return dict(zip(self.agents, seen.of_modules()[0, self._places], strict=True)), infos

@@ -1,0 +1,348 @@
+"""What each module sees of a stream on a slope: itself, and what its neighbours pass on.
+
+An idle rotor senses whether a parcel lies on it and how fast it is turned. The modules below one
+parcel pass that on to each other, so that they agree on where its base ends and how it moves. From
+there it goes on to the modules around, in eight directions, `REACH` far. And from one parcel to the
+next behind it goes how soon the take-away is free. Nothing else comes from afar.
+
+All of it is computed from the table of parcels, so as the sensors have it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.sequence import PLACE, Sequence
+from surface_gym.flow.state import NOBODY
+from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.physics.jit import compiled, inlined, linked
+from surface_gym.physics.types import Array, Booleans, Integers
+
+Singles = NDArray[np.float32]
+
+REACH = 1.0  # [m] clear between two parcels up to which the modules below them hear of each other
+MOST = 20.0  # bound of every feature
+
+# Features of a module's own, of the parcel over it, and of each of the parcels around that.
+OWN = (
+    "to the end, from the module along x / 1 m",
+    "the module's y / 0.5 m, from the line's middle",
+    "1: a parcel lies on it; 0: one is about to, or none is near",
+    "how far the module is ahead of the parcel's centre / 0.2 m",
+    "and to the left of it / 0.2 m",
+    "from the parcel's base to the module / 0.1 m",
+)
+PARCEL = (
+    "1: there is a parcel",
+    "to the end, from its centre along x / 1 m",
+    "its y / 0.5 m",
+    "vx / 1 m/s - 1",
+    "vy / 0.5 m/s",
+    "omega / 3 rad/s",
+    "half of its extent along x / 0.2 m",
+    "half of its extent along y / 0.2 m",
+    "to move along y until it is within the nearest mouth / 0.3 m",
+    "to turn until it is aligned / 45 deg",
+    "until it has left if it rolls / 4 s",
+    "how early it then is, before the take-away is free for it / 1 s; negative: late",
+    "1: the take-away runs; 0: it stands, or is about to",
+    "Merge: its line / 8; Sequence: how many are to leave before it / 8; Singulate: 0",
+)
+NEIGHBOUR = (
+    "clear to it along x / 0.5 m; 2: there is none",
+    "clear to it along y / 0.5 m",
+    "its vx over that of this one / 0.5 m/s",
+    "its vy over that of this one / 0.5 m/s",
+    "1: it is to leave before this one; -1: after it; 0: there is none",
+)
+DIRECTIONS = 8  # behind right, behind, behind left, right, left, ahead right, ahead, ahead left
+EARLY = 11  # place in `PARCEL`
+PASSED = len(PARCEL) + DIRECTIONS * len(NEIGHBOUR)  # features that modules below a parcel share
+SIZE = len(OWN) + PASSED
+
+# Columns of a parcel that is decoded from its row, in SI units.
+_X, _Y, _VX, _VY, _FRONT, _REAR, _LEFT, _RIGHT, _READY, _NEXT_IN_ORDER = range(10)
+_DECODED = 10
+
+
+class _Surface(NamedTuple):
+    """The surface and its modules, as compiled code reads them."""
+
+    x: Array  # (columns,) [m] of the modules from the end, negative
+    y: Array  # (rows,) [m] from the line's middle
+    rotor: Booleans  # (rows, columns) a rotor, else a support, which sees nothing of parcels
+    mouths: Array  # (mouths, 2) [m] y of their sides from the line's middle
+    take_away: float  # [m/s]
+    gap: float  # [m]
+    ahead: float  # [s] within which a parcel must be about to bear on a module
+    place: int  # feature by which parcels are to leave in an order; negative: by x
+    own: int  # feature of the table that only the task has; negative: none
+
+
+class ModuleObservations(NamedTuple):
+    """What the modules of surfaces see."""
+
+    owner: Integers  # (num_envs, modules) row of the parcel on a module or about to be, or NOBODY
+    own: Singles  # (num_envs, modules, len(OWN))
+    passed: Singles  # (num_envs, rows, PASSED) what the modules below each parcel pass on
+
+    def of_modules(self) -> Singles:
+        """Join what each module sees (num_envs, modules, SIZE); 0 of the parcel if it has none."""
+        num_envs, _modules = self.owner.shape
+        passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]
+        passed[self.owner == NOBODY] = 0.0
+        return np.concatenate([self.own, passed], axis=2)
+
+
+@inlined
+def _within(value: float) -> float:
+    return min(MOST, max(-MOST, value))
+
+
+@inlined
+def _is_there(row: Singles) -> bool:
+    return row[ta.PRESENT] > 0.5 and row[ta.WAITS] < 0.5
+
+
+@inlined
+def _nearest_mouth(surface: _Surface, y: float) -> int:
+    nearest, least = 0, math.inf
+    for m in range(surface.mouths.shape[0]):
+        away = max(surface.mouths[m, 0] - y, y - surface.mouths[m, 1])
+        if away < least:
+            nearest, least = m, away
+    return nearest
+
+
+@linked
+def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
+    """Decode the parcels of a table, sort them by when they are to leave, and count them."""
+    count = 0
+    for k in range(table.shape[0]):
+        row = table[k]
+        if not _is_there(row):
+            continue
+        parcel = decoded[k]
+        parcel[_X], parcel[_Y] = -row[ta.END], 0.5 * row[ta.OFFSET]
+        parcel[_VX], parcel[_VY] = row[ta.FORWARD] + 1.0, 0.5 * row[ta.LATERAL]
+        parcel[_FRONT], parcel[_REAR] = 0.2 + 0.1 * row[ta.FRONT], 0.2 + 0.1 * row[ta.REAR]
+        parcel[_LEFT], parcel[_RIGHT] = 0.2 + 0.1 * row[ta.LEFT], 0.2 + 0.1 * row[ta.RIGHT]
+        place = count
+        while place > 0:
+            other = order[place - 1]
+            sooner = parcel[_X] > decoded[other, _X]
+            if surface.place >= 0:
+                apart = table[other, surface.place] - row[surface.place]
+                sooner = apart > 0.0 or (apart == 0.0 and sooner)
+            if not sooner:
+                break
+            order[place] = other
+            place -= 1
+        order[place] = k
+        count += 1
+    for place in range(count):
+        decoded[order[place], _NEXT_IN_ORDER] = place
+    return count
+
+
+@linked
+def _write_early(
+    surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
+) -> None:
+    """Write how early each parcel is, as those that leave before it pass it on."""
+    for place in range(count):
+        k = order[place]
+        parcel = decoded[k]
+        rolls = 4.0 * table[k, ta.ROLLS]
+        mouth = _nearest_mouth(surface, parcel[_Y])
+        free = (parcel[_FRONT] - 0.5 * table[k, ta.CLEAR]) / surface.take_away
+        for before in range(place - 1, -1, -1):
+            other = decoded[order[before]]
+            if _nearest_mouth(surface, other[_Y]) == mouth:
+                apart = other[_REAR] + parcel[_FRONT] + surface.gap
+                free = other[_READY] + apart / surface.take_away
+                break
+        parcel[_READY] = max(rolls, free)
+        seen[k, EARLY] = _within(free - rolls)
+
+
+@linked
+def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
+    """Write what the modules below a parcel know of it, but how early it is."""
+    seen[0] = 1.0
+    seen[1] = _within(row[ta.END])
+    seen[2] = row[ta.OFFSET]
+    seen[3] = row[ta.FORWARD]
+    seen[4] = row[ta.LATERAL]
+    seen[5] = _within(row[ta.TURNING])
+    seen[6] = _within(1.0 + 0.25 * (row[ta.FRONT] + row[ta.REAR]))
+    seen[7] = _within(1.0 + 0.25 * (row[ta.LEFT] + row[ta.RIGHT]))
+    seen[8] = row[ta.TO_MOUTH]
+    seen[9] = row[ta.TO_TURN]
+    seen[10] = row[ta.ROLLS]
+    seen[12] = row[ta.TAKES_AWAY]
+    seen[13] = _within(row[surface.own]) if surface.own >= 0 else 0.0
+
+
+@linked
+def _write_neighbours(
+    table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
+) -> None:
+    """Write the nearest parcel in each direction that is within reach."""
+    size = len(NEIGHBOUR)
+    first = len(PARCEL)
+    for way in range(DIRECTIONS):
+        nearest[way] = REACH
+        for n in range(size):
+            seen[first + way * size + n] = 2.0 * REACH if n < 2 else 0.0
+    one = decoded[k]
+    for j in range(table.shape[0]):
+        if j == k or not _is_there(table[j]):
+            continue
+        other = decoded[j]
+        ahead, aside = other[_X] - one[_X], other[_Y] - one[_Y]
+        if ahead > 0.0:
+            clear_x = ahead - one[_FRONT] - other[_REAR]
+        else:
+            clear_x = -ahead - one[_REAR] - other[_FRONT]
+        if aside > 0.0:
+            clear_y = aside - one[_LEFT] - other[_RIGHT]
+        else:
+            clear_y = -aside - one[_RIGHT] - other[_LEFT]
+        along = 0
+        if clear_x > 0.0 or clear_x >= clear_y:
+            along = 1 if ahead > 0.0 else -1
+        across = 0
+        if clear_y > 0.0 or clear_y > clear_x:
+            across = 1 if aside > 0.0 else -1
+        way = 3 * (along + 1) + across + 1
+        if way > 4:
+            way -= 1
+        if max(clear_x, clear_y) >= nearest[way]:
+            continue
+        nearest[way] = max(clear_x, clear_y)
+        at = first + way * size
+        seen[at] = 2.0 * max(-REACH, min(REACH, clear_x))
+        seen[at + 1] = 2.0 * max(-REACH, min(REACH, clear_y))
+        seen[at + 2] = _within(2.0 * (other[_VX] - one[_VX]))
+        seen[at + 3] = _within(2.0 * (other[_VY] - one[_VY]))
+        seen[at + 4] = 1.0 if other[_NEXT_IN_ORDER] < one[_NEXT_IN_ORDER] else -1.0
+
+
+@linked
+def _claim(
+    surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
+    own: Singles,
+) -> None:  # fmt: skip
+    """Let each module that bears a parcel, or soon will, see it, unless another is nearer."""
+    reach = surface.ahead
+    low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
+    high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)
+    low_y = -parcel[_RIGHT] + min(0.0, parcel[_VY] * reach)
+    high_y = parcel[_LEFT] + max(0.0, parcel[_VY] * reach)
+    length, width = 0.175 + 0.05 * row[ta.LENGTH], 0.175 + 0.05 * row[ta.WIDTH]
+    columns = len(surface.x)
+    for c in range(columns):
+        x = surface.x[c] - parcel[_X]
+        if x < low_x or x > high_x:
+            continue
+        for r in range(len(surface.y)):
+            y = surface.y[r] - parcel[_Y]
+            if y < low_y or y > high_y or not surface.rotor[r, c]:
+                continue
+            along = abs(row[ta.COSINE] * x + row[ta.SINE] * y) - length
+            across = abs(row[ta.COSINE] * y - row[ta.SINE] * x) - width
+            outside = max(0.0, along, across)
+            far = outside + 1e-3 * math.sqrt(x * x + y * y)
+            m = r * columns + c
+            if far >= least[m]:
+                continue
+            least[m], owner[m] = far, k
+            own[m, 2] = 1.0 if outside == 0.0 else 0.0
+            own[m, 3] = _within(5.0 * x)
+            own[m, 4] = _within(5.0 * y)
+            own[m, 5] = _within(10.0 * outside)
+
+
+@compiled
+def view_modules(
+    tables: Singles, surface: _Surface, order: Integers, decoded: Array, nearest: Array,
+    least: Array, owner: Integers, own: Singles, passed: Singles,
+) -> None:  # fmt: skip
+    """Write what the modules of all surfaces see, from the tables (num_envs, rows, features)."""
+    columns = len(surface.x)
+    for i in range(tables.shape[0]):
+        table = tables[i]
+        for m in range(owner.shape[1]):
+            owner[i, m], least[m] = NOBODY, math.inf
+            own[i, m, 0], own[i, m, 1] = -surface.x[m % columns], 2.0 * surface.y[m // columns]
+            for n in range(2, own.shape[2]):
+                own[i, m, n] = 0.0
+        count = _decode(surface, table, order, decoded)
+        _write_early(surface, table, order, count, decoded, passed[i])
+        for k in range(table.shape[0]):
+            if _is_there(table[k]):
+                _write_parcel(surface, table[k], passed[i, k])
+                _write_neighbours(table, k, decoded, nearest, passed[i, k])
+                _claim(surface, table[k], k, decoded[k], owner[i], least, own[i])
+            else:
+                for n in range(passed.shape[2]):
+                    passed[i, k, n] = 0.0
+
+
+class ModuleView:
+    """Conversion of tables of parcels into what every module of the zone sees.
+
+    Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) says
+    which places of the zone have one.
+    """
+
+    def __init__(self, config: EnvConfig) -> None:
+        task = checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
+        line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
+        extent = line.extent
+        sides = [(each.first, each.last) for each in config.exits]
+        self.modules, self._features = rows * columns, len(config.features)
+        zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
+        self.rotor = np.ascontiguousarray(zone)
+        self._surface = _Surface(
+            x=line.column_edge(first + 0.5) + line.pitch_x * np.arange(columns) - config.rotors_end,
+            y=line.origin[1] + line.pitch_y * (first_row + np.arange(rows)) - line.line_y,
+            rotor=self.rotor,
+            mouths=np.clip(sides, extent[2] - line.line_y, extent[3] - line.line_y),
+            take_away=task.take_away,
+            gap=task.gap,
+            ahead=task.ahead,
+            place=PLACE if isinstance(task, Sequence) else -1,
+            own=len(ta.FEATURES) if len(config.features) > len(ta.FEATURES) else -1,
+        )
+
+    def __call__(self, tables: Singles) -> ModuleObservations:
+        """Compute what modules see from observations (num_envs, rows, features)."""
+        if tables.ndim != 3 or tables.shape[2] != self._features:
+            raise ValueError(
+                f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"
+            )
+        num_envs, rows, _ = tables.shape
+        scratch = (
+            np.zeros(rows, dtype=np.int64), np.zeros((rows, _DECODED)),
+            np.zeros(DIRECTIONS), np.zeros(self.modules),
+        )  # fmt: skip
+        seen = ModuleObservations(
+            np.empty((num_envs, self.modules), dtype=np.int64),
+            np.empty((num_envs, self.modules, len(OWN)), dtype=np.float32),
+            np.empty((num_envs, rows, PASSED), dtype=np.float32),
+        )
+        view_modules(np.ascontiguousarray(tables, dtype=np.float32), self._surface, *scratch, *seen)
+        return seen
+
+
+def module_space() -> spaces.Box:
+    """Make the space of what one module sees."""
+    return spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)
