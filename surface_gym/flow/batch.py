@@ -1,6 +1,7 @@
 """A batch of streams: parcels to come are drawn for each surface, commands step it."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from functools import partial
@@ -47,8 +48,8 @@ class BodyPool:
         self._users: dict[int, int] = {}
         self._free = list(range(_FIRST_ROOM))[::-1]
 
-    def take(self, parcel: Parcel) -> int:
-        """Get the row of a parcel's body, for one more user."""
+    def take(self, parcel: Parcel, users: int = 1) -> int:
+        """Get the row of a parcel's body, for so many more users."""
         row = self._row_of.get(parcel)
         if row is None:
             placement = self._place(parcel)
@@ -59,7 +60,7 @@ class BodyPool:
             self._row_of[parcel] = row
             self._parcel_of[row] = parcel
             self._users[row] = 0
-        self._users[row] += 1
+        self._users[row] += users
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
@@ -372,26 +373,23 @@ class StreamBatch(BaseBatch):
         self.streams = fs.with_room(self.streams, snapshot.arrays["streams.time"].shape[1])
         super().restore(snapshot, chosen)
 
-    def _copy_parcels(self, chosen: Integers) -> list[dict[int, list[Parcel]]]:
-        """Copy the parcels of surfaces by their rows in the pool, as often as a row is used."""
-        held = []
-        for i in chosen.tolist():
-            parcels: dict[int, list[Parcel]] = {}
-            for row in self._used[i]:
-                parcels.setdefault(row, []).append(self._pool.parcel(row))
-            held.append(parcels)
-        return held
+    def _copy_parcels(self, chosen: Integers) -> list[dict[int, tuple[Parcel, int]]]:
+        """Copy the parcels of surfaces by their rows in the pool, and how often a row is used."""
+        return [
+            {row: (self._pool.parcel(row), users) for row, users in Counter(self._used[i]).items()}
+            for i in chosen.tolist()
+        ]
 
-    def _put_parcels(self, chosen: Integers, parcels: list[dict[int, list[Parcel]]]) -> None:
+    def _put_parcels(self, chosen: Integers, parcels: list[dict[int, tuple[Parcel, int]]]) -> None:
         for k, i in enumerate(chosen.tolist()):
             held = parcels[k if len(parcels) > 1 else 0]
-            taken = {old: [self._pool.take(each) for each in same] for old, same in held.items()}
+            taken = {old: self._pool.take(*each) for old, each in held.items()}
             self._pool.give_back(self._used[i])
-            self._used[i] = [row for rows in taken.values() for row in rows]
+            self._used[i] = [taken[old] for old, (_, users) in held.items() for _ in range(users)]
             first, count = i * self.rows, int(self.streams.arrivals[i])
             here = self.parcels.body[first : first + self.rows]
             for used in (self.streams.body[i, :count], here):
-                used[:] = [taken[row][0] if row in taken else 0 for row in used.tolist()]
+                used[:] = [taken.get(row, 0) for row in used.tolist()]
 
     def _fault(self) -> ValueError:
         i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__
