@@ -121,6 +121,7 @@ TARGETS = (
     _agent("planning/planner", "planning/test_planner.py"),
     _agent("planning/models", "planning/test_models.py", wide=("planning",)),
     _agent("planning/oracle", "planning/test_oracle.py", wide=("planning",)),
+    _agent("planning/receding_horizon", "planning/test_receding_horizon.py"),
     _agent("vec_env", "test_vec_env.py", wide=("test_symmetry.py",)),
     _agent("base", "test_symmetry.py", wide=("test_vec_env.py",)),
     _agent("rollout", "test_rollout.py", wide=("evaluation",)),

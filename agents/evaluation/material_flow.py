@@ -31,6 +31,7 @@ from surface_gym.state import RUNNING
 from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..library import PolicyFiles
+from ..planning.receding_horizon import RecedingHorizon
 from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
 from ..scheduling.scheduler import begin_streams
@@ -38,6 +39,7 @@ from .benchmark import SEED, Advance, compute_kept
 
 FILE = "material-flow.jsonl"
 REPLICATIONS = 10
+PLANNED = 3  # of these, which a planner plays
 SECONDS = 200.0  # [s] of each
 ALIGNMENT = math.radians(10.0)
 OFFERED = {"singulate": 14_000.0, "merge": 10_000.0}  # [parcels/h] more than anybody takes
@@ -80,7 +82,7 @@ class FlowMethod:
     most: int | None = None  # parcels on the surface at once; None: as many as the environment has
 
 
-LEARNED = "PPO per parcel"
+LEARNED, PLANNER = "PPO per parcel", "planner"
 
 
 def _of_rule(rule: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
@@ -95,6 +97,15 @@ SINGLE = (
     FlowMethod("time slots, 8 at once", partial(_of_rule, TimeSlots), most=8),
 )
 ORDER = (FlowMethod("pass and park", partial(_of_rule, PassAndPark)),)
+
+
+def _plan(config: EnvConfig, _seed: int) -> Controller:
+    """Make the planner that varies time slots; it knows the truth whatever the sensors show."""
+    exact = config.replace(sensors=sg.sensors.Exact())
+    return RecedingHorizon(TimeSlots(exact), exact)
+
+
+PLAN = FlowMethod(PLANNER, _plan)
 
 
 def find_learned(task: str) -> tuple[FlowMethod, ...]:
@@ -159,10 +170,10 @@ def scenarios(tasks: Sequence[str] = ON_SLOPES, learned: bool = True) -> list[Sc
     single, merged, ordered = (given[task] for task in ON_SLOPES)
     found = [
         singulate("anywhere across", (), single, most["singulate"]),
-        singulate("mouth of 0.6 m, 10 deg", (mouth, aligned), single, most["singulate"]),
+        singulate("mouth of 0.6 m, 10 deg", (mouth, aligned), (*single, PLAN), most["singulate"]),
         singulate("two mouths, 10 deg", (("exits", "mouths"), aligned), single, most["singulate"]),
         singulate("mouth, take-away stops", (mouth, aligned, stops), single[1:], most["singulate"]),
-        merge("three lines", (), merged, most["merge"]),
+        merge("three lines", (), (*merged, PLAN), most["merge"]),
         merge("two lines", (("inlets", side_by_side(2)),), merged, most["merge"]),
         *(sequence(f"window of {k}", (), ORDER, RATES[::-1], k) for k in (2, 4, 8)),
         *(
@@ -226,13 +237,18 @@ def take_away_bound(config: EnvConfig) -> float:
 
 
 def play(config: EnvConfig, controller: Controller) -> StreamBatch:
-    """Play all replications of a stream to their end."""
-    batch = begin_streams(config, REPLICATIONS, SEED)
-    fresh = np.ones(REPLICATIONS, dtype=np.bool_)
+    """Play all replications of a stream to their end; a planner plays the first of them."""
+    count = REPLICATIONS
+    if isinstance(controller, RecedingHorizon):
+        count, config = PLANNED, config.replace(sensors=sg.sensors.Exact())
+    batch = begin_streams(config, count, SEED)
+    if isinstance(controller, RecedingHorizon):
+        controller.watch(batch)
+    fresh = np.ones(count, dtype=np.bool_)
     state = None
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state, fresh)
-        batch.step(config.action_kind.commands(action, REPLICATIONS))
+        batch.step(config.action_kind.commands(action, count))
         fresh[:] = False
     return batch
 
@@ -245,7 +261,7 @@ def _measure(
     found = [
         config.stream_task.compute_statistics(batch.streams, k, bool(jams[k]), 1)
         for batch, jams in zip(batches, jammed, strict=True)
-        for k in range(REPLICATIONS)
+        for k in range(batch.num_envs)
     ]
     delivered = np.array([each.delivered for each in found])
     # A replication that jams counts to its end: nothing comes after it.
@@ -306,5 +322,6 @@ def compute_scenarios(
         for each in compared
         for method in each.methods
         for preset in COMPARED
+        if method.name != PLANNER or preset != "camera"  # it needs no camera
     }
     return list(compute_kept(jobs, MaterialFlowResult, workers, file, advance).values())
