@@ -296,6 +296,11 @@ def view_modules(
                     passed[i, k, n] = 0.0
 
 
+def _count(places: int) -> Array:
+    """Number places (places,) from 0 on."""
+    return np.arange(places, dtype=np.float64)
+
+
 class ModuleView:
     """Conversion of tables of parcels into what every module of the zone sees.
 
@@ -312,8 +317,8 @@ class ModuleView:
         zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
         self.rotor = np.ascontiguousarray(zone)
         self._surface = _Surface(
-            x=line.column_edge(first + 0.5) + line.pitch_x * np.arange(columns) - config.rotors_end,
-            y=line.origin[1] + line.pitch_y * (first_row + np.arange(rows)) - line.line_y,
+            x=line.column_edge(first + 0.5) - config.rotors_end + line.pitch_x * _count(columns),
+            y=line.origin[1] - line.line_y + line.pitch_y * (first_row + _count(rows)),
             rotor=self.rotor,
             mouths=np.clip(sides, extent[2] - line.line_y, extent[3] - line.line_y),
             take_away=task.take_away,
