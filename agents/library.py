@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.pt"
 CARD = "policy.yaml"
-ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels")
+ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels", "local")
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
-MOST_PARCELS = 12  # on a slope at once, for a policy of parcels
-HEADS = 4  # of its attention
+MOST_PARCELS = 12  # on a slope at once, for a policy of parcels or modules
+HEADS = 4  # of attention, of a policy of parcels
 OWN = "Own/"  # before the class of a user's task, in place of an id
 _NAMES = {env_id(name): name for name in PERIODS}
 
@@ -99,7 +99,7 @@ class PolicyCard:
     """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
-    algo: str  # "ppo", "dqn"; PPO per "modules" or "parcels"; on a "schedule"
+    algo: str  # "ppo", "dqn"; PPO per "modules", "parcels" or "local" module; on a "schedule"
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
@@ -118,14 +118,16 @@ class PolicyCard:
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
         checks.some_of("observe", self.observe, tuple(GROUPS))
-        of_streams = {"schedule": (FLOW,), "parcels": tuple(map(env_id, ON_SLOPES))}
-        for algo, ids in of_streams.items():
-            if (self.algo == algo) != (self.env_id in ids):
+        slopes = tuple(map(env_id, ON_SLOPES))
+        for algos, ids in ((("schedule",), (FLOW,)), (("parcels", "local"), slopes)):
+            if (self.algo in algos) != (self.env_id in ids):
                 raise ValueError(
-                    f"algo must be {algo!r} for {', '.join(ids)} alone, got {self.algo!r}"
+                    f"algo must be {' or '.join(map(repr, algos))} for {', '.join(ids)} alone, "
+                    f"got {self.algo!r}"
                 )
-        if self.algo in of_streams:
-            checks.one_of("actions", self.actions, ("parcels",))
+            if self.algo in algos:
+                only = "modules" if self.algo == "local" else "parcels"
+                checks.one_of("actions", self.actions, (only,))
         if self.algo == "parcels":
             check_heads(self.hidden)
 
@@ -134,7 +136,7 @@ class PolicyCard:
         """Arguments of the environment the policy was trained on."""
         of_schedule = self.algo == "schedule"
         more: dict[str, Any] = {"gate": True, "queue": QUEUE} if of_schedule else {}
-        if self.algo == "parcels":
+        if self.algo in ("parcels", "local"):
             more["max_parcels"] = MOST_PARCELS
         if self.observe:
             more["observe"] = self.observe

@@ -128,6 +128,43 @@ def propose(
     return choice, memory
 
 
+def find_config(card: PolicyCard, config: EnvConfig | None) -> EnvConfig:
+    """Return the environment that a policy on a slope is for, which its card must suit; by default
+    the card's own.
+    """
+    usual = EnvConfig(card.task, **card.env_kwargs)
+    own = usual if config is None else config
+    checks.one_of("task", own.task_name, (card.task,))
+    checks.one_of("actions", own.actions, (card.actions,))
+    checks.one_of("gate", own.stream_task.gate, (False,))
+    if own.chosen_orientations != usual.chosen_orientations:
+        raise ValueError(
+            f"orientations must be {usual.chosen_orientations}, those of the card, "
+            f"got {own.chosen_orientations}"
+        )
+    return own
+
+
+class SlopePolicy(BatchController):
+    """A trained policy on a slope.
+
+    Args:
+        network: of the policy.
+        card: of the environment that it learned in.
+        config: of the environment; None: the card's.
+    """
+
+    _dims = 2
+
+    def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig | None) -> None:
+        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        network.eval()
+        self._config = find_config(card, config)
+        self.card = card
+        self.env_id = card.env_id
+        self.env_kwargs = card.env_kwargs
+
+
 class ParcelMemory(NamedTuple):
     """What a policy remembers: what it owes each parcel, and the rule's own memory."""
 
@@ -136,7 +173,7 @@ class ParcelMemory(NamedTuple):
     since: Numbers  # (num_envs, rows) time since it entered, as seen last
 
 
-class ParcelPolicy(BatchController):
+class ParcelPolicy(SlopePolicy):
     """A trained policy of parcels.
 
     A parcel is braked by half, say, where it is braked every other control period. So the policy
@@ -147,28 +184,13 @@ class ParcelPolicy(BatchController):
         config: of the environment; None: the card's.
     """
 
-    _dims = 2
-
     def __init__(
         self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig | None = None
     ) -> None:
-        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
-        self._network = network.eval()
-        usual = EnvConfig(card.task, **card.env_kwargs)
-        own = usual if config is None else config
-        checks.one_of("task", own.task_name, (card.task,))
-        checks.one_of("actions", own.actions, (card.actions,))
-        checks.one_of("gate", own.stream_task.gate, (False,))
-        if own.chosen_orientations != usual.chosen_orientations:
-            raise ValueError(
-                f"orientations must be {usual.chosen_orientations}, those of the card, "
-                f"got {own.chosen_orientations}"
-            )
-        self._orientations = len(own.chosen_orientations)
-        self._rule = RULES[card.task](own)
-        self.card = card
-        self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs
+        super().__init__(network, card, config)
+        self._network = network
+        self._orientations = len(self._config.chosen_orientations)
+        self._rule = RULES[card.task](self._config)
 
     def _predict(
         self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool

@@ -26,6 +26,7 @@ from surface_gym.tasks import TASKS, Task
 
 from .base import SIDE, BatchController, action_mirror
 from .library import CARD, WEIGHTS, PolicyCard, PolicyFiles, read_files
+from .local_policy import LocalNetwork, LocalPolicy
 from .module_policy import ModulePolicy, SharedNetwork
 from .parcel_policy import ParcelNetwork, ParcelPolicy
 from .schedule_policy import ScheduleNetwork, SchedulePolicy
@@ -109,7 +110,7 @@ class Policy(BatchController):
         return (actions if self._mirror is None else self._mirror(actions, batch[:, SIDE])), None
 
 
-AnyPolicy = Policy | ModulePolicy | SchedulePolicy | ParcelPolicy
+AnyPolicy = Policy | ModulePolicy | SchedulePolicy | ParcelPolicy | LocalPolicy
 
 
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
@@ -164,6 +165,11 @@ def build_policy(
             attention = ParcelNetwork(features, choices, card.hidden)
             _load_weights(attention, weights)
             return ParcelPolicy(attention, card, config)
+        if card.algo == "local":
+            choices = len(EnvConfig(card.task, **card.env_kwargs).chosen_orientations)
+            local = LocalNetwork(choices, card.hidden)
+            _load_weights(local, weights)
+            return LocalPolicy(local, card, config)
         own = card.env_config(task)
         if card.algo == "modules":
             shared = SharedNetwork(len(own.chosen_orientations), card.hidden, card.observe)

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from surface_gym import layouts, lines, sensors, tasks
     from surface_gym.env import SmartSurfaceEnv
     from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
+    from surface_gym.player import replay
     from surface_gym.randomisation import Actuators, Randomisation
+    from surface_gym.recorder import RecordReplay
+    from surface_gym.recording import Recording
     from surface_gym.simulation import TippingWarning, simulate, simulate_together
     from surface_gym.surface import Surface
     from surface_gym.trajectory import Trajectory
@@ -27,6 +30,8 @@ __all__ = [
     "Parcel",
     "Polygon",
     "Randomisation",
+    "RecordReplay",
+    "Recording",
     "Rectangle",
     "SmartSurfaceEnv",
     "SmartSurfaceVectorEnv",
@@ -36,6 +41,7 @@ __all__ = [
     "layouts",
     "lines",
     "register",
+    "replay",
     "sensors",
     "simulate",
     "simulate_together",
@@ -44,7 +50,10 @@ __all__ = [
 _NAMES = {
     "env": ("SmartSurfaceEnv",),
     "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
+    "player": ("replay",),
     "randomisation": ("Actuators", "Randomisation"),
+    "recorder": ("RecordReplay",),
+    "recording": ("Recording",),
     "simulation": ("TippingWarning", "simulate", "simulate_together"),
     "surface": ("Surface",),
     "trajectory": ("Trajectory",),

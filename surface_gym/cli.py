@@ -10,8 +10,8 @@ from pathlib import Path
 
 NAME = "surface-gym"
 # A file of the checkout, or the command of the installed package.
-_IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
-TRAIN = ("python", "train.py") if _IN_CHECKOUT else (NAME, "train")
+IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
+TRAIN = ("python", "train.py") if IN_CHECKOUT else (NAME, "train")
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
 OPTIONAL = ("matplotlib", "moviepy", "mujoco", "rich", "stable_baselines3", "torch", "tyro", "yaml")
@@ -33,7 +33,8 @@ COMMANDS = {
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
-    "play": Command("push a parcel with the mouse, turn axes by keys", "surface_gym.play", "tools"),
+    "web": Command("compile environments for a browser", "surface_gym.web.build", "web"),
+    "play": Command("throw parcels and turn axes, in a browser", "surface_gym.play", "tools"),
     "paper": Command("compare the study's tables with ours", "surface_gym.paper.command", "tools"),
     "validation": Command(
         "compare the model with MuJoCo", "surface_gym.validation.command", "validation"

@@ -21,13 +21,14 @@ Picture = NDArray[Any]
 
 
 def make_batch(
-    config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None
-) -> BaseBatch:
+    config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None,
+    compiles: bool = True,
+) -> BaseBatch:  # fmt: skip
     """Make the batch of environments that a task needs: of one parcel each, or of a stream."""
     kind: Callable[..., BaseBatch] = Batch
     if isinstance(config.task, StreamTask):
         from surface_gym.flow.batch import StreamBatch as kind
-    return kind(config, num_envs, threads, max_episode_steps)
+    return kind(config, num_envs, threads, max_episode_steps, compiles)
 
 
 class Outcome(int):

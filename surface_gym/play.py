@@ -1,6 +1,11 @@
 """A surface to play with: `surface-gym play`.
 
-The keys 1 2 3 4 stand for axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
+It serves the playground to the browser on this machine and opens it: parcels to throw, tasks to
+play, agents to watch, all by the package's own physics. Ctrl-C ends it. Where the package came
+without the compiled modules that pages need, they are made first, which takes minutes, once.
+
+With --window it opens a window instead, which needs a display. There the keys 1 2 3 4 stand for
+axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
 
 One parcel, with the goal of a task (--task sort, and others): press the mouse where the parcel is
 to start and drag: it leaves with the speed drawn, 1 m/s for half a metre. 1 2 3 4 turn the axes of
@@ -16,10 +21,15 @@ import argparse
 import os
 import subprocess
 import sys
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from surface_gym.cli import typed
 from surface_gym.registration import PERIODS
 
+PORT = 8642
 FRAME_RATE = 25.0  # [1/s] real time at the control period of 40 ms
 ANSWER = 10.0  # [s] that a display is given to answer
 PROBE = "import pygame; pygame.display.init(); print(pygame.display.get_driver())"
@@ -33,7 +43,7 @@ def check_display() -> None:
     """
     names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     given = ", ".join(f"{name}={os.environ[name]}" for name in names if os.environ.get(name))
-    wanted = f"play needs a display to open its window on, got {given or 'no DISPLAY'}"
+    wanted = f"play --window needs a display to open its window on, got {given or 'no DISPLAY'}"
     try:
         probe = subprocess.run(
             [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=ANSWER
@@ -47,18 +57,78 @@ def check_display() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Play until the player leaves."""
+    """Play in a browser, or in a window."""
     parser = argparse.ArgumentParser(
         prog=typed("play"),
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--task", choices=PERIODS, default="sort", help="surface and goal")
-    task = parser.parse_args(arguments).task
+    tasks = f"{', '.join(PERIODS)}, or in a browser your own as path/to/file.py:Class"
+    first = f"to begin with: {tasks}; by default an empty table, in a window sort"
+    parser.add_argument("--task", help=first)
+    served = f"to serve pages at; 0: any that is free; by default {PORT}"
+    parser.add_argument("--port", type=int, default=PORT, help=served)
+    parser.add_argument("--no-browser", action="store_true", help="only serve, and print where")
+    parser.add_argument("--window", action="store_true", help="open a window, and no browser")
+    options = parser.parse_args(arguments)
     try:
-        check_display()
-    except RuntimeError as error:
+        is_own = options.task is not None and ":" in options.task and not options.window
+        if not is_own and options.task not in (None, *PERIODS):
+            raise ValueError(f"task must be one of {tasks}, got {options.task!r}")
+        if options.window:
+            play_in_window(options.task or "sort")
+        else:
+            serve(options.task, options.port, not options.no_browser)
+    except (RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
+
+
+def serve(task: str | None, port: int, opens: bool) -> None:
+    """Serve the playground until Ctrl-C.
+
+    Args:
+        task: shown at first, or an own one as path/to/file.py:Class; None: an empty table.
+        port: to listen at; 0: any that is free.
+        opens: whether a browser is opened.
+    """
+    from surface_gym.web.build import AGENTS, PAGE, update_modules, write_own
+    from surface_gym.web.server import FIRST_PAGE, Server
+
+    with suppress(KeyboardInterrupt), TemporaryDirectory() as own, Server((PAGE,), port) as server:
+        folder = update_modules()
+        if not (folder / AGENTS[-1]).is_file():
+            write_agents(folder)
+        page = FIRST_PAGE
+        if task is not None:
+            from surface_gym.web.scene import TaskScene
+
+            if ":" in task:
+                from surface_gym.agents.library import find_task
+
+                task = write_own(find_task(task), Path(own), folder)
+                server.add(Path(own))
+            page = TaskScene(task, tasks=(task,)).url(FIRST_PAGE)
+        server.add(folder)
+        address = server.address + page
+        print(f"the playground is at {address}\nCtrl-C ends it", flush=True)
+        if opens:
+            webbrowser.open(address)
+        server.serve_forever()
+
+
+def write_agents(folder: Path) -> None:
+    """Write the agents beside the modules, if the libraries that they need are there."""
+    try:
+        from surface_gym.agents.export import web
+
+        web.write_agents(folder)
+    except ModuleNotFoundError as error:
+        print(f"no agents: {error.name} is missing, pip install 'surface_gym[agents]'")
+
+
+def play_in_window(task: str) -> None:
+    """Play in a window until the player leaves."""
+    check_display()
     print("opening a window; Escape ends")
     import pygame
 
@@ -74,8 +144,6 @@ def main(arguments: list[str] | None = None) -> None:
                 game.take(event)
             game.advance()
             window.show(game.draw())
-    except RuntimeError as error:
-        sys.exit(f"error: {error}")
     finally:
         window.close()
 

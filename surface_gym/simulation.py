@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surface_gym import checks
 from surface_gym.parcel import Parcel, filled_up
 from surface_gym.physics import references, rollout, step as stepping, types as ph
-from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
+from surface_gym.physics.collision import ContactMaterial, World, WorldScratch, make_world_scratch
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
 from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
 from surface_gym.surface import Surface
@@ -118,7 +118,7 @@ def simulate(
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
     _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
-    done = _trajectory(surface, parcel, time, dt, states, reports)
+    done = make_trajectory(surface, parcel, time, dt, states, reports)
     _warn_of_tipping(body, states[: len(done.time)], done.tipping)
     run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
     return replace(done, run=run)
@@ -322,7 +322,7 @@ def simulate_together(
     _check_starts(surface, parcels, poses, world)
     records = _run_together(surface.grid, world, touching, time, dt)
     trajectories = tuple(
-        _trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
+        make_trajectory(surface, parcel, time, dt, records.state[:, k], records.report[:, k])
         for k, parcel in enumerate(parcels)
     )
     touches = Touches(time[records.step], records.pair, records.impulse)
@@ -388,23 +388,34 @@ def _run_together(
     )  # fmt: skip
     records.state[0] = world.state
     touches = 0
-    most = max(1, PIECE // count)
     for first, last, step in _stretches(time, dt):
-        following = first
-        while following <= last:
-            end = min(last, following + most - 1)
-            following, touches = rollout.run_world(
-                grid, world, touching, scratch, records, following, end, touches, step
-            )
-            if following <= end:
-                records = records._replace(
-                    step=np.concatenate([records.step, np.zeros_like(records.step)]),
-                    pair=np.concatenate([records.pair, np.zeros_like(records.pair)]),
-                    impulse=np.concatenate([records.impulse, np.zeros_like(records.impulse)]),
-                )
+        records, touches = run_stretch(
+            grid, world, touching, scratch, records, first, last, touches, step
+        )
     return records._replace(
         step=records.step[:touches], pair=records.pair[:touches], impulse=records.impulse[:touches]
     )
+
+
+def run_stretch(
+    grid: Grid, world: World, touching: ContactMaterial, scratch: WorldScratch,
+    records: rollout.Records, first: int, last: int, touches: int, dt: float,
+) -> tuple[rollout.Records, int]:  # fmt: skip
+    """Do the steps from `first` to `last`; return records with room for all touches, and these."""
+    most = max(1, PIECE // len(world.present))
+    following = first
+    while following <= last:
+        end = min(last, following + most - 1)
+        following, touches = rollout.run_world(
+            grid, world, touching, scratch, records, following, end, touches, dt
+        )
+        if following <= end:
+            records = records._replace(
+                step=np.concatenate([records.step, np.zeros_like(records.step)]),
+                pair=np.concatenate([records.pair, np.zeros_like(records.pair)]),
+                impulse=np.concatenate([records.impulse, np.zeros_like(records.impulse)]),
+            )
+    return records, touches
 
 
 def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
@@ -415,7 +426,7 @@ def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
     return [(1, last - 1, dt), (last, last, float(time[-1] - time[-2]))]
 
 
-def _trajectory(
+def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64],
 ) -> Trajectory:  # fmt: skip

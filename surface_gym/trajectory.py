@@ -211,6 +211,12 @@ class Trajectory:
             figure.savefig(path, dpi=160)
         return figure
 
+    def save_html(self, path: str | PathLike[str]) -> None:
+        """Write a page that replays the trajectory and its forces to a file ending in .html."""
+        from surface_gym.player import replay
+
+        replay(self).save(path)
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory to a file, replacing any file that exists.
 

@@ -18,6 +18,9 @@ FIRST = (
     "tests/agents/evaluation/",
     "tests/docs/test_site.py",
     "tests/cuda/test_kernels.py",
+    "tests/web/test_streams.py",
+    "tests/web/test_tasks.py",
+    "tests/web/test_playground.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each class.
@@ -41,6 +44,12 @@ SMOKE = (
     "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
 )
 
+# Of each stream, whose module takes half a minute to compile.
+OF_STREAMS = (
+    "tests/web/test_streams.py::test_a_stream_is_equal_in_which_parcels_touch_or_leave",
+    "tests/web/test_playground.py::"
+    "test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python",
+)
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
@@ -57,6 +66,7 @@ NIGHTLY = (
     "tests/parallel/test_jobs.py::test_results_are_the_same_those_of_a_runs_policies_too",
     "tests/parallel/test_jobs.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
     "processes",
+    *(f"{test}[{task}" for test in OF_STREAMS for task in ("singulate", "merge", "sequence")),
 )
 
 

@@ -14,14 +14,14 @@ ROOT = Path(__file__).parents[1]
 # From the lowest up: a room, which is a folder or a file beside the folders, imports nothing of
 # later lines.
 LAYERS = (
-    ("checks", "files", "physics", "rendering"),
+    ("checks", "files", "physics", "rendering", "recording"),
     ("parcel", "state", "surface"),
     ("layouts",),
     ("lines", "randomisation"),
     ("sensors", "tasks"),
     ("config", "core", "flow", "env", "scenes"),
-    ("trajectory", "simulation"),
-    ("vector_env", "cuda"),
+    ("trajectory", "simulation", "recorder", "player"),
+    ("vector_env", "cuda", "web"),
     ("agents.base",),
     ("agents.planning",),
     ("agents.scheduling", "agents.library"),

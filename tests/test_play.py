@@ -1,8 +1,13 @@
 """Playing: what keys and mouse do, without a screen."""
 
+import json
 import os
+import re
+import signal
 import subprocess
 import sys
+import urllib.request
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,6 +29,8 @@ from surface_gym.game import (
 from surface_gym.registration import PERIODS
 from surface_gym.rendering import ink
 from surface_gym.state import RUNNING
+from surface_gym.web.scene import unpack
+from surface_gym.web.server import Server
 
 MIDDLE = (480, 355)  # [px] about the line's middle, of one parcel
 RIGHT_TURN, ROLL = 1, 3  # choices: 45 and 90 deg
@@ -243,7 +250,7 @@ def test_the_keys_stand_on_the_screen(make):
 
 @pytest.mark.parametrize("driver", ["offscreen", "dummy", "no such driver"])
 def test_without_a_display_it_ends_with_one_line(driver):
-    program = "import sys; from surface_gym.cli import main; main(['play'])"
+    program = "import sys; from surface_gym.cli import main; main(['play', '--window'])"
     done = subprocess.run(
         [sys.executable, "-c", program],
         capture_output=True,
@@ -254,7 +261,8 @@ def test_without_a_display_it_ends_with_one_line(driver):
     assert done.returncode == 1
     assert done.stdout == ""
     assert done.stderr == (
-        f"error: play needs a display to open its window on, got SDL_VIDEODRIVER={driver}\n"
+        "error: play --window needs a display to open its window on, got "
+        f"SDL_VIDEODRIVER={driver}\n"
     )
 
 
@@ -265,8 +273,10 @@ def test_a_display_that_sdl_replaces_unasked_is_none(monkeypatch):
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     given = SimpleNamespace(returncode=0, stdout="pygame-ce 2.5\noffscreen\n")
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: given)
-    with pytest.raises(SystemExit, match=r"^error: play needs a display .*, got no DISPLAY$"):
-        play.main([])
+    with pytest.raises(
+        SystemExit, match=r"^error: play --window needs a display .*, got no DISPLAY$"
+    ):
+        play.main(["--window"])
     given.stdout = "x11\n"
     play.check_display()
 
@@ -289,4 +299,110 @@ def test_escape_ends(arguments, monkeypatch):
     monkeypatch.setattr(play, "check_display", lambda: None)
     escape = pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE, mod=0)
     monkeypatch.setattr(pygame.event, "get", lambda *_: [escape] if not _ else [])
-    play.main(arguments)
+    play.main(["--window", *arguments])
+
+
+class TestInABrowser:
+    @pytest.fixture(autouse=True)
+    def built(self, tmp_path, monkeypatch):
+        """Modules that are there."""
+        (tmp_path / "agents.json").write_text("{}")
+        monkeypatch.setattr("surface_gym.web.build.update_modules", lambda: tmp_path)
+
+    @pytest.fixture
+    def opened(self, monkeypatch) -> list[str]:
+        """Addresses that were opened; the server is interrupted then."""
+        asked: list[str] = []
+        monkeypatch.setattr("webbrowser.open", asked.append)
+        monkeypatch.setattr("surface_gym.web.server.Server.serve_forever", interrupt)
+        return asked
+
+    @pytest.mark.parametrize("task", ["table", "sort"])
+    def test_it_opens_the_page_with_the_task(self, task, opened, capsys):
+        play.main(["--port", "0"] if task == "table" else ["--port", "0", "--task", task])
+        (address,) = opened
+        page, _, scene = address.partition("#")
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/playground\.html", page)
+        assert (json.loads(unpack(scene))["task"] if scene else "table") == task
+        assert capsys.readouterr().out == (f"the playground is at {address}\nCtrl-C ends it\n")
+
+    def test_an_own_task_is_compiled_beside_those_there_are(self, opened, monkeypatch, tmp_path):
+        (tmp_path / "site.json").write_text('{"version": "1", "tasks": ["sort"], "agents": true}')
+        (tmp_path / "table.json").write_text("{}")
+        served: list[tuple[str, str]] = []
+
+        def serve(server: Server) -> None:
+            for name in ("site.json", "table.json", "Reach.json"):
+                file = server.find(f"/{name}")
+                assert file is not None
+                served.append((name, file.read_text()))
+
+        monkeypatch.setattr("surface_gym.web.server.Server.serve_forever", serve)
+        monkeypatch.setattr("surface_gym.web.build.write_task", write_class)
+        play.main(["--port", "0", "--task", "examples/reach.py:Reach"])
+        assert json.loads(unpack(opened[0].partition("#")[2]))["task"] == "Reach"
+        site = {"version": "1", "tasks": ["sort", "Reach"], "agents": True}
+        assert json.loads(served[0][1]) == site
+        assert served[1:] == [("table.json", "{}"), ("Reach.json", "Reach")]
+
+    @pytest.mark.parametrize(
+        ("arguments", "said"),
+        [
+            (["--task", "juggle"], "task must be one of sort, .*, got 'juggle'"),
+            (["--task", "examples/reach.py:Nothing"], "task must be a class of .*, got 'Nothing'"),
+            (
+                ["--window", "--task", "examples/reach.py:Reach"],
+                "task must be .*, got 'examples/.*",
+            ),
+        ],
+    )
+    def test_a_task_that_there_is_not_is_refused(self, arguments, said, opened):
+        with pytest.raises(SystemExit, match=f"^error: {said}$"):
+            play.main(["--port", "0", *arguments])
+        assert opened == []
+
+    def test_it_opens_no_browser_unless_it_may(self, opened):
+        play.main(["--port", "0", "--no-browser"])
+        assert opened == []
+
+    def test_a_port_that_is_taken_or_none_is_refused_in_one_line(self, opened):
+        with Server([]) as server, pytest.raises(SystemExit) as end:
+            play.main(["--port", str(server.server_port)])
+        assert re.fullmatch(
+            rf"error: port must be one that is free, .*, got {server.server_port} \(.*\)",
+            str(end.value.code),
+        )
+        with pytest.raises(SystemExit, match=r"^error: port must be from 0 to 65535, got 65536$"):
+            play.main(["--port", "65536"])
+        assert opened == []
+
+
+def interrupt(_: Server) -> None:
+    raise KeyboardInterrupt
+
+
+def write_class(name: str, folder: Path, own: object) -> str:
+    (folder / f"{name}.json").write_text(type(own).__name__)
+    return name
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole group there")
+def test_ctrl_c_ends_the_server(tmp_path):
+    program = (
+        "import sys; from pathlib import Path; from surface_gym import play; "
+        "from surface_gym.web import build; build.update_modules = lambda: Path(sys.argv[1]); "
+        "play.main(['--port', '0', '--no-browser'])"
+    )
+    (tmp_path / "agents.json").write_text("{}")
+    running = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert running.stdout is not None
+    address = running.stdout.readline().split()[-1]
+    with urllib.request.urlopen(address) as answer:
+        assert answer.status == 200
+    assert running.stdout.readline() == "Ctrl-C ends it\n"
+    running.send_signal(signal.SIGINT)
+    assert running.communicate(timeout=60) == ("", "")
+    assert running.returncode == 0

@@ -35,7 +35,7 @@ def build(kind: str, source: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files that git lists, since a build writes beside its sources."""
+    """The files that git lists, since a build writes beside its sources, and a module."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
         pytest.skip("not a checkout of git")
@@ -44,6 +44,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes((ROOT / name).read_bytes())
+    (folder / "surface_gym/web/modules").mkdir()
+    (folder / "surface_gym/web/modules/sort.wasm").write_bytes(b"a module")
     return folder
 
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
@@ -26,16 +25,19 @@ from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk
 from surface_gym.parallel import Workers
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.registration import ON_SLOPES
+from surface_gym.sensors import Exact
 from surface_gym.state import RUNNING
 
 from .. import library
-from ..base import BatchController, Controller, find_axes
+from ..base import BatchController, Booleans, Controller, find_axes
 from ..library import PolicyFiles
 from ..planning.receding_horizon import RecedingHorizon
 from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
 from ..scheduling.scheduler import begin_streams
+from ..yaml_file import parse_yaml
 from .benchmark import SEED, Advance, compute_kept
+from .capacity import STREAM_PRESETS
 
 FILE = "material-flow.jsonl"
 REPLICATIONS = 10
@@ -43,20 +45,12 @@ PLANNED = 3  # of these, which a planner plays
 SECONDS = 200.0  # [s] of each
 ALIGNMENT = math.radians(10.0)
 OFFERED = {"singulate": 14_000.0, "merge": 10_000.0}  # [parcels/h] more than anybody takes
+QUIET = 30.0  # [s] at a stream's end in which none of the parcels there left: a jam
 IN_ORDER = 0.999  # [-] share of parcels that must leave in their order
 RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())  # [parcels/h] at which orders are tried
 ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] at which all are compared, by window
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab: those of no tuning
-LAB = PRESETS["lab"]
-COMPARED: dict[str, dict[str, Any]] = {
-    "exact": {},
-    "camera": {
-        "sensors": sg.sensors.Camera(), "randomisation": sg.Randomisation(friction=0.2),
-    },
-    "lab": {
-        "sensors": LAB.sensors, "randomisation": LAB.randomisation, "actuators": LAB.actuators,
-    },
-}  # fmt: skip
+COMPARED = {**STREAM_PRESETS, "lab": PRESETS["lab"]}
 
 
 class RollOn(BatchController):
@@ -80,9 +74,12 @@ class FlowMethod:
     make: Callable[[EnvConfig, int], Controller]  # for an environment and a seed
     seeds: tuple[int, ...] = (0,)
     most: int | None = None  # parcels on the surface at once; None: as many as the environment has
+    actions: str = "parcels"  # kind of action
 
 
-LEARNED, PLANNER = "PPO per parcel", "planner"
+PLANNER = "planner"
+# Names of methods and kinds of action of the algorithms that learn on slopes.
+LEARNED = {"parcels": ("PPO per parcel", "parcels"), "local": ("PPO per module", "modules")}
 
 
 def _of_rule(rule: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
@@ -100,29 +97,28 @@ ORDER = (FlowMethod("pass and park", partial(_of_rule, PassAndPark)),)
 
 
 def _plan(config: EnvConfig, _seed: int) -> Controller:
-    """Make the planner that varies time slots; it knows the truth whatever the sensors show."""
-    exact = config.replace(sensors=sg.sensors.Exact())
-    return RecedingHorizon(TimeSlots(exact), exact)
+    """Make the planner that varies time slots."""
+    return RecedingHorizon(TimeSlots(config), config)
 
 
 PLAN = FlowMethod(PLANNER, _plan)
 
 
 def find_learned(task: str) -> tuple[FlowMethod, ...]:
-    """Find the shipped agent of a task, if there is one."""
-    name = f"{task}-parcels"
-    if name not in library.names():
-        return ()
-    files = {
-        seed: library.read_files(library.SHELF / name / f"seed-{seed}")
-        for seed in library.seeds(name)
-    }
-    return (learned_method(files),)
+    """Find the shipped agents of a task."""
+    found = []
+    for algo in LEARNED:
+        name = f"{task}-{algo}"
+        if name in library.names():
+            folders = {seed: library.SHELF / name / f"seed-{seed}" for seed in library.seeds(name)}
+            found.append(learned_method({k: library.read_files(at) for k, at in folders.items()}))
+    return tuple(found)
 
 
 def learned_method(files: dict[int, PolicyFiles]) -> FlowMethod:
-    """Make the method of policies, by their seeds."""
-    return FlowMethod(LEARNED, partial(_read, files), tuple(files), library.MOST_PARCELS)
+    """Make the method of policies by their seeds, all of one algorithm."""
+    name, actions = LEARNED[parse_yaml(next(iter(files.values())).card.decode())["algo"]]
+    return FlowMethod(name, partial(_read, files), tuple(files), library.MOST_PARCELS, actions)
 
 
 def _read(files: dict[int, PolicyFiles], config: EnvConfig, seed: int) -> Controller:
@@ -140,16 +136,19 @@ class Scenario:
     rates: tuple[float, ...]  # [parcels/h] offered; the highest of several at which it holds
     window: int = 0  # of the order; 0: none is asked
 
-    def config(self, preset: str, rate: float, most: int | None = None) -> EnvConfig:
-        """Configure the environment at a rate [parcels/h], with so many at once or its own."""
-        given = dict(self.arguments) | COMPARED[preset]
+    def config(self, preset: str, rate: float, method: FlowMethod = ROLL_ON) -> EnvConfig:
+        """Configure the environment of a method at a rate [parcels/h]."""
+        given = dict(self.arguments)
         stream = self.stream(rate)
         if preset == "lab":
             shapes = assortment(NEVER_SEEN, SHAPES_SEED)
             stream = replace(stream, parcels=tuple((each, 1.0) for each in shapes))
-        if most is not None:
-            given["max_parcels"] = most
-        return EnvConfig(self.task, actions="parcels", duration=SECONDS, stream=stream, **given)
+        if method.most is not None:
+            given["max_parcels"] = method.most
+        return EnvConfig(
+            self.task, actions=method.actions, duration=SECONDS, stream=stream,
+            preset=COMPARED[preset], **given,
+        )  # fmt: skip
 
     def stream(self, rate: float) -> Stream:
         """Make the stream of parcels at a rate [parcels/h]."""
@@ -162,19 +161,18 @@ def scenarios(tasks: Sequence[str] = ON_SLOPES, learned: bool = True) -> list[Sc
     """List the scenarios of some tasks, with the shipped agents or without."""
     aligned = ("alignment", ALIGNMENT)
     mouth, stops = ("exits", "mouth"), ("demand", Stops())
-    most, given = {task: (rate,) for task, rate in OFFERED.items()}, {}
-    for task in ON_SLOPES:
-        rules = (ROLL_ON, *ORDER) if task == "sequence" else SINGLE
-        given[task] = rules + (find_learned(task) if learned else ())
+    agents = {task: find_learned(task) if learned else () for task in ON_SLOPES}
+    single, merged = SINGLE + agents["singulate"], SINGLE + agents["merge"]
+    ordered = (ROLL_ON, *ORDER, *agents["sequence"])
+    bulks, rows = (OFFERED["singulate"],), (OFFERED["merge"],)
     singulate, merge, sequence = (partial(Scenario, task) for task in ON_SLOPES)
-    single, merged, ordered = (given[task] for task in ON_SLOPES)
     found = [
-        singulate("anywhere across", (), single, most["singulate"]),
-        singulate("mouth of 0.6 m, 10 deg", (mouth, aligned), (*single, PLAN), most["singulate"]),
-        singulate("two mouths, 10 deg", (("exits", "mouths"), aligned), single, most["singulate"]),
-        singulate("mouth, take-away stops", (mouth, aligned, stops), single[1:], most["singulate"]),
-        merge("three lines", (), (*merged, PLAN), most["merge"]),
-        merge("two lines", (("inlets", side_by_side(2)),), merged, most["merge"]),
+        singulate("anywhere across", (), single, bulks),
+        singulate("mouth of 0.6 m, 10 deg", (mouth, aligned), (*single, PLAN), bulks),
+        singulate("two mouths, 10 deg", (("exits", "mouths"), aligned), single, bulks),
+        singulate("mouth, take-away stops", (mouth, aligned, stops), single[1:], bulks),
+        merge("three lines", (), (*merged, PLAN), rows),
+        merge("two lines", (("inlets", side_by_side(2)),), merged, rows),
         *(sequence(f"window of {k}", (), ORDER, RATES[::-1], k) for k in (2, 4, 8)),
         *(
             sequence(f"window of {k}, {rate:g} an hour", (), ordered, (rate,), k)
@@ -203,7 +201,7 @@ class MaterialFlowResult:
     squeeze: float  # [N] largest
     time: float  # [s] on the surface, mean
     unfairness: float  # [s] difference of the inlets' mean waits
-    jams: float  # replications that ended so, mean over seeds
+    jams: float  # replications in which nothing left any more, mean over seeds
     bound: float  # [parcels/h] that nobody exceeds
 
     @property
@@ -238,9 +236,7 @@ def take_away_bound(config: EnvConfig) -> float:
 
 def play(config: EnvConfig, controller: Controller) -> StreamBatch:
     """Play all replications of a stream to their end; a planner plays the first of them."""
-    count = REPLICATIONS
-    if isinstance(controller, RecedingHorizon):
-        count, config = PLANNED, config.replace(sensors=sg.sensors.Exact())
+    count = PLANNED if isinstance(controller, RecedingHorizon) else REPLICATIONS
     batch = begin_streams(config, count, SEED)
     if isinstance(controller, RecedingHorizon):
         controller.watch(batch)
@@ -253,11 +249,23 @@ def play(config: EnvConfig, controller: Controller) -> StreamBatch:
     return batch
 
 
+def find_jams(batch: StreamBatch) -> Booleans:
+    """Return whether each stream has jammed: it ended so, or nothing leaves any more.
+
+    A controller that lets parcels tremble behind each other hides a jam from the environment, which
+    asks that nothing moves.
+    """
+    streams = batch.streams
+    last = np.fmax.reduce(streams.left, axis=1, initial=0.0)
+    quiet = (streams.clock - last > QUIET) & streams.present.any(axis=1)
+    return (batch.outcome == JAM) | quiet
+
+
 def _measure(
     scenario: Scenario, method: FlowMethod, preset: str, config: EnvConfig
 ) -> MaterialFlowResult:
     batches = [play(config, method.make(config, seed)) for seed in method.seeds]
-    jammed = np.array([batch.outcome == JAM for batch in batches])
+    jammed = np.array([find_jams(batch) for batch in batches])
     found = [
         config.stream_task.compute_statistics(batch.streams, k, bool(jams[k]), 1)
         for batch, jams in zip(batches, jammed, strict=True)
@@ -292,7 +300,9 @@ def _measure(
 def compute(scenario: Scenario, method: FlowMethod, preset: str) -> MaterialFlowResult:
     """Measure a method, at the highest of the scenario's rates at which it holds, or the least."""
     for rate in scenario.rates:
-        config = scenario.config(preset, rate, method.most)
+        config = scenario.config(preset, rate, method)
+        if method.name == PLANNER:  # it knows the truth
+            config = config.replace(sensors=Exact())
         found = _measure(scenario, method, preset, config)
         if found.right >= IN_ORDER and found.jams == 0:
             break

@@ -23,6 +23,7 @@ from .material_flow import (
     LEARNED,
     PLANNED,
     PLANNER,
+    QUIET,
     RATES,
     REPLICATIONS,
     ROLL_ON,
@@ -43,7 +44,8 @@ FILMED = {  # the scenario of each task
     "merge": "three lines",
     "sequence": "window of 4, 3000 an hour",
 }
-NO_RULES = (ROLL_ON.name, PLANNER)  # methods that a card does not compare with
+AGENTS = tuple(name for name, _ in LEARNED.values())
+NO_RULES = (ROLL_ON.name, PLANNER, *AGENTS)  # methods that a card does not compare with
 LENGTH = 20.0  # [s] of a film
 SHOWN_AT = 10.0  # [s] since its start, of the picture
 
@@ -80,7 +82,8 @@ def _table(task: str, results: Sequence[MaterialFlowResult]) -> Table:
         f"{SECONDS:g} s that are the same for all, {asked}: the best in bold where the paired "
         "intervals of all others lie below. Shares of right parcels, of gaps of at least 0.3 m on "
         "the take-away at 2 m/s, of aligned parcels, and of those that left beside the mouths or "
-        "over the sides; touches per 1000; the largest force between two; streams that jammed. "
+        "over the sides; touches per 1000; the largest force between two; streams that jammed, so "
+        f"that nothing moved for 4 s or nothing left in the last {QUIET:g} s. "
         "Nobody exceeds the bound: there all lie with their narrowest side along the take-away. "
         f"The planner knows the true state and all that will come, plays the first {PLANNED} "
         "streams alone, and is not compared for the bold. PPO is the mean of its seeds.",
@@ -134,25 +137,34 @@ def write_material_flow(
     results: Sequence[MaterialFlowResult], folder: Path, console: Console
 ) -> list[Table]:
     """Write material-flow.md, .csv and .json into a folder, and show and return the tables."""
-    tables = material_flow_tables(results)
-    for table in tables:
-        table.show(console)
-    write_markdown(tables, folder / f"{NAME}.md")
+    tables = _show(results, folder / f"{NAME}.md", console)
     numbers = material_flow_numbers(results)
     write_numbers(numbers, folder / f"{NAME}.csv", folder / f"{NAME}.json")
     return tables
 
 
+def _show(results: Sequence[MaterialFlowResult], file: Path, console: Console) -> list[Table]:
+    """Show the tables of results, write them into a file, and return them."""
+    tables = material_flow_tables(results)
+    for table in tables:
+        table.show(console)
+    write_markdown(tables, file)
+    return tables
+
+
 def film(task: str, preset: str, folder: Path) -> list[tuple[Path, str]]:
-    """Film the methods of a task side by side under a preset, and draw the last of them; return
+    """Film a rule and an agent of a task side by side under a preset, and draw the agent; return
     files and captions.
     """
     scenario = next(each for each in scenarios((task,)) if each.name == FILMED[task])
-    shown = [each for each in scenario.methods if each.name != PLANNER][-2:]
+    shown = [
+        [each for each in scenario.methods if each.name not in (PLANNER, *AGENTS)][-1],
+        [each for each in scenario.methods if each.name in AGENTS][-1],
+    ]
     period = scenario.config(preset, scenario.rates[0]).control_period
 
     def player(method: FlowMethod) -> Player:
-        config = scenario.config(preset, scenario.rates[0], method.most)
+        config = scenario.config(preset, scenario.rates[0], method)
         controller = method.make(config, method.seeds[0])
         return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
@@ -181,10 +193,7 @@ def compare_run(
         if len(each.rates) == 1
     ]
     results = compute_scenarios(compared, workers)
-    tables = material_flow_tables(results)
-    for table in tables:
-        table.show(console)
-    write_markdown(tables, folder / "table.md")
+    _show(results, folder / "table.md", console)
     return make_card(results)
 
 
@@ -192,13 +201,13 @@ def make_card(results: Sequence[MaterialFlowResult]) -> dict[str, dict[str, Any]
     """Make the results of a card, by preset and scenario: rates of each seed, and of each rule."""
     card: dict[str, dict[str, Any]] = {preset: {} for preset in COMPARED}
     for learned in results:
-        if learned.method != LEARNED:
+        if learned.method not in AGENTS:
             continue
         rules = {
             each.method: round(each.rate)
             for each in results
             if (each.preset, each.scenario) == (learned.preset, learned.scenario)
-            and each.method not in (*NO_RULES, LEARNED)
+            and each.method not in NO_RULES
         }
         card[learned.preset][learned.scenario] = {
             "right_an_hour_of_each_seed": [round(rate) for rate in learned.of_seeds],

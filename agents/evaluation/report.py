@@ -20,6 +20,7 @@ from rich.console import Console
 
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.parallel import Workers
+from surface_gym.player import frame_page
 from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.tasks.benchmark import Column
 
@@ -292,6 +293,9 @@ def _figure(file: Path, caption: str) -> str:
         shown = (
             f'<video controls loop muted playsinline src="data:video/mp4;base64,{data}"></video>'
         )
+        replayed = file.with_suffix(".html")
+        if replayed.exists():
+            shown += frame_page(caption, replayed.read_text(encoding="utf-8"))
     else:
         shown = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
     return f"<figure>{shown}<figcaption>{escape(caption)}</figcaption></figure>"

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, repeat, zip_longest
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.task import StreamTask
+from surface_gym.player import replay
+from surface_gym.recorder import RecordReplay
 from surface_gym.rendering import with_caption
 
 from ..base import Controller
@@ -39,13 +41,16 @@ class Player:
 def write_comparison(
     players: Sequence[Player], file: Path, seconds: float = math.inf
 ) -> tuple[bool, ...]:
-    """Write an mp4 of one episode of each controller, side by side, in real time.
+    """Write an mp4 of one episode of each controller, side by side, in real time, and beside it a
+    replay of the same as .html.
 
     One that ends first waits for the others in its last picture.
     """
     period = min(player.config.control_period for player in players)
+    envs = [RecordReplay(make_env(player.config)) for player in players]
     episodes = [
-        _repeated(play(player), round(player.config.control_period / period)) for player in players
+        _repeated(play(player, env=env), round(player.config.control_period / period))
+        for player, env in zip(players, envs, strict=True)
     ]
     last: list[Any] = [None] * len(players)
 
@@ -58,6 +63,8 @@ def write_comparison(
 
     shown = islice(frames(), None if math.isinf(seconds) else round(seconds / period))
     write_video(shown, 1.0 / period, file)
+    runs = [replace(env.recording, title=p.name) for p, env in zip(players, envs, strict=True)]
+    replay(*runs).save(file.with_suffix(".html"))
     return tuple(bool(info.get("is_success", False)) for _, info in last)
 
 
@@ -73,16 +80,25 @@ def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
             writer.write_frame(frame)
 
 
-def play(player: Player, every: int = 1) -> Iterator[tuple[Picture, dict[str, Any]]]:
+def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
+    """Make the environment of a film."""
+    env: gym.Env[Any, Any] = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
+    if isinstance(config.task, StreamTask):  # which ends by itself
+        return env
+    return gym.wrappers.TimeLimit(env, config.periods)
+
+
+def play(
+    player: Player, every: int = 1, env: gym.Env[Any, Any] | None = None
+) -> Iterator[tuple[Picture, dict[str, Any]]]:
     """Play an episode: the picture and `info` at the start and after each control period.
 
     Args:
         every: pictures of the control periods between are not drawn, and the latest is repeated.
+        env: to play in; None: one of its own.
     """
-    config = player.config
-    env: gym.Env[Any, Any] = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
-    if not isinstance(config.task, StreamTask):  # which ends by itself
-        env = gym.wrappers.TimeLimit(env, config.periods)
+    if env is None:
+        env = make_env(player.config)
     env.unwrapped.np_random = player.rng
     observation, info = env.reset(options=player.options)
     picture: Any = env.render()

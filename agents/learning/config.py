@@ -15,7 +15,7 @@ from ..yaml_file import read_yaml
 if TYPE_CHECKING:
     from ..library import PolicyCard
 
-AlgoName = Literal["ppo", "dqn", "modules", "schedule", "parcels"]
+AlgoName = Literal["ppo", "dqn", "modules", "schedule", "parcels", "local"]
 PresetName = Literal["nominal", "lab"]
 NOMINAL: PresetName = "nominal"
 ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
@@ -47,7 +47,8 @@ class TrainConfig:
     """Task to learn: sort, slow, stop, track, orient, or a user's as path/to/file.py:Class."""
     algo: AlgoName = "ppo"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
+    decisions on a schedule (schedule, Flow); on slopes PPO per parcel (parcels) or per module that
+    sees what is near (local)."""
     seed: int = 0
     """Seed of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
@@ -187,7 +188,8 @@ class DQNConfig(TrainConfig):
 
     algo: AlgoName = "dqn"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
+    decisions on a schedule (schedule, Flow); on slopes PPO per parcel (parcels) or per module that
+    sees what is near (local)."""
     buffer_size: int = 500_000
     """Transitions in the replay buffer."""
     learning_starts: int = 5_000
@@ -229,7 +231,8 @@ class ModulesConfig(PPOConfig):
 
     algo: AlgoName = "modules"
     """PPO; DQN with double Q; shared-policy PPO per module (modules, Sort); Monte Carlo values of
-    decisions on a schedule (schedule, Flow); PPO per parcel (parcels, tasks on slopes)."""
+    decisions on a schedule (schedule, Flow); on slopes PPO per parcel (parcels) or per module that
+    sees what is near (local)."""
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
@@ -307,12 +310,41 @@ class ParcelsConfig(PPOConfig):
         check_heads(self.hidden)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LocalConfig(PPOConfig):
+    """Train one policy shared by all modules on a slope, each of which sees only itself and what
+    its neighbours pass on, by PPO, beginning from the task's rule; then compare it with that rule.
+
+    Defaults are in agents/hyperparams/local.yml.
+    """
+
+    task: str = "singulate"
+    """Task to learn: singulate, merge or sequence."""
+    algo: AlgoName = "local"
+    """PPO per module."""
+    actions: ActionName = "modules"
+    """Kind of action, as in the environment."""
+    split_probability: float = 0.3
+    """[-] that a line through a parcel splits its modules into two groups, each with a draw of its
+    own; otherwise all modules share one."""
+
+    def _check_task(self) -> None:
+        self._check_no_zones()
+        checks.one_of("task", self.task, ON_SLOPES)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.one_of("actions", self.actions, ("modules",))
+        checks.within("split_probability", self.split_probability, 0.0, 1.0)
+
+
 CONFIGS: dict[str, type[TrainConfig]] = {
     "ppo": PPOConfig,
     "dqn": DQNConfig,
     "modules": ModulesConfig,
     "schedule": SchedulesConfig,
     "parcels": ParcelsConfig,
+    "local": LocalConfig,
 }
 
 

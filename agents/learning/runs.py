@@ -355,6 +355,10 @@ def train(
         from .parcels import train_parcels
 
         return train_parcels(config, folder, on_progress)
+    if isinstance(config, configs.LocalConfig):
+        from .local import train_local
+
+        return train_local(config, folder, on_progress)
     if configs.on_device(config):
         from .cuda import train_on_device
 

@@ -30,7 +30,6 @@ from .slopes import (
     forget_slots,
     give_slot,
     hold,
-    is_there,
     read_parcels,
     rolling_time,
     speed_for,
@@ -56,7 +55,7 @@ def sort_by_place(table: Singles, order: Integers) -> int:
     """Write the rows of parcels in the order in which they are to leave; return their number."""
     count = 0
     for k in range(table.shape[0]):
-        if not is_there(table[k]):
+        if not ta.is_there(table[k]):
             continue
         place = count
         while place > 0 and table[order[place - 1], PLACE] > table[k, PLACE]:

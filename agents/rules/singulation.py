@@ -28,7 +28,6 @@ from .slopes import (
     forget_slots,
     give_slot,
     hold,
-    is_there,
     read_parcels,
     rolling_time,
     speed_for,
@@ -58,14 +57,14 @@ def sort_by_progress(
         if k == NOBODY:
             break
         row = table[k]
-        if is_there(row) and row[ta.TIME] > came[k]:
+        if ta.is_there(row) and row[ta.TIME] > came[k]:
             order[count] = k
             count += 1
         else:
             came[k] = -math.inf
     for k in range(table.shape[0]):
         row = table[k]
-        if not is_there(row):
+        if not ta.is_there(row):
             came[k] = -math.inf
             continue
         if came[k] == -math.inf:

@@ -110,18 +110,12 @@ def make_parcels(rows: int) -> Parcels:
     return Parcels(**arrays)
 
 
-@inlined
-def is_there(row: Singles) -> bool:
-    """Whether a row (features,) of a table holds a parcel that is on the surface."""
-    return row[ta.PRESENT] > 0.5 and row[ta.WAITS] < 0.5
-
-
 @linked
 def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels) -> None:
     """Decode the rows of a table (rows, features) that hold a parcel."""
     for k in range(table.shape[0]):
         row = table[k]
-        if not is_there(row):
+        if not ta.is_there(row):
             continue
         parcels.x[k] = slope.length - row[ta.END]
         parcels.y[k] = 0.5 * row[ta.OFFSET]
@@ -137,12 +131,7 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels)
         parcels.turn[k] = 0.25 * math.pi * row[ta.TO_TURN]
         parcels.clear[k] = 0.5 * row[ta.CLEAR]
         parcels.runs[k] = row[ta.TAKES_AWAY] > 0.5
-        nearest, least = 0, math.inf
-        for m in range(slope.mouths.shape[0]):
-            low, high = slope.mouths[m, 0], slope.mouths[m, 1]
-            away = max(low - parcels.y[k], parcels.y[k] - high)
-            if away < least:
-                nearest, least = m, away
+        nearest = ta.nearest_mouth(slope.mouths, 0, parcels.y[k])
         parcels.mouth[k] = nearest
         reach = parcels.across[k] + tuning.margin
         low, high = slope.mouths[nearest, 0] + reach, slope.mouths[nearest, 1] - reach

@@ -36,6 +36,7 @@ COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
     """Load the policy of a command."""
     from .. import library
+    from ..local_policy import LocalPolicy
     from ..parcel_policy import ParcelPolicy
     from ..schedule_policy import SchedulePolicy
 
@@ -48,7 +49,7 @@ def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
         raise ValueError(
             f"name must be a folder or one of {', '.join(library.names())}, got {config.name!r}"
         )
-    if isinstance(policy, SchedulePolicy | ParcelPolicy):
+    if isinstance(policy, SchedulePolicy | ParcelPolicy | LocalPolicy):
         raise ValueError(f"name must be of one parcel at a time, got {config.name!r}")
     return policy
 

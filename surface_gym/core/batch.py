@@ -71,9 +71,9 @@ class BaseBatch(ABC):
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
         self._make_memory()
+        steps = config.timing.steps * self.rows
+        self._workers = Workers(self._threads, steps, self._make_scratch)
         if compiles:
-            steps = config.timing.steps * self.rows
-            self._workers = Workers(self._threads, steps, self._make_scratch)
             self._kernel = self._compile()
 
     @abstractmethod
@@ -130,8 +130,13 @@ class BaseBatch(ABC):
     def _arrays(self) -> tuple[Any, ...]:
         """The arrays that compiled code reads and writes."""
 
+    @property
+    def arguments(self) -> tuple[Any, ...]:
+        """What the kernel takes to step all environments in one thread."""
+        return (*self._arrays, *self._workers.scratches, self._all)
+
     @abstractmethod
-    def _make_kernel(self) -> Any:
+    def make_kernel(self) -> Any:
         """Build the kernel of this configuration, not compiled yet."""
 
     @abstractmethod
@@ -309,9 +314,7 @@ class BaseBatch(ABC):
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel, or load it from the cache."""
         try:
-            return compile_for(
-                self._make_kernel(), *self._arrays, *self._workers.scratches, self._all
-            )
+            return compile_for(self.make_kernel(), *self.arguments)
         except NumbaError as error:
             raise ValueError(f"{self._authors} does not compile: {error}") from error
 
@@ -364,7 +367,7 @@ class Batch(BaseBatch):
     def _arrays(self) -> tuple[EnvParams, SurfaceState, ParcelState, BodyTable]:
         return self.params, self.surfaces, self.parcels, self.bodies
 
-    def _make_kernel(self) -> Any:
+    def make_kernel(self) -> Any:
         return make_kernel(task_functions(self.config))
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:

@@ -1,19 +1,11 @@
-"""CUDA kernels, compiled from the functions of the CPU's kernels.
+"""CUDA kernels, compiled from the functions of the CPU's kernels."""
 
-The compiled functions are walked from each to those it calls, as the cache's digest walks them, and
-each is translated from the same code: with other constants, and wrapped for the other compiler.
-Nothing is written twice.
-"""
-
-from collections.abc import Callable, Mapping
 from functools import lru_cache
-from types import CellType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 import torch
 from numba import cuda
-from numba.core.dispatcher import Dispatcher
 
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import task_functions
@@ -24,77 +16,10 @@ from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import StreamFunctions, make_stream_kernel
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.parcel import Parcel
-from surface_gym.physics import types
 from surface_gym.physics.collision import WorldScratch, make_world_scratch, world_scratch
-from surface_gym.physics.jit import is_library, referenced_names
+from surface_gym.physics.translator import Translator
 from surface_gym.physics.types import Booleans, Integers, Scratch
 from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
-
-Wrap = Callable[[Callable[..., Any]], Any]
-
-
-class Translator:
-    """Functions of the CPU translated for another compiler, which `wrap`s each, once.
-
-    Constants, by name, take the place of those of `physics.types`.
-    """
-
-    def __init__(self, constants: Mapping[str, int], wrap: Wrap) -> None:
-        self._constants = constants
-        self._wrap = wrap
-        self._translated: dict[int, Any] = {}
-        self._modules: dict[str, ModuleType] = {}
-        self._originals: list[Any] = []  # keeps the addresses in `_translated` valid
-
-    def translate(self, function: Any) -> Any:
-        """Return a function of the physics, a task or a sensor for the other compiler."""
-        if id(function) not in self._translated:
-            plain = function.py_func if isinstance(function, Dispatcher) else function
-            copy = _empty_copy(plain)
-            self._originals.append(function)
-            self._translated[id(function)] = self._wrap(copy)
-            self._fill(copy, plain)
-        return self._translated[id(function)]
-
-    def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
-        """Give a copy the translated values of the names that its original uses."""
-        names = referenced_names(plain.__code__)
-        for name in names:
-            if name in plain.__globals__:
-                value = plain.__globals__[name]
-                if isinstance(value, ModuleType) and not is_library(value):
-                    copy.__globals__[name] = self._module(value, names)
-                else:
-                    copy.__globals__[name] = self._value(name, value)
-        cells = zip(copy.__closure__ or (), plain.__closure__ or (), strict=True)
-        for name, (cell, original) in zip(plain.__code__.co_freevars, cells, strict=True):
-            cell.cell_contents = self._value(name, original.cell_contents)
-
-    def _module(self, module: ModuleType, names: set[str]) -> ModuleType:
-        """Return a stand-in for a module, with the translated values of these names of it."""
-        translated = self._modules.setdefault(module.__name__, ModuleType(module.__name__))
-        for name in names:
-            if hasattr(module, name) and not hasattr(translated, name):
-                setattr(translated, name, self._value(name, getattr(module, name)))
-        return translated
-
-    def _value(self, name: str, value: Any) -> Any:
-        """Translate a function, replace a constant, and leave any other value as it is."""
-        if isinstance(value, Dispatcher):
-            return self.translate(value)
-        if name in self._constants and value == getattr(types, name):
-            return self._constants[name]
-        return value
-
-
-def _empty_copy(function: FunctionType) -> FunctionType:
-    """Return a function with the same code and no globals yet."""
-    known = {"__name__": function.__module__, "__builtins__": __builtins__}
-    cells = tuple(CellType() for _ in function.__code__.co_freevars)
-    copy = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells)
-    copy.__module__, copy.__qualname__ = function.__module__, function.__qualname__
-    return copy
-
 
 THREADS = 64  # of a block; a thread takes so many registers that more would not run at a time
 
@@ -134,7 +59,7 @@ def _stream() -> Any:
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
     """Return the translator for scratch with room for so many contacts; tasks share it."""
-    return Translator(scratch_layout(capacity), cuda.jit(device=True))
+    return Translator(scratch_layout(capacity), lambda copy, _: cuda.jit(device=True)(copy))
 
 
 def step_kernel(config: EnvConfig) -> Any:
@@ -263,5 +188,5 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
     """Make a surface's scratch for some parcels, with room for so many contacts of each."""
-    translator = Translator(scratch_layout(capacity), lambda function: function)
+    translator = Translator(scratch_layout(capacity), lambda copy, _: copy)
     return translator.translate(make_world_scratch)(parcels)

@@ -198,7 +198,7 @@ class StreamBatch(BaseBatch):
             self.streams,
         )
 
-    def _make_kernel(self) -> Any:
+    def make_kernel(self) -> Any:
         return kernel.make_stream_kernel(stream_functions(self.config))
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:

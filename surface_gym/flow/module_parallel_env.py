@@ -9,26 +9,15 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.config import with_arguments
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.module_view import ModuleView, module_space
+from surface_gym.flow.parallel_env import Infos, Observations, Returned, StreamParallelEnv
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.state import OUT_OF_TIME, RUNNING
-
-try:
-    from pettingzoo import ParallelEnv
-except ImportError as error:
-    raise ImportError(
-        f"the environment of agents needs PettingZoo ({error}): pip install 'surface_gym[multi]'"
-    ) from None
-
-Observations = dict[str, NDArray[np.float32]]
-Infos = dict[str, dict[str, Any]]
-Returned = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 REWARDS = ("parcel", "team")
 
 
-class ModuleParallelEnv(ParallelEnv):
+class ModuleParallelEnv(StreamParallelEnv):
     """`SmartSurfaceEnv` of a stream on a slope with `actions="modules"`, each module an agent.
 
     All modules with a rotor are there for the whole episode, 700 by default; "module_3_7" is that
@@ -66,17 +55,8 @@ class ModuleParallelEnv(ParallelEnv):
     def __init__(
         self, render_mode: str | None = None, reward: str = "parcel", **config: Any
     ) -> None:
-        for name, only in (("actions", "modules"), ("gate", False)):
-            if config.setdefault(name, only) != only:
-                raise ValueError(f"{name} must be {only!r} with agents, got {config[name]!r}")
+        super().__init__(render_mode, "modules", {"task": "singulate", **config})
         self._team = checks.one_of("reward", reward, REWARDS) == "team"
-        self._env = SmartSurfaceEnv(**{"task": "singulate", **config}, render_mode=render_mode)
-        self.config = self._env.config
-        self.task = self.config.stream_task
-        self.render_mode = render_mode
-        batch = self._env.batch
-        assert isinstance(batch, StreamBatch)
-        self.batch = batch
         self._view = ModuleView(self.config)
         self._owner = np.full(self._view.modules, NOBODY)
         kind = self.config.action_kind
@@ -86,36 +66,23 @@ class ModuleParallelEnv(ParallelEnv):
         }
         self._places = np.array(list(places.values()))
         self.possible_agents = list(places)
-        self.agents: list[str] = []
         self._observation_space = module_space()
-        self._action_space: spaces.Space[Any] = spaces.Discrete(kind.choices or 1)
+        self._action_space = spaces.Discrete(kind.choices or 1)
         if kind.continuous:
             whole = kind.space()
             assert isinstance(whole, spaces.Box)
             self._action_space = spaces.Box(whole.low[:1], whole.high[:1], dtype=np.float32)
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        del agent
-        return self._observation_space
-
-    def action_space(self, agent: str) -> spaces.Space[Any]:
-        del agent
-        return self._action_space
-
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        known = options
-        if isinstance(options, dict):
-            known = {name: options[name] for name in self.batch.options if name in options}
-        observation, _ = self._env.reset(seed=seed, options=known)
+        observation = self._begin(seed, options)
         self.agents = list(self.possible_agents)
         return self._look(observation)
 
     def step(self, actions: dict[str, Any]) -> Returned:
         """Move all parcels over a control period, by an action of every module."""
-        if not isinstance(actions, dict) or set(actions) != set(self.agents):
-            raise ValueError(f"actions must be one for each of {len(self.agents)} agents")
+        self._check_agents(actions)
         said = np.array([actions[agent] for agent in self.agents])
         action = np.zeros(self._view.modules, said.dtype)
         if self.agents:
@@ -137,12 +104,6 @@ class ModuleParallelEnv(ParallelEnv):
             dict.fromkeys(agents, truncated),
             infos,
         )
-
-    def render(self) -> NDArray[np.uint8] | None:
-        return self._env.render()
-
-    def close(self) -> None:
-        self._env.close()
 
     def _look(self, observation: NDArray[np.float32]) -> tuple[Observations, Infos]:
         """Collect what each module sees, and its info."""

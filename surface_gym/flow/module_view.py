@@ -105,28 +105,13 @@ def _within(value: float) -> float:
     return min(MOST, max(-MOST, value))
 
 
-@inlined
-def _is_there(row: Singles) -> bool:
-    return row[ta.PRESENT] > 0.5 and row[ta.WAITS] < 0.5
-
-
-@inlined
-def _nearest_mouth(surface: _Surface, y: float) -> int:
-    nearest, least = 0, math.inf
-    for m in range(surface.mouths.shape[0]):
-        away = max(surface.mouths[m, 0] - y, y - surface.mouths[m, 1])
-        if away < least:
-            nearest, least = m, away
-    return nearest
-
-
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
     """Decode the parcels of a table, sort them by when they are to leave, and count them."""
     count = 0
     for k in range(table.shape[0]):
         row = table[k]
-        if not _is_there(row):
+        if not ta.is_there(row):
             continue
         parcel = decoded[k]
         parcel[_X], parcel[_Y] = -row[ta.END], 0.5 * row[ta.OFFSET]
@@ -160,11 +145,11 @@ def _write_early(
         k = order[place]
         parcel = decoded[k]
         rolls = 4.0 * table[k, ta.ROLLS]
-        mouth = _nearest_mouth(surface, parcel[_Y])
+        mouth = ta.nearest_mouth(surface.mouths, 0, parcel[_Y])
         free = (parcel[_FRONT] - 0.5 * table[k, ta.CLEAR]) / surface.take_away
         for before in range(place - 1, -1, -1):
             other = decoded[order[before]]
-            if _nearest_mouth(surface, other[_Y]) == mouth:
+            if ta.nearest_mouth(surface.mouths, 0, other[_Y]) == mouth:
                 apart = other[_REAR] + parcel[_FRONT] + surface.gap
                 free = other[_READY] + apart / surface.take_away
                 break
@@ -203,7 +188,7 @@ def _write_neighbours(
             seen[first + way * size + n] = 2.0 * REACH if n < 2 else 0.0
     one = decoded[k]
     for j in range(table.shape[0]):
-        if j == k or not _is_there(table[j]):
+        if j == k or not ta.is_there(table[j]):
             continue
         other = decoded[j]
         ahead, aside = other[_X] - one[_X], other[_Y] - one[_Y]
@@ -287,7 +272,7 @@ def view_modules(
         count = _decode(surface, table, order, decoded)
         _write_early(surface, table, order, count, decoded, passed[i])
         for k in range(table.shape[0]):
-            if _is_there(table[k]):
+            if ta.is_there(table[k]):
                 _write_parcel(surface, table[k], passed[i, k])
                 _write_neighbours(table, k, decoded, nearest, passed[i, k])
                 _claim(surface, table[k], k, decoded[k], owner[i], least, own[i])

@@ -26,7 +26,63 @@ Infos = dict[str, dict[str, Any]]
 Returned = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
-class FlowParallelEnv(ParallelEnv):
+class StreamParallelEnv(ParallelEnv):
+    """Environment of a stream whose agents have spaces alike.
+
+    Args:
+        render_mode: as of `SmartSurfaceEnv`.
+        actions: the only kind of action.
+        config: other arguments.
+    """
+
+    _observation_space: spaces.Box
+    _action_space: spaces.Space[Any]
+
+    def __init__(self, render_mode: str | None, actions: str, config: dict[str, Any]) -> None:
+        for name, only in (("actions", actions), ("gate", False)):
+            if config.setdefault(name, only) != only:
+                raise ValueError(f"{name} must be {only!r} with agents, got {config[name]!r}")
+        self._env = SmartSurfaceEnv(**config, render_mode=render_mode)
+        self.config = self._env.config
+        self.task = self.config.stream_task
+        self.render_mode = render_mode
+        batch = self._env.batch
+        assert isinstance(batch, StreamBatch)
+        self.batch = batch
+        self.agents: list[str] = []
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        del agent
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        del agent
+        return self._action_space
+
+    def render(self) -> NDArray[np.uint8] | None:
+        return self._env.render()
+
+    def close(self) -> None:
+        self._env.close()
+
+    def _begin(self, seed: int | None, options: dict[str, Any] | None) -> NDArray[np.float32]:
+        """Begin an episode; options that it does not know are ignored."""
+        if isinstance(options, dict):
+            options = {name: options[name] for name in self.batch.options if name in options}
+        observation, _ = self._env.reset(seed=seed, options=options)
+        return observation
+
+    def _check_agents(self, actions: dict[str, Any]) -> None:
+        asked = f"actions must be one for each of {len(self.agents)} agents"
+        if not isinstance(actions, dict):
+            raise ValueError(f"{asked}, got {actions!r}")
+        others = sorted(set(actions) ^ set(self.agents))
+        if others:
+            named = ", ".join(others[:5])
+            raise ValueError(f"{asked}, got {len(actions)}, which lack or have besides {named}")
+
+
+class FlowParallelEnv(StreamParallelEnv):
     """`SmartSurfaceEnv` of a stream with `actions="parcels"`, each parcel an agent.
 
     An agent is there from the control period in which its parcel enters to the one in which it
@@ -66,16 +122,7 @@ class FlowParallelEnv(ParallelEnv):
 
     @with_arguments
     def __init__(self, render_mode: str | None = None, **config: Any) -> None:
-        for name, only in (("actions", "parcels"), ("gate", False)):
-            if config.setdefault(name, only) != only:
-                raise ValueError(f"{name} must be {only!r} with agents, got {config[name]!r}")
-        self._env = SmartSurfaceEnv(**{"task": "flow", **config}, render_mode=render_mode)
-        self.config = self._env.config
-        self.task = self.config.stream_task
-        self.render_mode = render_mode
-        batch = self._env.batch
-        assert isinstance(batch, StreamBatch)
-        self.batch = batch
+        super().__init__(render_mode, "parcels", {"task": "flow", **config})
         self._kind = ActionKind("modules", self.config.action_kind.choices, 1, HALVES)
         self._observation_space = self.config.row_space()
         self._action_space = self._kind.space()
@@ -84,28 +131,16 @@ class FlowParallelEnv(ParallelEnv):
             probe, self.task.duration, self.config.exits, self.config.inlets
         )
         self._possible = list(range(len(drawn)))
-        self.agents: list[str] = []
 
     @property
     def possible_agents(self) -> list[str]:
         """The ids of all that come or may still come in this episode."""
         return [_name(number) for number in self._possible]
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        del agent
-        return self._observation_space
-
-    def action_space(self, agent: str) -> spaces.Space[Any]:
-        del agent
-        return self._action_space
-
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        known = options
-        if isinstance(options, dict):
-            known = {name: options[name] for name in self.batch.options if name in options}
-        observation, _ = self._env.reset(seed=seed, options=known)
+        observation = self._begin(seed, options)
         returned: Returned = ({}, {}, {}, {}, {})
         self._report(returned, observation)
         self._wait(returned)
@@ -122,16 +157,9 @@ class FlowParallelEnv(ParallelEnv):
         self._wait(returned)
         return returned
 
-    def render(self) -> NDArray[np.uint8] | None:
-        return self._env.render()
-
-    def close(self) -> None:
-        self._env.close()
-
     def _action(self, actions: dict[str, Any]) -> NDArray[Any]:
         """Merge the agents' actions into that of all rows; rows without a parcel have any."""
-        if not isinstance(actions, dict) or set(actions) != set(self.agents):
-            raise ValueError(f"actions must be one for each of {self.agents}, got {actions!r}")
+        self._check_agents(actions)
         all_slots = np.zeros((self.task.max_parcels, HALVES), self.batch.surfaces.command.dtype)
         if actions:
             slot = {_name(n): k for k, n in enumerate(self.batch.streams.number[0]) if n != NOBODY}

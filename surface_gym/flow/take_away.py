@@ -214,6 +214,23 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
     return (math.sqrt(start * start + 2.0 * acceleration * distance) - start) / acceleration
 
 
+@inlined
+def nearest_mouth(mouths: Array, first: int, y: float) -> int:
+    """Find the mouth nearest to y [m], by its sides in the columns `first` and the next."""
+    nearest, least = 0, math.inf
+    for k in range(mouths.shape[0]):
+        away = max(mouths[k, first] - y, y - mouths[k, first + 1])
+        if away < least:
+            nearest, least = k, away
+    return nearest
+
+
+@inlined
+def is_there(row: NDArray[np.float32]) -> bool:
+    """Whether a row (features,) of a table holds a parcel that is on the surface."""
+    return row[PRESENT] > 0.5 and row[WAITS] < 0.5
+
+
 @dataclass(frozen=True)
 class TakeAwayStatistics:
     """Statistics of one episode; nan where nothing happened."""
@@ -449,11 +466,7 @@ class TakeAwayTask(StreamTask):
     ) -> None:
         """Write the nearest mouth, and where the last parcel that left by it is, into the goal."""
         offset = state.sensed[Y] - state.elements.line_y
-        nearest, least = 0, math.inf
-        for k in range(params.exits.shape[0]):
-            away = max(params.exits[k, 1] - offset, offset - params.exits[k, 2])
-            if away < least:
-                nearest, least = k, away
+        nearest = nearest_mouth(params.exits, 1, offset)
         goal = state.goal
         goal[LOW] = params.exits[nearest, 1]
         goal[HIGH] = params.exits[nearest, 2]

@@ -128,6 +128,21 @@ STALE = (
 )
 
 
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let one process at a time go on, by a file, which is there until then."""
+    try:
+        file = path.open("w")
+    except OSError:  # nothing can be written, and nothing is shared
+        yield
+        return
+    with file:
+        if sys.platform != "win32":
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+        path.unlink(missing_ok=True)
+
+
 class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
@@ -159,17 +174,8 @@ class _DigestCache(FunctionCache):
     def locked(self, sig: Any) -> Iterator[None]:
         """Let one process at a time compile a version; those that wait find it in the cache."""
         self._open(sig)
-        path = Path(self._cache_file._index_path).with_suffix(".lock")
-        try:
-            file = path.open("w")
-        except OSError:  # nothing can be written, and nothing is shared
+        with locked(Path(self._cache_file._index_path).with_suffix(".lock")):
             yield
-            return
-        with file:
-            if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX)
-            yield
-            path.unlink(missing_ok=True)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         self._open(sig)
@@ -289,12 +295,18 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     the dispatcher does, takes longer than a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
+    with collecting_nothing(), dispatcher._cache.locked(kinds):
+        entry: Callable[..., Any] = dispatcher.compile(kinds)
+    return entry
+
+
+@contextmanager
+def collecting_nothing() -> Iterator[None]:
+    """Stop the garbage collector: the compiler makes millions of objects, and leaves none."""
     collects = gc.isenabled()
-    gc.disable()  # the compiler makes millions of objects, and leaves none of them behind
+    gc.disable()
     try:
-        with dispatcher._cache.locked(kinds):
-            entry: Callable[..., Any] = dispatcher.compile(kinds)
+        yield
     finally:
         if collects:
             gc.enable()
-    return entry

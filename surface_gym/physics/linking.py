@@ -33,7 +33,7 @@ class _Kernel(JITCodeLibrary):
         _optimize(self)
 
 
-class _LinkedCode(CPUCodeLibrary):
+class LinkedCode(CPUCodeLibrary):
     """LLVM's code of a function that only compiled code calls.
 
     Args:
@@ -46,14 +46,14 @@ class _LinkedCode(CPUCodeLibrary):
         super().__init__(codegen, name)
         self._inlined = inlined
         # Functions called by their names, here or by what is called; each before its callers.
-        self._called: dict[_LinkedCode, None] = {}
+        self._called: dict[LinkedCode, None] = {}
         self._with_called: Any = None
 
     def finalize(self) -> None:
         """Link the code of inlined functions, note the others, and optimise."""
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
-            if isinstance(library, _LinkedCode):
+            if isinstance(library, LinkedCode):
                 self._called.update(library._called)
                 if not library._inlined:
                     self._called[library] = None
@@ -61,8 +61,11 @@ class _LinkedCode(CPUCodeLibrary):
                 self._final_module.link_in(library._own_module(), preserve=True)
             else:  # a function of Numba's own
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        _optimize(self)
+        self._optimize_final_module()
         self._finalize_final_module()
+
+    def _optimize_final_module(self) -> None:
+        _optimize(self)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -91,7 +94,7 @@ class _LinkedCode(CPUCodeLibrary):
         return self.name, self._get_module_for_linking().as_bitcode()
 
     @classmethod
-    def load(cls, codegen: Any, name: str, bitcode: bytes) -> "_LinkedCode":
+    def load(cls, codegen: Any, name: str, bitcode: bytes) -> "LinkedCode":
         """Make the code of a function, with those that it calls by name, from the cache."""
         library = cls(codegen, name, inlined=False)
         library._final_module = llvm.parse_bitcode(bitcode)
@@ -117,14 +120,15 @@ class _LowerToKernel(NativeLowering):
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _LowerToLinkedCode(NativeLowering):
+class LowerToLinkedCode(NativeLowering):
     """Numba's lowering to LLVM's code."""
 
     _name = "lower_to_linked_code"
+    code: type[LinkedCode] = LinkedCode
 
     def run_pass(self, state: Any) -> bool:
         name, inlined = state.func_id.func_qualname, bool(state.flags.forceinline)
-        library = _LinkedCode(state.targetctx.codegen(), name, inlined)
+        library = self.code(state.targetctx.codegen(), name, inlined)
         state.library = library
         state.flags.no_compile = True
         super().run_pass(state)
@@ -137,7 +141,7 @@ class _LowerToLinkedCode(NativeLowering):
         return True
 
 
-class _PassesCompiler(Compiler):
+class PassesCompiler(Compiler):
     """Numba's compiler with a lowering of ours."""
 
     lowering: type[NativeLowering]
@@ -153,16 +157,16 @@ class _PassesCompiler(Compiler):
         return list(managers)
 
 
-class KernelCompiler(_PassesCompiler):
+class KernelCompiler(PassesCompiler):
     """Compiler of functions that Python calls."""
 
     lowering = _LowerToKernel
 
 
-class _LinkedCompiler(_PassesCompiler):
+class _LinkedCompiler(PassesCompiler):
     """Compiler of functions that only compiled code calls."""
 
-    lowering = _LowerToLinkedCode
+    lowering = LowerToLinkedCode
 
 
 class LinkedCacheImpl(CompileResultCacheImpl):
@@ -173,7 +177,7 @@ class LinkedCacheImpl(CompileResultCacheImpl):
         code, described, environment, signature, *_, init, environments = payload
         for function in init:
             function()
-        library = _LinkedCode.load(target_context.codegen(), *code)
+        library = LinkedCode.load(target_context.codegen(), *code)
         return CompileResult(
             target_context=target_context,
             typing_context=target_context.typing_context,
@@ -196,9 +200,11 @@ class LinkedCacheImpl(CompileResultCacheImpl):
 class LinkedFunction(CPUDispatcher):
     """A function that compiled code calls. From Python it is called as the Python that it is."""
 
+    compiler: type[PassesCompiler] = _LinkedCompiler
+
     def __init__(self, function: Any, **options: Any) -> None:
         options = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, **options}
-        super().__init__(function, targetoptions=options, pipeline_class=_LinkedCompiler)
+        super().__init__(function, targetoptions=options, pipeline_class=self.compiler)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return self.py_func(*arguments, **named)

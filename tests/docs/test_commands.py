@@ -26,6 +26,7 @@ STAND_INS = {
     "path/to/file.py:Class": "examples/reach.py:Reach",
     "runs/search-sweep/best.yml": "agents/hyperparams/ppo.yml",
 }
+BY_ARGPARSE = ("play", "web")  # commands that parse so
 RESUMED = ("runs/NAME", "runs/search-sweep", "runs/first")
 
 
@@ -80,8 +81,8 @@ def test_a_program_accepts_the_command(page, command, stopping):
         program, arguments, begin = words[1], words[2:], partial(cli.main, words[1:])
         if program == "--help":
             return
-        if program == "play":  # which parses by argparse, as `cli.main` does
-            begin = partial(import_module("surface_gym.play").main, arguments)
+        if program in BY_ARGPARSE:  # as `cli.main` does
+            begin = partial(import_module(cli.COMMANDS[program].module).main, arguments)
     else:
         assert words[0] == "python", page
         is_module = words[1] == "-m"
@@ -102,7 +103,7 @@ def test_a_program_accepts_the_command(page, command, stopping):
         return
     if program == "docs/pictures.py":
         return
-    if words[0] == "python" or program == "play":
+    if words[0] == "python" or program in BY_ARGPARSE:
         take = argparse.ArgumentParser.parse_args
         stopping.setattr(argparse.ArgumentParser, "parse_args", then_stop(take))
     with pytest.raises(Parsed):

@@ -86,6 +86,18 @@ def test_what_cells_show_becomes_text_tables_and_pictures(monkeypatch):
     assert pictures == {"tour-1.png": b"red"}
 
 
+def test_a_page_that_asks_for_a_replay_gets_it():
+    """The recordings are made by `python docs/replays.py`."""
+    markdown = needed("markdown")
+    from docs.replays import ASKED, FOLDER, RECORDINGS, makeExtension
+
+    assert {file.stem for file in FOLDER.iterdir()} == {*RECORDINGS}
+    text = (DOCS / "replay.md").read_text()
+    shown = markdown.markdown(text, extensions=[makeExtension()])
+    assert shown.count("srcdoc=") == 3
+    assert not ASKED.search(shown)
+
+
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 class TestNotebook:
     def test_it_is_stored_without_results(self, file):

@@ -139,7 +139,8 @@ class TestEnv:
 
     def test_it_says_what_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pettingzoo", None)
-        monkeypatch.delitem(sys.modules, "surface_gym.flow.module_parallel_env")
+        for name in ("parallel_env", "module_parallel_env"):
+            monkeypatch.delitem(sys.modules, f"surface_gym.flow.{name}")
         with pytest.raises(ImportError, match=r"surface_gym\[multi\]"):
             importlib.import_module("surface_gym.flow.module_parallel_env")
 

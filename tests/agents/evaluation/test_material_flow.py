@@ -81,6 +81,27 @@ class TestMeasurements:
         assert found.rates == np.mean([one.rates, other.rates], axis=0).tolist()
         assert found.squeeze == max(one.squeeze, other.squeeze)
 
+    def test_a_jam_in_which_parcels_tremble_is_seen(self, monkeypatch) -> None:
+        monkeypatch.setattr(mf, "QUIET", 5.0)
+        (scenario,) = (each for each in mf.scenarios(["merge"]) if each.name == "three lines")
+        config = scenario.config("exact", scenario.rates[0])
+
+        class Tremble(mf.RollOn):
+            """Brake all, but let them roll for one control period in 25."""
+
+            period = 0
+
+            def _predict(self, batch, *_, **__):
+                self.period += 1
+                rolls, _ = super()._predict(batch)
+                return rolls * (self.period % 25 == 0), None
+
+        batch = mf.play(config, Tremble(config))
+        assert (batch.outcome != mf.JAM).all()
+        assert mf.find_jams(batch).all()
+        rolling = mf.play(config, mf.ROLL_ON.make(config, 0))
+        assert not mf.find_jams(rolling).any()
+
     def test_results_are_kept_and_written(self, tmp_path) -> None:
         tasks = ["merge"]
         found = mf.compute_material_flow(tasks, 1, tmp_path)

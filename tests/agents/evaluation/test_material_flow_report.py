@@ -16,7 +16,7 @@ def test_methods_are_filmed_side_by_side(tmp_path, monkeypatch) -> None:
     assert imageio.imread(picture).std() > 10.0
     with imageio.get_reader(video) as frames:
         assert frames.count_frames() >= 5
-    assert drawn.startswith(mf.LEARNED)
+    assert drawn.startswith(report.AGENTS)
     assert "time slots" in filmed
 
 
@@ -33,4 +33,4 @@ def test_a_card_has_each_seed_beside_the_rules(task, tmp_path, monkeypatch) -> N
             assert len(each["right_an_hour_of_each_seed"]) == 2
             assert mf.ROLL_ON.name not in each["rules"]
             assert each["rules"]
-    assert (tmp_path / "table.md").read_text().count(mf.LEARNED) == 6
+    assert (tmp_path / "table.md").read_text().count("PPO per parcel") == 6

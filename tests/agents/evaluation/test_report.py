@@ -168,6 +168,9 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     assert "Flow: ladder of hardware, exact, exits “sides”</a>" in page
     assert "Flow: what a rung has over another, camera, exits “sides”" in page
     assert "data:video/mp4;base64," in page
+    replayed = (tmp_path / "flow.html").read_text()
+    assert len(re.findall("data-name=", replayed)) == page.count("data-name=") > 1
+    assert 'sandbox="allow-scripts"' in page
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert not (tmp_path / "comparison.md").exists()
     kept = (tmp_path / streams.FILE).read_text().splitlines()
@@ -276,6 +279,8 @@ def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
     with imageio.get_reader(tmp_path / "both.mp4") as video:
         assert video.count_frames() == 10 + 25
         last = video.get_data(9)
+    replayed = (tmp_path / "both.html").read_text()
+    assert re.findall('data-name="(.*?)"', replayed) == [streams.EVENT, f"{streams.EVENT} 2"]
     half = last.shape[0] // 2
     # Both show 0.36 s, the second to a period of its own: hardly a pixel differs.
     assert np.abs(last[:half].astype(float) - last[-half:]).mean() < 8.0

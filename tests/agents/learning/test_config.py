@@ -89,7 +89,7 @@ LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
     ("flow", "schedule"),
-    *((task, "parcels") for task in ON_SLOPES),
+    *((task, algo) for algo in ("parcels", "local") for task in ON_SLOPES),
     (f"{ROOT}/examples/reach.py:Reach", "ppo"),
     (f"{ROOT}/examples/haste.py:Haste", "dqn"),
 ]

@@ -17,7 +17,7 @@ import torch
 from rich.console import Console
 
 from surface_gym import agents
-from surface_gym.agents.learning import config as configs, parcels, runs, schedules
+from surface_gym.agents.learning import config as configs, local, runs, schedules, slopes
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.library import WEIGHTS
@@ -58,6 +58,7 @@ RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
     ),
     "schedule": (configs.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
     "parcels": (configs.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
+    "local": (configs.LocalConfig(**_MERGE), 300, SLOPE_TERMS),
     "cuda": (configs.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
 }  # fmt: skip
 TRAIN = """
@@ -70,7 +71,7 @@ train(read_config(folder / "config.yaml"), folder)
 """
 
 
-def count_as_best(learner: parcels.ParcelLearner, _: Any) -> None:
+def count_as_best(learner: slopes.SlopeLearner[Any], _: Any) -> None:
     """Rate the last network best, so that each rollout changes what is left."""
     learner._score = float(learner.steps)
 
@@ -79,9 +80,10 @@ def count_as_best(learner: parcels.ParcelLearner, _: Any) -> None:
 def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines of training that take no time to make."""
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
-    monkeypatch.setattr(parcels, "DURATION", 0.6)
-    monkeypatch.setattr(parcels, "CRITIC_FIRST", 1)
-    monkeypatch.setattr(parcels.ParcelLearner, "_rate", count_as_best)
+    monkeypatch.setattr(slopes, "DURATION", 0.6)
+    monkeypatch.setattr(slopes, "CRITIC_FIRST", 1)
+    monkeypatch.setattr(slopes.SlopeLearner, "_rate", count_as_best)
+    monkeypatch.setattr(local, "ROUNDS", ((20, 0.0, 1),))
 
 
 def run(

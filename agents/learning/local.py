@@ -1,0 +1,194 @@
+"""PPO of modules on a slope: one network for all, each sees itself and what neighbours pass on.
+
+It begins by imitating the rule of its task. A parcel's reward is that of each module below it, and
+each is a sample of its own. They choose alike, by a shared draw, so that what they do together is
+seen to pay.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from surface_gym.flow.module_view import ModuleView
+from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.flow.task import HALVES
+
+from ..base import Integers, Numbers
+from ..local_policy import CENTRE, HOLD, LocalInputs, LocalNetwork, fill, find_rest, see_modules
+from ..module_policy import GROUPS, draw_choices, draw_groups
+from ..parcel_policy import to_halves
+from . import ppo
+from .config import LocalConfig
+from .runs import Curve, OnProgress, TrainResult
+from .slopes import VALUE_COEF, Kept, SlopeLearner, Stepped, Surfaces, shuffle, training_configs
+
+# Rounds of imitation: control periods, the share of environments in which the network acts while
+# the rule says what it would do, and passes over all that was seen so far.
+ROUNDS = ((600, 0.0, 6), *(((500, 0.9, 4),) * 5), (500, 0.9, 12))
+LEARNED = 0.25  # [-] of the modules in a rollout that PPO learns from: those of a parcel are alike
+KEPT = 0.15  # [-] of the modules that are seen every other control period, to be imitated
+BATCH = 6000  # modules of a step of imitation
+RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
+
+
+class LocalLearner(SlopeLearner[LocalNetwork]):
+    """Network of the modules' policy and of the parcels' value, and its training."""
+
+    most_kl = 0.01
+    _config: LocalConfig
+
+    def __init__(self, config: LocalConfig) -> None:
+        configs = training_configs(config)
+        surfaces = Surfaces(configs, config.num_envs)
+        self._view = ModuleView(configs[0])
+        self._rest = find_rest(configs[0])
+        torch.manual_seed(config.seed)
+        super().__init__(config, surfaces, LocalNetwork(surfaces.orientations, config.hidden))
+
+    def begin(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._number = self._rng.random(self._rows, dtype=np.float32)
+        if self.steps == 0:
+            self._imitate()
+        self._surfaces.begin(self._rng)
+        self._seen = self._see()
+
+    @property
+    def _rows(self) -> int:
+        return self._surfaces.num_envs * self._surfaces.rows
+
+    def _see(self) -> LocalInputs:
+        return see_modules(self._view, self._surfaces.see().tables)
+
+    def _move(self, seen: LocalInputs, choice: Integers) -> Stepped:
+        surfaces = self._surfaces
+        actions = fill(seen, choice, surfaces.num_envs, self._view.modules, self._rest)
+        return surfaces.step(actions)
+
+    def _imitate(self) -> None:
+        """Learn to choose as the rule does, where it leads and then where the network leads."""
+        optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
+        shown: list[tuple[torch.Tensor, ...]] = []
+        for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
+            shown += self._watch_rule(periods, own)
+            passed, of_modules, asked = map(torch.cat, zip(*shown, strict=True))
+            for done in range(passes):
+                if number == len(ROUNDS):
+                    optimiser.param_groups[0]["lr"] = RATE * (1.0 - done / passes)
+                for chosen in shuffle(self._rng, len(asked), BATCH):
+                    found = self._learning(passed[chosen], of_modules[chosen])
+                    loss = torch.nn.functional.nll_loss(found, asked[chosen])
+                    optimiser.zero_grad()
+                    torch.autograd.backward(loss)
+                    optimiser.step()
+        self._surfaces.infos.clear()
+
+    def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
+        """Collect what some modules saw, with what the rule chooses for each."""
+        surfaces, rng = self._surfaces, self._rng
+        surfaces.begin(rng)
+        found: list[tuple[torch.Tensor, ...]] = []
+        acts = rng.random(surfaces.num_envs) < own
+        for period in range(periods):
+            tables, proposed = surfaces.see()
+            seen = see_modules(self._view, tables)
+            halves = to_halves(proposed, surfaces.orientations).reshape(-1, HALVES)
+            behind = (seen.own[:, CENTRE] < 0.0).numpy().astype(np.int64)
+            choice = halves[seen.row[seen.parcel.numpy()], behind]
+            if period % 2 == 0:
+                kept = torch.from_numpy(np.flatnonzero(rng.random(len(choice)) < KEPT))
+                asked = torch.from_numpy(choice)[kept]
+                found.append((seen.passed[seen.parcel[kept]], seen.own[kept], asked))
+            if own > 0.0:
+                drawn = self._draw(seen, split=False)[0].numpy()
+                choice = np.where(acts[seen.env], drawn, choice)
+            self._move(seen, choice)
+        return found
+
+    @torch.no_grad()
+    def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw choices (modules,), and return them with the logarithm of each one's probability."""
+        rng, parcels = self._rng, len(seen.row)
+        new = rng.random(self._rows) < 1.0 / HOLD
+        self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
+        number = rng.random(GROUPS * parcels, dtype=np.float32)
+        number[::GROUPS] = self._number[seen.row]
+        probability = self._config.split_probability if split else 0.0
+        where = seen.own[:, CENTRE : CENTRE + 2].numpy()
+        group = draw_groups(seen.parcel.numpy(), where, parcels, probability, rng)
+        log_probability = self._learning(seen.passed[seen.parcel], seen.own)
+        choice = draw_choices(log_probability, torch.from_numpy(group), torch.from_numpy(number))
+        return choice, log_probability.gather(1, choice[:, None])[:, 0]
+
+    @torch.no_grad()
+    def _value(self, seen: LocalInputs, rows: int) -> Numbers:
+        """Compute the values (rows,) of the parcels in all rows, 0 where there is none."""
+        value = np.zeros(rows)
+        value[seen.row] = self._learning.value(seen.passed).numpy()
+        return value
+
+    def _roll_out(self) -> list[torch.Tensor]:
+        """Collect samples of modules: what was passed on to each and what it saw itself, its choice
+        and the logarithm of its probability, the normalised advantage and the return of its parcel.
+        """
+        parts, rows = [], []
+        kept = Kept([], [], [], [])
+        for _ in range(self._config.n_steps):
+            seen = self._seen
+            value = self._value(seen, self._rows)
+            if kept.value:
+                kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
+            choice, likely = self._draw(seen)
+            drawn = self._rng.random(len(choice)) < LEARNED
+            some = torch.from_numpy(np.flatnonzero(drawn))
+            parcel = seen.parcel[some]
+            parts.append((seen.passed[parcel], seen.own[some], choice[some], likely[some]))
+            rows.append(seen.row[parcel.numpy()])
+            stepped = self._move(seen, choice.numpy())
+            self._seen = self._see()
+            kept.value.append(value)
+            kept.reward.append(stepped.reward.ravel())
+            over = stepped.left | (stepped.jammed | stepped.out_of_time)[:, np.newaxis]
+            kept.ended.append(over.ravel())
+            kept.following.append(self._after(stepped))
+        value = self._value(self._seen, self._rows)
+        kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
+        advantage, returns = (
+            np.concatenate([line[row] for line, row in zip(table, rows, strict=True)])
+            for table in self._compute_returns(kept)
+        )
+        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        samples = [torch.cat(each) for each in zip(*parts, strict=True)]
+        return samples + [
+            torch.from_numpy(each.astype(np.float32)) for each in (advantage, returns)
+        ]
+
+    def _after(self, stepped: Stepped) -> Numbers:
+        """Compute the values (rows,) of what would follow episodes that are out of time, which
+        could have gone on.
+        """
+        after = np.zeros(stepped.left.shape)
+        count = len(stepped.last)
+        if count:
+            seen = see_modules(self._view, stepped.last)
+            value = self._value(seen, count * self._surfaces.rows)
+            after[stepped.out_of_time] = value.reshape(count, -1)
+        return np.where(stepped.left, 0.0, after).ravel()
+
+    def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
+        passed, own, *old = samples
+        value = self._learning.value(passed)
+        if critic_only:
+            self._descend(VALUE_COEF * (value - old[-1]).square().mean(), critic_only)
+            return 0.0
+        return self._improve(self._learning(passed, own), value, tuple(old), critic_only)
+
+
+def train_local(
+    config: LocalConfig, folder: Path, on_progress: OnProgress = lambda *_: None
+) -> TrainResult:
+    """Train one policy for all modules on a slope; see `train_learner`."""
+    curve = partial(Curve, folder, TakeAwayTask.terms)
+    return ppo.train_learner(config, folder, on_progress, partial(LocalLearner, config), curve)

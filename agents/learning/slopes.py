@@ -1,0 +1,329 @@
+"""What agents on a slope learn from: surfaces side by side, rewards of each parcel, and PPO.
+
+Each parcel has rewards of its own, and a part of the others'.
+"""
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import torch
+
+from surface_gym import checks
+from surface_gym.config import EnvConfig
+from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.merge import lines
+from surface_gym.flow.sequence import shuffled
+from surface_gym.flow.state import JAM, RIGHT, WRONG
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import PARCEL_TERMS, bulk
+from surface_gym.parcel import assortment
+from surface_gym.state import OUT_OF_TIME
+
+from ..base import Booleans, Integers, Numbers, Singles
+from ..library import MOST_PARCELS
+from ..parcel_policy import RULES, propose
+from ..policy import check_like, load_optimizer
+from . import ppo
+from .config import LocalConfig, ParcelsConfig
+from .runs import Curve
+
+DURATION = 60.0  # [s] of an episode
+SHAPES = 64  # of the lab, in each of its groups of environments
+# Times its reward that a term counts in learning: time is dear, since a queue waits at the edge.
+WEIGHTS = {"right": 1.0, "wrong": 2.0, "touch": 5.0, "progress": 1.0, "time": 5.0}
+JAMMED = -1.0  # reward of each parcel in a jam
+STALLED = 15.0  # [s] in which none of the parcels there leaves, that count as a jam
+SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
+CRITIC_FIRST = 10  # rollouts in which only the critic learns
+VALUE_COEF = 0.5
+SMOOTH = 0.97  # [-] of the score of all rollouts before the last
+# Streams, and other arguments of the environments; no surface takes the first two as offered.
+SCENARIOS: dict[str, list[tuple[Stream, dict[str, Any]]]] = {
+    "singulate": [(bulk(14_000.0), {"exits": "mouth", "alignment": math.radians(10.0)})],
+    "merge": [(lines(10_000.0), {})],
+    "sequence": [(shuffled(3000.0, window), {}) for window in (4, 8)],
+}
+
+
+def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
+    """List the environments to learn from: each scenario with exact sensors and in the lab."""
+    found = []
+    for stream, more in SCENARIOS[config.task]:
+        common = {
+            "task": config.task, "actions": config.actions, "control_period": config.control_period,
+            "duration": DURATION, "max_parcels": MOST_PARCELS, **more,
+        }  # fmt: skip
+        for seed in range(2):
+            shapes = tuple((each, 1.0) for each in assortment(SHAPES, seed))
+            shaped = replace(stream, parcels=shapes)
+            found.append(EnvConfig(stream=shaped, preset="lab", **common))
+        found.append(EnvConfig(stream=stream, **common))
+    return found
+
+
+class Seen(NamedTuple):
+    """What is seen of all environments, and what the rule would choose."""
+
+    tables: Singles  # (num_envs, rows, features)
+    proposed: Integers  # (num_envs, rows)
+
+
+class Stepped(NamedTuple):
+    """What a control period led to, of all rows (num_envs, rows)."""
+
+    reward: Numbers
+    left: Booleans  # whether the parcel that was there is no more
+    jammed: Booleans  # (num_envs,) by the environment, or as nothing has left for long
+    out_of_time: Booleans  # (num_envs,)
+    last: Singles  # (out of time, rows, features) tables at the end of these
+
+
+class Surfaces:
+    """Environments of several configurations, side by side, that begin anew as they end."""
+
+    def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
+        self.batches = [
+            StreamBatch(config, len(part))
+            for config, part in zip(
+                configs, np.array_split(np.arange(num_envs), len(configs)), strict=True
+            )
+        ]
+        self.num_envs, self.rows = num_envs, self.batches[0].rows
+        self.orientations = len(configs[0].chosen_orientations)
+        self._rules = [
+            RULES[config.task_name](config.replace(actions="parcels")) for config in configs
+        ]
+        self._weights = np.array([WEIGHTS[term] for term in PARCEL_TERMS])
+        self._terms = self.batches[0].config.task.terms
+        self._sums = np.zeros((num_envs, len(self._terms)))
+        self._quiet = np.zeros(num_envs)  # [s] since a parcel left, or none was there
+        self.infos: list[dict[str, Any]] = []  # of the episodes that have ended
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Begin all episodes anew, from seeds of a generator."""
+        self._rng = rng
+        self._sums[:] = self._quiet[:] = 0.0
+        self._memories: list[Any] = [None] * len(self.batches)
+        for batch in self.batches:
+            self._reset(batch, np.arange(batch.num_envs))
+        self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
+
+    def see(self) -> Seen:
+        """See all, once in a control period: the rule remembers what it has seen."""
+        proposed = []
+        for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
+            choice, self._memories[k] = propose(
+                rule, batch.observation, self._memories[k], self._fresh[k], self.orientations
+            )
+            proposed.append(choice)
+        tables = np.concatenate([batch.observation for batch in self.batches])
+        return Seen(tables, np.concatenate(proposed))
+
+    def step(self, halves: Integers) -> Stepped:
+        """Move all by a control period, by choices (num_envs, ...), of each half or module."""
+        parts = [self._step(*each) for each in self._parts(halves)]
+        self._fresh = [each.jammed | each.out_of_time for each in parts]
+        return _join(parts)
+
+    def _parts(self, halves: Integers) -> Iterator[tuple[StreamBatch, Integers, Numbers, Numbers]]:
+        first = 0
+        for batch in self.batches:
+            here = slice(first, first + batch.num_envs)
+            yield batch, halves[here], self._sums[here], self._quiet[here]
+            first += batch.num_envs
+
+    def _step(self, batch: StreamBatch, halves: Integers, sums: Numbers, quiet: Numbers) -> Stepped:
+        streams = batch.streams
+        number, there = streams.number.copy(), streams.present.copy()
+        batch.step(halves.reshape(batch.num_envs, -1))
+        streams = batch.streams
+        terms = batch.parcels.terms.reshape(*there.shape, -1)[..., : len(self._weights)]
+        reward = np.where(there, terms @ self._weights, 0.0)
+        left = there & ~(streams.present & (streams.number == number))
+        timed = streams.outcome == OUT_OF_TIME
+        quiet += batch.config.control_period
+        quiet[left.any(axis=1) | ~streams.present.any(axis=1)] = 0.0
+        jammed = (streams.outcome == JAM) | ((quiet > STALLED) & ~timed)
+        reward[jammed] += np.where(there[jammed], JAMMED, 0.0)
+        reward += np.where(there, SHARED * (reward.sum(axis=1, keepdims=True) - reward), 0.0)
+        sums += batch.terms
+        last = batch.observation[timed].copy()
+        ended = np.nonzero(jammed | timed)[0]
+        for i in ended.tolist():
+            delivered = max(1, int(streams.tally[i, [RIGHT, WRONG]].sum()))
+            self.infos.append(
+                {
+                    "is_success": float(streams.tally[i, RIGHT] / delivered),
+                    "episode": {"r": float(sums[i].sum()), "l": float(streams.clock[i])},
+                    "reward_terms": dict(zip(self._terms, sums[i].tolist(), strict=True)),
+                }
+            )
+        sums[ended] = quiet[ended] = 0.0
+        self._reset(batch, ended)
+        return Stepped(reward, left, jammed, timed, last)
+
+    def _reset(self, batch: StreamBatch, chosen: Integers) -> None:
+        for i in chosen.tolist():
+            batch.seed(i, np.random.default_rng(self._rng.integers(2**63)))
+        if len(chosen):
+            batch.reset(chosen)
+
+
+def _join(parts: list[Stepped]) -> Stepped:
+    return Stepped(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+class Kept(NamedTuple):
+    """What a rollout keeps of all rows (num_envs x rows,) in each control period."""
+
+    value: list[Any]
+    reward: list[Numbers]
+    ended: list[Booleans]
+    following: list[Any]  # value of what comes after
+
+
+Network = TypeVar("Network", bound=torch.nn.Module)
+
+
+class SlopeLearner(ABC, Generic[Network]):
+    """Network of a policy on slopes and of the parcels' values, and its training by PPO."""
+
+    most_kl: ClassVar[float]  # [nat] that a pass may move the policy before it is the last
+    _rng: np.random.Generator
+
+    def __init__(
+        self, config: ParcelsConfig | LocalConfig, surfaces: "Surfaces", network: Network
+    ) -> None:
+        self._config = config
+        self._surfaces = surfaces
+        self._learning = network
+        self.network = copy.deepcopy(network)  # the best so far
+        self._optimiser = torch.optim.Adam(network.parameters(), config.learning_rate)
+        self._score = self._best = -math.inf  # [1/s] rewards of an environment, smoothed
+        self.steps = 0
+
+    def learn(self, curve: Curve) -> None:
+        for group in self._optimiser.param_groups:
+            group["lr"] = ppo.learning_rate(self._config, self.steps)
+        samples = self._roll_out()
+        rollout = self._config.n_steps * self._config.num_envs
+        critic_only = self.steps < CRITIC_FIRST * rollout
+        if self._score > self._best and not critic_only:
+            self._best = self._score
+            self.network.load_state_dict(self._learning.state_dict())
+        for _ in range(self._config.n_epochs):
+            moved = [
+                self._step([each[chosen] for each in samples], critic_only)
+                for chosen in shuffle(self._rng, len(samples[0]), self._config.batch_size)
+            ]
+            if np.mean(moved) > self.most_kl:
+                break
+        self.steps += rollout
+        curve.add_episodes(self._surfaces.infos)
+        self._surfaces.infos.clear()
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "network": self.network.state_dict(),
+            "learning": self._learning.state_dict(),
+            "score": self._score,
+            "best": self._best,
+            "optimiser": self._optimiser.state_dict(),
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        weights = self.network.state_dict()
+        own = {"network": weights, "learning": weights, "steps": 0}
+        for name, values in own.items():
+            check_like(name, state[name], values)
+        for name in ("score", "best"):
+            checks.instance(name, state[name], float, "a number")
+        self._score, self._best = state["score"], state["best"]
+        self.network.load_state_dict(state["network"])
+        self._learning.load_state_dict(state["learning"])
+        load_optimizer(self._optimiser, state["optimiser"])
+        self.steps = state["steps"]
+
+    @abstractmethod
+    def begin(self, seed: int) -> None:
+        """Begin to learn, all that is drawn from a seed."""
+
+    @abstractmethod
+    def _roll_out(self) -> list[torch.Tensor]:
+        """Collect samples, to which all tensors have a row each."""
+
+    @abstractmethod
+    def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
+        """Take a gradient step; return by how much [nat] the policy has moved."""
+
+    def _compute_returns(self, kept: Kept) -> tuple[Numbers, Numbers]:
+        """Compute advantages and returns (periods, num_envs x rows), and rate the policy."""
+        rewards, value = np.stack(kept.reward), np.stack(kept.value).astype(np.float64)
+        self._rate(rewards)
+        advantage = ppo.compute_advantages(
+            torch.from_numpy(rewards),
+            torch.from_numpy(np.stack(kept.ended)),
+            torch.from_numpy(value),
+            torch.from_numpy(np.stack(kept.following).astype(np.float64)),
+            self._config.gamma,
+            self._config.gae_lambda,
+        ).numpy()
+        return advantage, advantage + value
+
+    def _rate(self, rewards: Numbers) -> None:
+        """Rate the policy by the rewards (periods, num_envs x rows) of a rollout."""
+        seconds = len(rewards) * self._surfaces.num_envs * self._config.control_period
+        score = float(rewards.sum()) / seconds
+        before = self._score if math.isfinite(self._score) else score
+        self._score = SMOOTH * before + (1.0 - SMOOTH) * score
+
+    def _improve(
+        self,
+        log_probability: torch.Tensor,
+        value: torch.Tensor,
+        old: tuple[torch.Tensor, ...],
+        critic_only: bool,
+    ) -> float:
+        """Take a step of PPO; return by how much [nat] the policy has moved.
+
+        Args:
+            log_probability: (samples, choices).
+            value: (samples,) expected returns.
+            old: of the samples the choice, the logarithm of its probability, the normalised
+                advantage, and the return.
+            critic_only: whether the actor stays as it is.
+        """
+        choice, old_log_prob, advantage, returns = old
+        log_prob = log_probability.gather(1, choice.long()[:, None])[:, 0]
+        entropy = -(log_probability.exp() * log_probability).sum(dim=1).mean()
+        loss = ppo.ppo_loss(
+            log_prob, old_log_prob, advantage, value, returns, entropy,
+            self._config.ent_coef, VALUE_COEF,
+        )  # fmt: skip
+        self._descend(loss, critic_only)
+        ratio = (log_prob - old_log_prob).detach()
+        return float((ratio.exp() - 1.0 - ratio).mean())
+
+    def _descend(self, loss: torch.Tensor, critic_only: bool) -> None:
+        """Take a step down the gradient of a loss; that of the actor is left out at first."""
+        self._optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        if critic_only:
+            for name, parameter in self._learning.named_parameters():
+                if not name.startswith("critic"):
+                    parameter.grad = None
+        torch.nn.utils.clip_grad_norm_(self._learning.parameters(), ppo.MAX_GRAD_NORM)
+        self._optimiser.step()
+
+
+def shuffle(rng: np.random.Generator, count: int, size: int) -> Iterator[torch.Tensor]:
+    """Yield the indices of all samples in random order, so many at a time."""
+    order = rng.permutation(count)
+    for first in range(0, count, size):
+        yield torch.from_numpy(order[first : first + size])

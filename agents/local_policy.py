@@ -1,0 +1,129 @@
+"""Policy of modules on a slope: each decides by what it sees itself and its neighbours pass on.
+
+All share one network. The modules below a parcel agree on one number, by which each chooses from
+its own probabilities: so similar ones choose alike, and a parcel is not pulled to and fro. The
+number stays for some control periods, since axes take time to turn.
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.module_view import OWN, PASSED, ModuleView
+from surface_gym.flow.state import NOBODY
+
+from .base import Integers, Singles
+from .library import PolicyCard
+from .module_policy import draw_choices
+from .parcel_policy import SlopePolicy
+
+MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
+HOLD = 2  # control periods for which the number that the modules below a parcel agree on stays
+NUMBERS = 4099  # that they look up one after the other, a prime
+APART = 97  # rows of the table look them up so far from each other
+CENTRE = len(OWN) - 3  # feature of a module: how far it is ahead of the parcel's centre
+
+
+class LocalInputs(NamedTuple):
+    """What the modules see that have a parcel, of all environments; those of a parcel in a row."""
+
+    row: Integers  # (parcels,) among all rows of all environments
+    passed: torch.Tensor  # (parcels, PASSED) what the modules below each pass on to each other
+    env: Integers  # (modules,) environment
+    module: Integers  # (modules,) place in the action
+    parcel: torch.Tensor  # (modules,) index among the parcels
+    own: torch.Tensor  # (modules, len(OWN))
+
+
+def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
+    """Collect what modules see from tables (num_envs, rows, features)."""
+    seen = view(tables)
+    num_envs, rows = seen.passed.shape[:2]
+    row = np.flatnonzero(seen.passed[..., 0] > 0.5)
+    env, module = np.nonzero(seen.owner != NOBODY)
+    parcel = np.searchsorted(row, env * rows + seen.owner[env, module])
+    order = np.argsort(parcel, kind="stable")
+    env, module, parcel = env[order], module[order], parcel[order]
+    passed = seen.passed.reshape(num_envs * rows, PASSED)[row]
+    own = seen.own[env, module]
+    return LocalInputs(
+        row, torch.from_numpy(passed.clip(-MOST, MOST)),
+        env, module, torch.from_numpy(parcel), torch.from_numpy(own.clip(-MOST, MOST)),
+    )  # fmt: skip
+
+
+class LocalNetwork(nn.Module):
+    """Actor of each module, and critic of the parcel on it."""
+
+    def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        self.actor = _perceptron((PASSED + len(OWN), *hidden, choices))
+        self.critic = _perceptron((PASSED, *hidden, 1))
+
+    def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+        """Compute log probabilities (modules, choices)."""
+        logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
+        return logits.log_softmax(dim=1)
+
+    def value(self, passed: torch.Tensor) -> torch.Tensor:
+        """Compute the expected returns (parcels,) of parcels."""
+        found: torch.Tensor = self.critic(passed)[:, 0]
+        return found
+
+
+def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for before, after in pairwise(units):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+class LocalPolicy(SlopePolicy):
+    """A trained policy of modules on a slope.
+
+    Args:
+        config: of the environment; None: the card's.
+    """
+
+    def __init__(
+        self, network: LocalNetwork, card: PolicyCard, config: EnvConfig | None = None
+    ) -> None:
+        super().__init__(network, card, config)
+        self._network = network
+        self._view = ModuleView(self._config)
+        self._rest = find_rest(self._config)
+        self._numbers = np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
+
+    @torch.no_grad()
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        seen = see_modules(self._view, batch)
+        log_probability = self._network(seen.passed[seen.parcel], seen.own)
+        number = self._agree(batch, seen.row) if deterministic else torch.rand(len(seen.row))
+        choice = draw_choices(log_probability, seen.parcel, number)
+        return fill(seen, choice.numpy(), len(batch), self._view.modules, self._rest), None
+
+    def _agree(self, tables: Singles, row: Integers) -> torch.Tensor:
+        """Look up the numbers (parcels,) that the modules below each parcel agree on: by how long
+        it has been there, and by its row in the table.
+        """
+        rows = tables.shape[1]
+        since = 4.0 * tables[..., ta.TIME].reshape(-1)[row] / self._config.control_period
+        place = (since / HOLD + 1e-3).astype(np.int64) + APART * (row % rows)
+        return torch.from_numpy(self._numbers[place % NUMBERS])
+
+
+def find_rest(config: EnvConfig) -> int:
+    """Find the choice nearest to 90 deg, of modules without a parcel."""
+    return int(np.abs(np.sin(config.chosen_orientations)).argmax())
+
+
+def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
+    """Build actions (num_envs, modules) from choices (modules with a parcel,)."""
+    actions = np.full((num_envs, modules), rest)
+    actions[seen.env, seen.module] = choice
+    return actions

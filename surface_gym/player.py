@@ -1,0 +1,138 @@
+"""Replays: recordings as one HTML file, which asks no other host and shows them in step."""
+
+import base64
+import hashlib
+import html
+import re
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from surface_gym.files import replacing
+from surface_gym.recording import Recording
+
+MOST = 8  # recordings side by side
+SCRIPTS = ("palette.js", "draw.js", "recording.js", "player.js", "replay.js")
+_WIDTH, _CONTROLS = 48.0, 12.0  # [rem] of a notebook's pictures, and of what is below them
+_IMPORT = re.compile(r'^import \{[^}]*\} from "\./[a-z]+\.js";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export ", re.MULTILINE)
+
+
+class Replay:
+    """A page that replays recordings: saved as a file, or shown in a notebook.
+
+    Args:
+        recordings: one, or several side by side, in step; by their names.
+    """
+
+    def __init__(self, recordings: dict[str, Recording]) -> None:
+        self.recordings = recordings
+
+    def html(self) -> str:
+        """Write the page: one file, with all that it needs."""
+        page = files("surface_gym.web") / "page"
+        read = {name: (page / name).read_text("utf-8") for name in (*SCRIPTS, "replay.css")}
+        style = read["replay.css"]
+        script = "\n".join(_EXPORT.sub("", _IMPORT.sub("", read[name])) for name in SCRIPTS)
+        data = "\n".join(
+            f'<script type="text/plain" class="recording" data-name="{html.escape(name)}">'
+            f"{base64.b64encode(each.encode()).decode()}</script>"
+            for name, each in self.recordings.items()
+        )
+        return Template((page / "replay.html").read_text("utf-8")).substitute(
+            title=html.escape(" / ".join(self.recordings)),
+            style=style,
+            script=script,
+            style_hash=_hash(style),
+            script_hash=_hash(script),
+            data=data,
+        )
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the page to a file ending in .html; one that is there is replaced."""
+        file = Path(path)
+        if file.suffix != ".html":
+            raise ValueError(f"path must end in .html, got {str(path)!r}")
+        with replacing(file) as part:
+            part.write_text(self.html(), encoding="utf-8")
+
+    def _repr_html_(self) -> str:
+        """Show the page in a notebook, in a frame about as high as it needs."""
+        pictures = sum(_WIDTH / _aspect(each) + 2.0 for each in self.recordings.values())
+        return frame_page(" / ".join(self.recordings), self.html(), _CONTROLS + pictures)
+
+
+def replay(*runs: Any, **named: Any) -> Replay:
+    """Show runs in a page: play, pause, scrub, slow motion, zoom, forces; several side by side.
+
+    Args:
+        runs: each a `Recording`, a `Trajectory`, or an environment in `RecordReplay`.
+        named: the same by names, which are written over them.
+
+    >>> import surface_gym as sg
+    >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
+    >>> run = sg.simulate(sg.layouts.sorting(), box, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
+    >>> len(sg.replay(run).html()) < 200_000
+    True
+    """
+    recordings: dict[str, Recording] = {}
+    for place, run in enumerate(runs):
+        recording = _record(f"runs[{place}]", run)
+        name, number = recording.title, 1
+        while name in recordings or name in named:
+            number += 1
+            name = f"{recording.title} {number}"
+        recordings[name] = recording
+    recordings |= {name: _record(name, run) for name, run in named.items()}
+    if not 1 <= len(recordings) <= MOST:
+        raise ValueError(f"runs must be 1 to {MOST}, got {len(recordings)}")
+    return Replay(recordings)
+
+
+def frame_page(title: str, page: str, height: float = 40.0) -> str:
+    """Write a frame that holds a replay's page; neither page can reach into the other.
+
+    Args:
+        height: [rem] of the frame, at most 48.
+    """
+    return (
+        f'<iframe title="Replay: {html.escape(title)}" sandbox="allow-scripts" loading="lazy" '
+        f'style="width:100%;height:{min(height, 48.0):.0f}rem;border:0" '
+        f'srcdoc="{html.escape(page)}"></iframe>'
+    )
+
+
+def _aspect(recording: Recording) -> float:
+    """Compute the width of a recording's picture over its height."""
+    rows, columns = recording.rotor.shape
+    whole = (0.0, 0.0, columns * recording.pitch[0], rows * recording.pitch[1])
+    left, low, right, high = recording.view or whole
+    return (right - left) / (high - low)
+
+
+def _record(name: str, run: Any) -> Recording:
+    """Return the recording of whatever was recorded."""
+    from surface_gym.recorder import RecordReplay, record_trajectory
+    from surface_gym.trajectory import Trajectory
+
+    if isinstance(run, Recording):
+        return run
+    if isinstance(run, Trajectory):
+        return record_trajectory(run)
+    env = run
+    while env is not None and not isinstance(env, RecordReplay):
+        env = getattr(env, "env", None)
+    if env is None:
+        raise ValueError(
+            f"{name} must be a Recording, a Trajectory or an environment wrapped in "
+            f"surface_gym.RecordReplay before its episode, got {type(run).__name__}"
+        )
+    found: Recording = env.recording
+    return found
+
+
+def _hash(text: str) -> str:
+    """Compute the hash by which a page's policy allows its own text."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -1,0 +1,387 @@
+"""Recorders: of an environment's episodes, as a wrapper, and of a trajectory."""
+
+import math
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+
+from surface_gym import checks, state as st
+from surface_gym.core.batch import BaseBatch
+from surface_gym.flow.state import NOBODY
+from surface_gym.physics import rollout, types as ph
+from surface_gym.physics.types import Array
+from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes
+from surface_gym.surface import Surface
+
+if TYPE_CHECKING:
+    from surface_gym.rendering import Scene, SceneParcel
+    from surface_gym.trajectory import Trajectory
+
+BESIDE = 0.5  # [m] shown on either side of the rotors, and as long are a stream's exits drawn
+AHEAD = 3.0  # [pitch] shown before and after the surface of a stream
+PERIOD = 0.01  # [s] between the frames of a trajectory
+
+
+class RecordReplay(gym.Wrapper):
+    """Record the episodes of a surface's environment, and write each as a page that replays it.
+
+    It is used as Gymnasium's `RecordVideo`; pages are smaller than films, and hold all numbers.
+
+    Args:
+        env: a `SmartSurfaceEnv`, wrapped or not.
+        folder: for a page an episode; None: `recording` alone holds the latest.
+        episode_trigger: which episodes to record, by their number from 0; None: all.
+        name_prefix: of the pages' names.
+
+    >>> import gymnasium as gym, surface_gym
+    >>> env = surface_gym.RecordReplay(gym.make("SmartSurface/Sort-v0", actions="halves"))
+    >>> _ = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+    >>> over = False
+    >>> while not over:
+    ...     _, _, terminated, truncated, _ = env.step(10)
+    ...     over = terminated or truncated
+    >>> env.recording.outcome, len(env.recording)
+    ('success', 14)
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        folder: str | PathLike[str] | None = None,
+        episode_trigger: Callable[[int], bool] | None = None,
+        name_prefix: str = "replay",
+    ) -> None:
+        super().__init__(env)
+        batch = getattr(env.unwrapped, "batch", None)
+        if not isinstance(batch, BaseBatch):
+            raise ValueError(f"env must be an environment of a surface, got {env!r}")
+        self._batch = batch
+        self._folder = None if folder is None else Path(folder)
+        self._trigger = episode_trigger
+        self._name = name_prefix
+        self._episode = -1
+        self._recorder: _Recorder | None = None
+
+    @property
+    def recording(self) -> Recording:
+        """The episode that was recorded last, as far as it has gone."""
+        if self._recorder is None:
+            raise ValueError("recording must be asked for after reset, of an episode recorded")
+        return self._recorder.recording()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, and its recording."""
+        self._finish()
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._episode += 1
+        self._records = self._trigger is None or bool(self._trigger(self._episode))
+        if self._records:
+            self._recorder = _Recorder(self._batch)
+            self._recorder.record(0.0, info, begins=True)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and record the frame."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self._recorder is not None and self._records:
+            self._recorder.record(float(reward), info, begins=False)
+            if terminated or truncated:
+                self._finish()
+        return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Write the page of an episode that has not ended, and close the environment."""
+        self._finish()
+        super().close()
+
+    _records = False  # an episode that goes on
+
+    def _finish(self) -> None:
+        if self._records and self._folder is not None:
+            from surface_gym.player import replay
+
+            self._folder.mkdir(parents=True, exist_ok=True)
+            replay(self.recording).save(self._folder / f"{self._name}-episode-{self._episode}.html")
+        self._records = False
+
+
+class _Rows:
+    """Rows of a parcel, as long as it is there."""
+
+    def __init__(self, drawn: "SceneParcel", first: int) -> None:
+        self.drawn = drawn
+        self.first = first
+        self.truth: list[Array] = []  # (6,) pose and velocity
+
+    def recorded(self) -> RecordedParcel:
+        truth, drawn = np.array(self.truth), self.drawn
+        return RecordedParcel(
+            drawn.outline, self.first, truth[:, :3], truth[:, 3:], drawn.label, drawn.colour_index
+        )
+
+
+class _Recorder:
+    """Records an environment of a batch, control period after control period."""
+
+    def __init__(self, batch: BaseBatch, env_index: int = 0) -> None:
+        from surface_gym.scenes import Renderer
+
+        self._batch: Any = batch
+        self._index = env_index
+        self._is_stream = hasattr(batch, "streams")
+        self._renderer = Renderer(batch)
+        self._parcels: dict[int, _Rows] = {}  # by number of arrival
+        self._time: list[float] = []
+        self._axes: list[Array] = []
+        self._contacts: list[Array] = []  # (contacts, 4) a frame
+        self._delivered: list[tuple[int, ...]] = []
+        self._metrics: list[dict[str, float]] = []
+        self._scratch = ph.make_scratch()
+
+    def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
+        """Record a frame: the start, or where a control period has led."""
+        self._renderer.record(self._index, begins)
+        self._outcome = str(info.get("outcome", ""))
+        self._time.append(float(info["time"]))
+        self._axes.append(self._batch.axes(self._index))
+        self._metrics.append({"reward": reward, **_numbers(info)})
+        if self._is_stream:
+            self._record_stream()
+        else:
+            self._record_parcel()
+
+    def _record_parcel(self) -> None:
+        if not self._parcels:
+            self._scene = self._renderer.scene(self._index)
+            self._parcels[0] = _Rows(self._scene.parcels[0], 0)
+        self._parcels[0].truth.append(self._batch.parcels.truth[self._index].copy())
+        self._contacts.append(self._compute_contacts())
+
+    def _record_stream(self) -> None:
+        batch, i, streams = self._batch, self._index, self._batch.streams
+        frame, first = len(self._time) - 1, i * batch.rows
+        numbers = streams.number[i, : batch.task.max_parcels]
+        there = np.flatnonzero(numbers != NOBODY)
+        if frame == 0 or any(int(number) not in self._parcels for number in numbers[there]):
+            self._scene = self._renderer.scene(i)
+            present = np.flatnonzero(streams.present[i])
+            shown = self._scene.parcels[len(self._scene.parcels) - len(present) :]
+            for slot, drawn in zip(present.tolist(), shown, strict=True):
+                number = int(streams.number[i, slot])
+                self._parcels.setdefault(number, _Rows(drawn, frame))
+        for slot in there.tolist():
+            rows = self._parcels.get(int(numbers[slot]))  # None: it came and left between frames
+            if rows is not None:
+                rows.truth.append(batch.parcels.truth[first + slot].copy())
+        taken = streams.taken[i, : streams.arrivals[i]]
+        right = streams.right[i, : streams.arrivals[i]]
+        exits = len(batch.config.exits)
+        self._delivered.append(tuple(np.bincount(taken[right], minlength=exits).tolist()))
+
+    def _compute_contacts(self) -> Array:
+        """Compute the contacts (contacts, 4) of the only parcel in the step from here."""
+        batch, i = self._batch, self._index
+        body_row, params = int(batch.parcels.body[i]), batch.params
+        grid = st.read_grid.py_func(
+            batch.surfaces, batch.bodies, i, body_row, params.elements, params.friction
+        )
+        body = st.read_body.py_func(batch.bodies, body_row)
+        states = np.stack([batch.parcels.state[i]] * 2)
+        lengths = np.array([0.0, params.timing.dt])
+        steps = rollout.RecordedSteps(states, lengths, 0.5 * lengths, np.zeros(3, dtype=np.int64))
+        count = np.zeros(2, dtype=np.int64)
+        rollout.count_contacts(grid, body, steps, self._scratch, count)
+        total = int(count[1])
+        if total == 0:
+            return np.zeros((0, 4))
+        steps.first[2] = total
+        observed = rollout.ContactForces(
+            states.copy(), np.zeros((total, 2), dtype=np.int64), np.zeros(total),
+            np.zeros((total, 2)),
+        )  # fmt: skip
+        rollout.support_loads(grid, body, steps, self._scratch, observed)
+        rollout.repeat_implicit(grid, body, steps, self._scratch, observed)
+        mass = batch.parcel(i).mass
+        element = observed.element @ (grid.axis.shape[1], 1)
+        return np.column_stack([element, mass * observed.normal, mass * observed.force])
+
+    def recording(self) -> Recording:
+        """Collect what was recorded."""
+        scene, axes = self._scene, np.array(self._axes)
+        angles, axis = index_axes(axes)
+        names = dict.fromkeys(name for each in self._metrics for name in each)
+        counts = [0, *map(len, self._contacts)]
+        return Recording(
+            title=scene.title,
+            control_period=self._batch.config.control_period,
+            time=np.array(self._time),
+            rotor=scene.rotor,
+            angles=angles,
+            axis=axis,
+            pitch=scene.pitches,
+            origin=scene.origin,
+            obeys=None if scene.zone is None else scene.obeys,
+            view=_view(scene, self._is_stream),
+            marks=make_marks(scene),
+            parcels=tuple(rows.recorded() for rows in self._parcels.values()),
+            heading=getattr(scene.goal, "angle", None),
+            first_contact=np.cumsum(counts) if self._contacts else np.zeros(0, dtype=np.int64),
+            contacts=np.concatenate([np.zeros((0, 4)), *self._contacts]),
+            delivered=np.array(self._delivered, dtype=np.float64).reshape(
+                len(self._delivered), -1 if self._delivered else 0
+            ),
+            metrics={
+                name: np.array([each.get(name, math.nan) for each in self._metrics])
+                for name in names
+            },
+            outcome=self._outcome,
+        )
+
+
+def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recording:
+    """Record a trajectory, about a frame a period [s], with the forces of the steps to them."""
+    run = trajectory.run
+    if run is None:
+        raise ValueError(
+            "a recording must be made of a trajectory with a run, as those of "
+            "surface_gym.simulate have; got one whose run is None"
+        )
+    time, surface, contacts = trajectory.time, run.surface, trajectory.contacts
+    checks.positive("period", period)
+    rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1], period)))
+    rows = np.union1d(rows[rows < len(time)], [len(time) - 1])
+    angles, axis = index_axes(surface.axis)
+    first, last = (np.searchsorted(contacts.step, rows, side=side) for side in ("left", "right"))
+    chosen = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
+    each = contacts.element @ (surface.columns, 1)
+    whole = np.column_stack([each, contacts.normal, contacts.force])
+    parcel = RecordedParcel(
+        run.parcel.base.outline, 0, trajectory.pose[rows], trajectory.velocity[rows]
+    )
+    return Recording(
+        title="Trajectory",
+        control_period=period,
+        time=time[rows],
+        rotor=surface.rotor,
+        angles=angles,
+        axis=np.broadcast_to(axis, (len(rows), *axis.shape)),
+        pitch=(surface.pitch_x, surface.pitch_y),
+        origin=surface.origin,
+        view=_view_of(surface, parcel.pose[:, 1]),
+        parcels=(parcel,),
+        first_contact=np.append(0, np.cumsum(last - first)),
+        contacts=whole[chosen],
+        metrics={"tipping": trajectory.tipping[rows].astype(np.float64)},
+        outcome=trajectory.end,
+    )
+
+
+def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
+    """Choose what to show of a trajectory: the rotors, where the parcel is in y, and beside."""
+    (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
+    rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
+    low = max(-0.5, float(rows.min()) - 0.5 - BESIDE / up)
+    high = min(surface.rows - 0.5, float(rows.max()) + 0.5 + BESIDE / up)
+    return x - 0.5 * across, y + low * up, x + (surface.columns - 0.5) * across, y + high * up
+
+
+def _numbers(info: dict[str, Any]) -> dict[str, float]:
+    """Select the numbers of an info; the time is a recording's own, the outcome a text."""
+    return {
+        name: float(value)
+        for name, value in info.items()
+        if isinstance(value, (bool, int, float, np.number)) and name not in ("time", "outcome")
+    }
+
+
+def _edges(scene: "Scene") -> tuple[float, float, float, float]:
+    """Compute the least x and y and the greatest [m] of a surface."""
+    (x, y), (across, up) = scene.origin, scene.pitches
+    return (
+        x - 0.5 * across, y - 0.5 * up,
+        x + (scene.columns - 0.5) * across, y + (scene.rows - 0.5) * up,
+    )  # fmt: skip
+
+
+def _rotor_edges(scene: "Scene") -> tuple[float, float]:
+    """Compute the y [m] where the rotor rows begin and end."""
+    rows = np.flatnonzero(scene.rotor.any(axis=1))
+    low, up = _edges(scene)[1], scene.pitches[1]
+    if len(rows) == 0:
+        return low, low + scene.rows * up
+    return low + float(rows[0]) * up, low + float(rows[-1] + 1) * up
+
+
+def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
+    """Choose what to show: the rotors and what is beside them, of a stream before and after too."""
+    left, least, right, most = _edges(scene)
+    low, high = _rotor_edges(scene)
+    ahead = AHEAD * scene.pitches[0] if is_stream else 0.0
+    return left - ahead, max(least, low - BESIDE), right + ahead, min(most, high + BESIDE)
+
+
+def make_marks(scene: "Scene") -> tuple[Mark, ...]:
+    """Describe the zone, the goal, and the exits and inlets of a stream."""
+    from surface_gym import rendering
+
+    left, least, right, _ = _edges(scene)
+    low, high = _rotor_edges(scene)
+    across, up = scene.pitches
+    first, last = left, right
+    marks = []
+    if scene.zone is not None:
+        row, rows, column, columns = scene.zone
+        first, last = left + column * across, left + (column + columns) * across
+        begin = least + row * up
+        marks.append(Mark("zone", _area(first, begin, last, begin + rows * up)))
+    goal = scene.goal
+    if isinstance(goal, (rendering.ExitSide, rendering.ExitSpeed)):
+        side = getattr(goal, "side", 0)
+        label = f"{goal.speed:.2f} m/s" if isinstance(goal, rendering.ExitSpeed) else "exit"
+        if side == 0:
+            area = _area(last, low, last + 3.0 * across, high)
+        else:
+            y = high if side > 0 else low - 3.0 * up
+            area = _area(first, y, last, y + 3.0 * up)
+        marks.append(Mark("exit", area, label))
+    elif isinstance(goal, rendering.StopLine):
+        ends = np.array([[goal.x, low - 1.5 * up], [goal.x, high + 1.5 * up]])
+        marks.append(Mark("line", ends, f"stop at {goal.x:.2f} m"))
+    elif isinstance(goal, rendering.Path):
+        marks.append(Mark("path", goal.points))
+    if scene.traffic is not None:
+        marks += _stream_marks(scene, scene.traffic)
+    return tuple(marks)
+
+
+def _stream_marks(scene: "Scene", traffic: Any) -> list[Mark]:
+    left, least, right, most = _view(scene, True)
+    low, high = _rotor_edges(scene)
+    marks = []
+    for index, inlet in enumerate(traffic.inlets):
+        if inlet.side == 0:
+            area = _area(left, inlet.first, _edges(scene)[0], inlet.last)
+        else:
+            beside = (high, most) if inlet.side > 0 else (least, low)
+            area = _area(inlet.first, beside[0], inlet.last, beside[1])
+        marks.append(Mark("inlet", area, inlet.name, index))
+    for index, mark in enumerate(scene.exits):
+        if mark.side == 0:
+            begin, end = mark.span or (low, high)
+            area = _area(mark.first, begin, right, end)
+        else:
+            beside = (high, most) if mark.side > 0 else (least, low)
+            area = _area(mark.first, beside[0], mark.last, beside[1])
+        colour = index if traffic.runs is None else "runs"
+        marks.append(Mark("exit", area, mark.name, colour))
+    return marks
+
+
+def _area(left: float, low: float, right: float, high: float) -> Array:
+    return np.array([[left, low], [right, low], [right, high], [left, high]])

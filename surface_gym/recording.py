@@ -1,0 +1,415 @@
+"""Recordings: what a run was, frame by frame, and its compact file.
+
+A file holds positions to 0.05 mm, angles to 0.1 mrad and forces to 0.02 N: numbers are rounded, and
+of each the change against what the two before it lead to is kept and compressed.
+"""
+
+import json
+import math
+import sys
+import zlib
+from dataclasses import asdict, dataclass, field, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surface_gym import checks, files
+from surface_gym.physics.types import Array, Booleans, Integers
+
+FORMAT, VERSION = "surface_gym recording", 1
+SUFFIX = ".replay"
+MARKS = ("line", "path", "zone", "exit", "inlet")
+MOST_BYTES = 2**30  # of a recording in memory: days of a stream
+MOST_HEADER = 2**26  # [bytes]
+ANGLES = 256  # different axes in a recording, at most
+
+# What a number in a file counts.
+TIME = (1e-5,)  # [s]
+MOTION = (5e-5, 5e-5, 1e-4, 5e-4, 5e-4, 1e-3)  # [m, m, rad, m/s, m/s, rad/s]
+CONTACT = (1.0, 0.02, 0.02, 0.02)  # [module, N, N, N]
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """What is drawn on a surface and stays: a goal, the zone, an exit or an inlet."""
+
+    kind: str  # of MARKS; zones, exits and inlets are areas
+    points: Array  # (points, 2) [m] corners of the area, or along the line
+    label: str = ""
+    colour: int | str | None = None  # index of an exit's, or a name of the palette; None: a goal's
+
+    def __post_init__(self) -> None:
+        checks.one_of("kind", self.kind, MARKS)
+        _set(self, points=checks.array("points", self.points, (None, 2)))
+        if len(self.points) < 2:
+            raise ValueError(f"points must be at least 2, got {len(self.points)}")
+        _check_look(self.label, self.colour)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedParcel:
+    """A parcel and its motion in the frames in which it was there."""
+
+    outline: Array  # (points, 2) [m] of the base, in its own frame
+    first: int  # the frame with its first row
+    pose: Array  # (rows, 3) [m, m, rad] of that frame
+    velocity: Array  # (rows, 3) [m/s, m/s, rad/s]
+    label: str = ""
+    colour: int | str | None = None  # index of an exit's or a group's; None: grey
+
+    def __post_init__(self) -> None:
+        _set(self, outline=checks.array("outline", self.outline, (None, 2)))
+        if len(self.outline) < 3:
+            raise ValueError(f"outline must have at least 3 points, got {len(self.outline)}")
+        _set(self, first=checks.integer("first", self.first, least=0))
+        _set(self, pose=checks.pose("pose", self.pose, (None, 3)))
+        rows = len(self.pose)
+        _set(self, velocity=checks.velocity("velocity", self.velocity, (rows, 3)))
+        if rows == 0:
+            raise ValueError("pose must have at least one row, got none")
+        _check_look(self.label, self.colour)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a run was, frame by frame: surface, axes, parcels, forces where known, and numbers.
+
+    `surface_gym.RecordReplay` makes recordings of an environment's episodes, and
+    `surface_gym.replay` shows them in a page.
+    """
+
+    title: str
+    control_period: float  # [s] between frames
+    time: Array  # (T,) [s] rising
+    rotor: Booleans  # (rows, columns) an orientable rotor, else a support
+    angles: Array  # (angles,) [rad] the axes there are, at most 256
+    axis: NDArray[np.uint8]  # (T, rows, columns) the index of each module's axis among them
+    pitch: tuple[float, float] = (0.1, 0.1)  # [m] from column to column, and from row to row
+    origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of module [0, 0]
+    obeys: Booleans | None = None  # (rows, columns) a module that commands turn; None: all do
+    # [m] least x and y, greatest x and y to show; None: the surface
+    view: tuple[float, float, float, float] | None = None
+    marks: tuple[Mark, ...] = ()
+    parcels: tuple[RecordedParcel, ...] = ()
+    heading: float | None = None  # [rad] that the parcel is asked to turn to
+    # (T + 1,) the first contact of each frame, or empty: forces are not known
+    first_contact: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    # (contacts, 4) row times columns plus column of the element, and normal force, and friction on
+    # the parcel in x and y [N]
+    contacts: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    # (T, exits) parcels that rightly left by each exit mark
+    delivered: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    metrics: dict[str, Array] = field(default_factory=dict)  # (T,) by name; nan: not known
+    outcome: str = ""  # how it ended
+
+    def __post_init__(self) -> None:
+        for name in ("title", "outcome"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} must be a text, got {getattr(self, name)!r}")
+        checks.positive("control_period", self.control_period)
+        _set(self, time=checks.array("time", self.time, (None,)), marks=tuple(self.marks))
+        count = len(self.time)
+        if count == 0 or (np.diff(self.time) <= 0.0).any():
+            raise ValueError("time must hold at least one frame, and rise")
+        _set(self, rotor=checks.booleans("rotor", self.rotor))
+        _set(self, angles=checks.array("angles", self.angles, (None,)))
+        self._check_axis()
+        pitch = checks.array("pitch", self.pitch, (2,)).tolist()
+        _set(self, pitch=tuple(checks.positive("pitch", each) for each in pitch))
+        _set(self, origin=checks.place("origin", self.origin))
+        if self.obeys is not None:
+            _set(self, obeys=checks.booleans("obeys", self.obeys))
+            if self.obeys.shape != self.rotor.shape:
+                raise ValueError(f"obeys must have rotor's shape, got {self.obeys.shape}")
+        if self.view is not None:
+            left, low, right, high = checks.array("view", self.view, (4,)).tolist()
+            if right <= left or high <= low:
+                raise ValueError(f"view must enclose an area, got {self.view}")
+            _set(self, view=(left, low, right, high))
+        if self.heading is not None:
+            _set(self, heading=checks.number("heading", self.heading))
+        self._check_parcels()
+        self._check_contacts()
+        _set(self, delivered=checks.array("delivered", self.delivered, (None, None)))
+        exits = sum(mark.kind == "exit" for mark in self.marks)
+        if self.delivered.size and self.delivered.shape != (count, exits):
+            raise ValueError(
+                f"delivered must have a row a frame and a column an exit, {(count, exits)}, "
+                f"got {self.delivered.shape}"
+            )
+        metrics = {
+            name: np.array(values, dtype=np.float64) for name, values in self.metrics.items()
+        }
+        for name, values in metrics.items():
+            if values.shape != (count,):
+                raise ValueError(f"metrics[{name!r}] must have {count} rows, got {values.shape}")
+        _set(self, metrics=metrics)
+
+    def _check_axis(self) -> None:
+        shape, count = (len(self.time), *self.rotor.shape), len(self.angles)
+        axis = np.array(self.axis)
+        if axis.dtype != np.uint8 or axis.shape != shape:
+            raise ValueError(
+                f"axis must be uint8 of the shape {shape}, got {axis.dtype} of {axis.shape}"
+            )
+        if not 1 <= count <= ANGLES or axis.max() >= count:
+            raise ValueError(
+                f"axis must be indices among angles, of which there are 1 to {ANGLES}, got "
+                f"{axis.max()} among {count}"
+            )
+        axis.setflags(write=False)
+        _set(self, axis=axis)
+
+    def _check_parcels(self) -> None:
+        _set(self, parcels=tuple(self.parcels))
+        for k, each in enumerate(self.parcels):
+            last = each.first + len(each.pose)
+            if last > len(self.time):
+                raise ValueError(
+                    f"parcels[{k}] must be within the {len(self.time)} frames, got frame {last - 1}"
+                )
+
+    def _check_contacts(self) -> None:
+        contacts = checks.array("contacts", self.contacts, (None, 4))
+        first = np.array(self.first_contact, dtype=np.int64)
+        if len(first) and (
+            len(first) != len(self.time) + 1
+            or first[0] != 0
+            or first[-1] != len(contacts)
+            or (np.diff(first) < 0).any()
+        ):
+            raise ValueError(
+                "first_contact must rise from 0 to the number of contacts, one more than frames"
+            )
+        if not len(first) and len(contacts):
+            raise ValueError("first_contact must say which frames contacts belong to, got none")
+        element = contacts[:, 0]
+        if len(element) and not (element.min() >= 0 and element.max() < self.rotor.size):
+            raise ValueError(f"contacts must be on the {self.rotor.size} elements")
+        _set(self, contacts=contacts, first_contact=first)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.time)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the recording to a file ending in .replay; one that is there is replaced."""
+        with files.replacing(_checked_file(path)) as part:
+            part.write_bytes(self.encode())
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> "Recording":
+        """Read a recording that `save` wrote: numbers and text, nothing of it is executed.
+
+        Raises:
+            ValueError: a file that holds none; the error says what is wrong.
+            FileNotFoundError: there is none.
+        """
+        file = _checked_file(path)
+        try:
+            return Recording.decode(files.read_bytes(file, MOST_BYTES))
+        except ValueError as error:
+            raise ValueError(
+                f"path must lead to a recording that was saved, got {str(path)!r}: {error}"
+            ) from None
+
+    def encode(self) -> bytes:
+        """Encode the recording as the bytes of its file, which a page reads too."""
+        motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
+        tables = [
+            _pack("time", self.time[:, np.newaxis], TIME),
+            _pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
+            _pack("first_contact", np.diff(self.first_contact)[:, np.newaxis], (1.0,)),
+            _pack("contacts", self.contacts, CONTACT),
+            _pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
+        ]
+        turned = np.diff(self.axis.reshape(len(self), -1), axis=0, prepend=np.uint8(0))
+        metrics = np.array([*self.metrics.values()], dtype="<f4")
+        obeys = np.ones_like(self.rotor) if self.obeys is None else self.obeys
+        header = {
+            "format": FORMAT,
+            "version": VERSION,
+            "title": self.title,
+            "control_period": self.control_period,
+            "rows": self.rotor.shape[0],
+            "columns": self.rotor.shape[1],
+            "pitch": self.pitch,
+            "origin": self.origin,
+            "view": self.view,
+            "heading": self.heading,
+            "outcome": self.outcome,
+            "angles": self.angles.tolist(),
+            "marks": [asdict(each) | {"points": each.points.tolist()} for each in self.marks],
+            "parcels": [
+                {
+                    "outline": each.outline.round(6).tolist(),
+                    "first": each.first,
+                    "rows": len(each.pose),
+                    "label": each.label,
+                    "colour": each.colour,
+                }
+                for each in self.parcels
+            ],
+            "metrics": list(self.metrics),
+            "frames": len(self),
+            "counted": len(self.first_contact) > 0,
+            "contacts": len(self.contacts),
+            "exits": self.delivered.shape[1],
+            "units": {"time": TIME, "motion": MOTION, "contact": CONTACT},
+        }
+        text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+        grids = [self.rotor.tobytes(), obeys.tobytes(), turned.tobytes()]
+        parts = [len(text).to_bytes(4, "little"), text, *grids, *tables, metrics.tobytes()]
+        return zlib.compress(b"".join(parts), 9)
+
+    @staticmethod
+    def decode(packed: bytes) -> "Recording":
+        """Decode the bytes of a file; what is wrong with them is a ValueError."""
+        try:
+            return _decode(packed)
+        except files.DAMAGE as error:
+            raise ValueError(files.describe_damage(error)) from None
+
+
+def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """Split axes (...) [rad] into the angles there are (angles,) and indices (...) among them.
+
+    Where there are more than 256, they are rounded to whole degrees; half a turn is the same axis.
+    """
+    half = np.mod(axes, math.pi)
+    angles, index = np.unique(half.round(6) % round(math.pi, 6), return_inverse=True)
+    if len(angles) > ANGLES:
+        degrees = np.rint(np.degrees(half)) % 180.0
+        angles, index = np.unique(np.radians(degrees), return_inverse=True)
+    return angles, index.reshape(axes.shape).astype(np.uint8)
+
+
+def _set(instance: Any, **values: Any) -> None:
+    """Set fields of a frozen dataclass while it is made."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+
+
+def _check_look(label: str, colour: int | str | None) -> None:
+    if not isinstance(label, str):
+        raise ValueError(f"label must be a text, got {label!r}")
+    if colour is not None and not isinstance(colour, str):
+        checks.integer("colour", colour, least=0)
+
+
+def _checked_file(path: str | PathLike[str]) -> Path:
+    file = Path(path)
+    if file.suffix != SUFFIX:
+        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
+    return file
+
+
+def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
+    """Round a table (rows, columns), and keep what its second differences down a column are.
+
+    They are made positive, and their bytes lie apart: the first of all numbers, then the second ...
+    """
+    counts = np.rint(values / np.array(units))
+    if counts.size and np.abs(counts).max() >= 2**31:
+        raise ValueError(f"{name} must be less than {2**31} units of {units} to be saved")
+    change = np.diff(counts.astype(np.int64), n=2, axis=0, prepend=np.zeros((2, len(units))))
+    change = change.astype(np.int64)
+    folded = ((change << 1) ^ (change >> 63)).T.astype("<u8").reshape(-1, 1)
+    planes: bytes = folded.view(np.uint8)[:, :5].T.tobytes()
+    return planes
+
+
+def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
+    """Compute the table (rows, columns) whose bytes `_pack` returned."""
+    padded = np.zeros((planes.size // 5, 8), dtype=np.uint8)
+    padded[:, :5] = planes.reshape(5, -1).T
+    folded = padded.view("<u8").astype(np.int64).reshape(len(units), -1).T
+    change = (folded >> 1) ^ -(folded & 1)
+    return np.cumsum(np.cumsum(change, axis=0), axis=0) * np.array(units)
+
+
+class _Reader:
+    """Bytes of a recording, taken one part after the other."""
+
+    def __init__(self, content: bytes) -> None:
+        self._left = memoryview(content)
+
+    def take(self, size: int) -> NDArray[np.uint8]:
+        if not 0 <= size <= len(self._left):
+            raise ValueError(f"it must hold {size} bytes more, got {len(self._left)}")
+        part, self._left = self._left[:size], self._left[size:]
+        return np.frombuffer(part, dtype=np.uint8)
+
+    def table(self, rows: int, units: tuple[float, ...]) -> Array:
+        if rows == 0 or not units:
+            return np.zeros((rows, len(units)))
+        return _unpack(self.take(5 * rows * len(units)), units)
+
+    def check_end(self) -> None:
+        if len(self._left):
+            raise ValueError(f"it must end, got {len(self._left)} bytes more")
+
+
+def _decode(packed: bytes) -> Recording:
+    unpacker = zlib.decompressobj()
+    content = unpacker.decompress(packed, MOST_BYTES)
+    if unpacker.unconsumed_tail:
+        raise ValueError(f"it must unpack to at most {MOST_BYTES} bytes, got more")
+    if not unpacker.eof:
+        raise ValueError("it is cut short")
+    reader = _Reader(content)
+    size = int.from_bytes(reader.take(4).tobytes(), "little")
+    if size > MOST_HEADER:
+        raise ValueError(f"its header must have at most {MOST_HEADER} bytes, got {size}")
+    head = json.loads(reader.take(size).tobytes().decode())
+    if not isinstance(head, dict) or head.get("format") != FORMAT:
+        raise ValueError(f"its format must be {FORMAT!r}")
+    checks.one_of("version", head["version"], (VERSION,))
+    count = {
+        name: checks.integer(name, head[name], least=0, most=sys.maxsize)
+        for name in ("rows", "columns", "frames", "contacts", "exits")
+    }
+    shape, frames = (count["rows"], count["columns"]), count["frames"]
+    grid = shape[0] * shape[1]
+    rotor = reader.take(grid).reshape(shape).astype(bool)
+    obeys = reader.take(grid).reshape(shape).astype(bool)
+    turned = reader.take(frames * grid).reshape(frames, *shape)
+    time = reader.table(frames, TIME)[:, 0]
+    rows = [checks.integer("rows", each["rows"], least=1) for each in head["parcels"]]
+    motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
+    counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0].astype(np.int64)
+    contacts = reader.table(count["contacts"], CONTACT)
+    delivered = reader.table(frames if count["exits"] else 0, (1.0,) * count["exits"])
+    names = head["metrics"]
+    values = reader.take(4 * frames * len(names)).view("<f4").reshape(len(names), frames)
+    reader.check_end()
+    return Recording(
+        time=time,
+        rotor=rotor,
+        axis=np.cumsum(turned, axis=0, dtype=np.uint8),
+        obeys=None if obeys.all() else obeys,
+        marks=tuple(
+            Mark(**{each.name: mark[each.name] for each in fields(Mark)}) for mark in head["marks"]
+        ),
+        parcels=tuple(
+            RecordedParcel(
+                **{name: each[name] for name in ("outline", "first", "label", "colour")},
+                pose=row[:, :3],
+                velocity=row[:, 3:],
+            )
+            for each, row in zip(head["parcels"], motion, strict=True)
+        ),
+        first_contact=np.append(0, np.cumsum(counted)) if head["counted"] else counted,
+        contacts=contacts,
+        delivered=delivered,
+        metrics=dict(zip(names, values.astype(np.float64), strict=True)),
+        **{
+            name: head[name]
+            for name in ("title", "control_period", "angles", "pitch", "origin", "view")
+        },
+        heading=head["heading"],
+        outcome=head["outcome"],
+    )

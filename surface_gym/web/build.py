@@ -1,0 +1,145 @@
+"""The command that writes environments as WebAssembly: `surface-gym web FOLDER`.
+
+Each task, with the arguments it has by default, becomes four files: the module `sort.wasm`, its
+memory `sort.bin` with one environment of it placed by seed 0, `sort.json`, which says what lies
+where in it, and `sort.starts`, the starts of more seeds. Beside them lies the playground: pages,
+scripts, and an empty table.
+"""
+
+import argparse
+import gzip
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from surface_gym import __version__
+from surface_gym.cli import IN_CHECKOUT, typed
+from surface_gym.registration import PERIODS
+
+PAGE = Path(__file__).parent / "page"
+MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
+TABLE = "table"
+SITE = "site.json"  # what a page finds beside it
+AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes
+
+
+def write_task(task: str, folder: Path, own: Any = None) -> str:
+    """Write the files of a task into a folder, and describe them in a line.
+
+    Args:
+        task: its name, or that of the files of an own task.
+        folder: where to write.
+        own: a task of the user's.
+    """
+    from surface_gym.config import EnvConfig
+    from surface_gym.env import make_batch
+    from surface_gym.web.compiler import compile_module
+    from surface_gym.web.image import make_image
+    from surface_gym.web.starts import CONTACTS, collect_starts, describe
+    from surface_gym.web.table import step_table, table_arguments
+
+    more: dict[str, Any] = {"contacts": CONTACTS}
+    if task == TABLE:
+        kernel, arguments = step_table, table_arguments()
+    else:
+        batch = make_batch(EnvConfig(own or task), 1, compiles=False)
+        starts = collect_starts(batch)
+        kernel, arguments = batch.make_kernel(), batch.arguments
+        (folder / f"{task}.starts").write_bytes(starts.block)
+        more |= {
+            "scene": describe(batch),
+            "starts": {"fields": starts.fields, "marks": starts.marks},
+        }
+    code = compile_module(kernel, arguments, folder / f"{task}.wasm").code
+    image = make_image(kernel, arguments)
+    (folder / f"{task}.bin").write_bytes(image.block)
+    layout = json.dumps({**image.layout(), **more}, separators=(",", ":"))
+    (folder / f"{task}.json").write_text(layout + "\n")
+    zipped = [len(gzip.compress(each, mtime=0)) / 1000 for each in (code, image.block)]
+    return f"{task:9}  module {zipped[0]:5.1f} kB, memory {zipped[1]:5.1f} kB, both zipped"
+
+
+def write_pages(folder: Path, tasks: Sequence[str]) -> None:
+    """Write the playground's pages and scripts, and what there is beside them.
+
+    The package's own folder gets no pages, which lie beside it.
+    """
+    if folder != MODULES:
+        shutil.copytree(PAGE, folder, dirs_exist_ok=True)
+    has_agents = (folder / AGENTS[-1]).is_file()
+    there = {"version": __version__, "tasks": list(tasks), "agents": has_agents}
+    (folder / SITE).write_text(json.dumps(there) + "\n")
+
+
+def write_site(folder: Path, tasks: Sequence[str]) -> None:
+    """Write modules of tasks and of a table into a folder, and the pages; print what is done.
+
+    A module that is there, or in the package, is not compiled again unless its source was edited.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = [TABLE, *tasks]
+    for number, task in enumerate(chosen, 1):
+        print(f"{number}/{len(chosen)}  ", end="", flush=True)
+        _copy(f"{task}.wasm", folder)
+        print(write_task(task, folder), flush=True)
+    for name in AGENTS:
+        _copy(name, folder)
+    write_pages(folder, tasks)
+
+
+def _copy(name: str, folder: Path) -> None:
+    """Copy a file of the package's modules into a folder that lacks it."""
+    if (MODULES / name).is_file() and not (folder / name).exists():
+        shutil.copyfile(MODULES / name, folder / name)
+
+
+def update_modules() -> Path:
+    """Write what is missing of the package's modules, or old in a checkout; return their folder."""
+    folder = MODULES
+    if not (MODULES / SITE).is_file() and not os.access(MODULES.parent, os.W_OK):
+        folder = Path.home() / ".cache" / "surface_gym" / "modules"
+    whole = _are_whole(folder)
+    if not whole:  # agents of another version, maybe
+        (folder / AGENTS[-1]).unlink(missing_ok=True)
+    if IN_CHECKOUT or not whole:
+        print("compiling what pages need, where it is missing: minutes the first time")
+        write_site(folder, list(PERIODS))
+    return folder
+
+
+def write_own(own: Any, folder: Path, package: Path) -> str:
+    """Write a user's task into a folder, as if the package in its folder had it; name it."""
+    name = type(own).__name__
+    site = json.loads((package / SITE).read_text())
+    print(write_task(name, folder, own), flush=True)
+    (folder / SITE).write_text(json.dumps({**site, "tasks": [*site["tasks"], name]}) + "\n")
+    return name
+
+
+def _are_whole(folder: Path) -> bool:
+    """Whether a folder has the modules of all tasks, and of this version."""
+    try:
+        site = json.loads((folder / SITE).read_text())
+        return bool(site["version"] == __version__ and site["tasks"] == list(PERIODS))
+    except (OSError, LookupError, TypeError, ValueError):
+        return False
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Write the modules of some tasks or of all."""
+    parser = argparse.ArgumentParser(
+        prog=typed("web"),
+        description="Write environments as WebAssembly, and pages that run them in a browser.",
+    )
+    parser.add_argument("folder", type=Path, nargs="?", default=MODULES,
+                        help="where to write; it is made if it is missing; by default into the "
+                        "package, for `surface-gym play`")  # fmt: skip
+    all_tasks = list(PERIODS)
+    listed = f"of {', '.join(all_tasks)}; by default all, which takes minutes"
+    parser.add_argument("--tasks", nargs="+", choices=all_tasks, default=all_tasks, metavar="TASK",
+                        help=listed)  # fmt: skip
+    options = parser.parse_args(arguments)
+    write_site(options.folder, options.tasks)

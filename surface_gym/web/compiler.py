@@ -1,0 +1,181 @@
+"""WebAssembly modules, compiled from the functions of the CPU's kernels.
+
+Numba lowers a kernel and all that it calls to LLVM's code, which is optimised here for WebAssembly
+alone: code that was optimised for another machine counts on its pointers' size. A module has one
+function, `step(words) -> int32`, which takes the address of the kernel's arguments, a word of 8
+bytes each, and returns what the kernel does, or -1 where an index was out of bounds. It imports
+what WebAssembly lacks of C's mathematics, such as `sin`. The same source gives the same bytes, and
+a note at a module's end says of which source it is.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import llvmlite
+import llvmlite.binding as llvm
+import numba
+from numba import typeof
+from numba.core.compiler_machinery import register_pass
+
+from surface_gym.files import replacing
+from surface_gym.physics.jit import collecting_nothing, compute_digest, locked
+from surface_gym.physics.linking import (
+    LinkedCode,
+    LinkedFunction,
+    LowerToLinkedCode,
+    PassesCompiler,
+)
+from surface_gym.physics.translator import Translator
+from surface_gym.web import linker
+from surface_gym.web.image import WORD, compute_signature, name_arguments
+from surface_gym.web.linker import link, make_note
+
+TRIPLE = "wasm32-unknown-unknown"
+# What browsers have had since 2021.
+FEATURES = "+simd128,+bulk-memory,+sign-ext,+nontrapping-fptoint,+mutable-globals"
+OUT_OF_BOUNDS = -1  # what a module returns where an index was beyond an array's end
+_KEPT = ("nogil", "error_model", "forceinline", "boundscheck", "_nrt")  # options of a function
+
+
+class Module(NamedTuple):
+    """A kernel as WebAssembly."""
+
+    code: bytes
+    signature: str  # of the images that it takes
+
+
+class PortableCode(LinkedCode):
+    """LLVM's code of a function as it was lowered, linked with all that it calls in the end."""
+
+    def __init__(self, codegen: Any, name: str, _: bool) -> None:
+        super().__init__(codegen, name, inlined=False)
+
+    def _optimize_final_module(self) -> None:
+        """Leave the code as it is."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LowerToPortableCode(LowerToLinkedCode):
+    """Numba's lowering to LLVM's code."""
+
+    _name = "lower_to_portable_code"
+    code = PortableCode
+
+
+class _PortableCompiler(PassesCompiler):
+    """Compiler of functions for WebAssembly."""
+
+    lowering = _LowerToPortableCode
+
+
+class PortableFunction(LinkedFunction):
+    """A function that becomes part of a WebAssembly module."""
+
+    compiler = _PortableCompiler
+
+
+def _wrap(copy: FunctionType, original: Any) -> PortableFunction:
+    options = {
+        name: original.targetoptions[name] for name in _KEPT if name in original.targetoptions
+    }
+    return PortableFunction(copy, no_cfunc_wrapper=True, **options)
+
+
+@lru_cache(maxsize=1)
+def _translator() -> Translator:
+    """Return the translator of all kernels, which share most of what they call."""
+    return Translator({}, _wrap)
+
+
+def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = None) -> Module:
+    """Compile a kernel for arguments of these types; takes ten seconds to a minute.
+
+    Args:
+        kernel: a compiled function that Python calls, and which returns an integer.
+        arguments: arrays, numbers, and named tuples of them.
+        file: of the module, which is read if it is of this source, and else written.
+    """
+    signature = compute_signature(name_arguments(kernel, arguments))
+    note = make_note("source", compute_digest(kernel, signature, _compiler()).encode())
+    if file is None:
+        return Module(_compile(kernel, arguments) + note, signature)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with locked(file.with_suffix(".lock")):
+        if file.is_file() and (code := file.read_bytes()).endswith(note):
+            return Module(code, signature)
+        code = _compile(kernel, arguments) + note
+        with replacing(file) as part:
+            part.write_bytes(code)
+    return Module(code, signature)
+
+
+@lru_cache(maxsize=1)
+def _compiler() -> tuple[Any, ...]:
+    """Return what a module depends on beside its kernel."""
+    sources = [Path(each).read_bytes() for each in (__file__, linker.__file__)]
+    return numba.__version__, llvmlite.__version__, *sources
+
+
+def _compile(kernel: Any, arguments: tuple[Any, ...]) -> bytes:
+    function, kinds = _translator().translate(kernel), tuple(map(typeof, arguments))
+    with collecting_nothing():
+        function.compile(kinds)
+    compiled = function.overloads[kinds]
+    lowered = compiled.library._get_module_for_linking().clone()
+    return link(_make_object(lowered, compiled.fndesc.llvm_func_name), "step")
+
+
+@lru_cache(maxsize=1)
+def _machine() -> Any:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(TRIPLE)
+    return target.create_target_machine(opt=3, features=FEATURES, reloc="static")
+
+
+def _make_object(module: Any, name: str) -> bytes:
+    """Optimise LLVM's code of a kernel with an entry of our own."""
+    machine = _machine()
+    kernel = module.get_function(name)
+    kernel.add_function_attribute("alwaysinline")  # browsers allow no function so many arguments
+    entry = llvm.parse_assembly(_entry(name, [str(each.type) for each in kernel.arguments]))
+    for each in (module, entry):
+        each.data_layout, each.triple = str(machine.target_data), TRIPLE
+    module.link_in(entry)
+    for each in (*module.functions, *module.global_variables):
+        if not each.is_declaration and each.name != "step":
+            each.linkage = "internal"
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = True
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(module, passes)
+    return bytes(machine.emit_object(module))
+
+
+def _entry(name: str, kinds: list[str]) -> str:
+    """Write the module's function, which reads the kernel's arguments of these types of LLVM's."""
+    words = "\n".join(
+        f"  %p{k} = getelementptr i8, ptr %words, i32 {WORD * k}\n"
+        f"  %v{k} = load {kind}, ptr %p{k}, align {WORD}"
+        for k, kind in enumerate(kinds[2:])
+    )
+    given = ", ".join(f"{kind} %v{k}" for k, kind in enumerate(kinds[2:]))
+    return f"""
+declare i32 @"{name}"({", ".join(kinds)})
+define i32 @step(ptr %words) {{
+  %result = alloca i64
+  %error = alloca ptr
+{words}
+  %status = call i32 @"{name}"(ptr %result, ptr %error, {given})
+  %count = load i64, ptr %result
+  %short = trunc i64 %count to i32
+  %fine = icmp eq i32 %status, 0
+  %returned = select i1 %fine, i32 %short, i32 {OUT_OF_BOUNDS}
+  ret i32 %returned
+}}
+"""

@@ -1,0 +1,145 @@
+"""Memory images: the arguments of a kernel as a WebAssembly module reads them.
+
+An image is a block of bytes and a layout. The block holds the arguments as words of 8 bytes, and
+then the arrays, of which a word is the address. The layout lists every array and number by its
+name, with its type, its shape and where it lies. Scratch, which a kernel writes before it reads,
+comes last: it takes memory, but no bytes of the block.
+"""
+
+import hashlib
+import inspect
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from surface_gym.web.linker import STACK
+
+BASE = STACK  # [bytes] address of an image: past the module's constants and stack
+WORD = 8  # [bytes] of an argument
+ALIGNMENT = 16  # [bytes] of arrays
+SCRATCH = ("scratch.", "sensor_scratch.")  # beginnings of names of what needs no bytes
+KINDS = ("bool", "float32", "float64", "int32", "int64")  # types of arrays
+NUMBERS = ("float64", "int64")  # types of numbers
+
+
+@dataclass(frozen=True)
+class Field:
+    """An array or a number among a kernel's arguments."""
+
+    name: str  # such as `parcels.state`
+    dtype: str  # one of KINDS
+    shape: tuple[int, ...]  # () of a number
+    address: int
+
+    @property
+    def size(self) -> int:
+        """[bytes]."""
+        return np.dtype(self.dtype).itemsize * math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Image:
+    """A kernel's arguments as bytes."""
+
+    fields: tuple[Field, ...]
+    block: bytes  # of memory from BASE on
+    end: int  # [bytes] address past the last array, scratch included
+    signature: str  # of the arguments' names and types: a module takes images of one
+
+    @cached_property
+    def places(self) -> dict[str, Field]:
+        """Fields by name."""
+        return {field.name: field for field in self.fields}
+
+    def layout(self) -> dict[str, Any]:
+        """Describe the image for JavaScript: fields by name as [type, shape, address]."""
+        return {
+            "signature": self.signature,
+            "base": BASE,
+            "bytes": len(self.block),
+            "end": self.end,
+            "fields": {each.name: [each.dtype, each.shape, each.address] for each in self.fields},
+        }
+
+    def to_json(self) -> str:
+        """Write the layout as a line of JSON."""
+        return json.dumps(self.layout(), separators=(",", ":")) + "\n"
+
+
+def name_arguments(kernel: Any, arguments: tuple[Any, ...]) -> dict[str, Any]:
+    """Name arrays and numbers of a kernel's arguments, those in named tuples too, in order."""
+    names = inspect.signature(kernel.py_func).parameters
+    return dict(_leaves("", dict(zip(names, arguments, strict=True))))
+
+
+def _leaves(prefix: str, values: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if hasattr(value, "_asdict"):
+            yield from _leaves(f"{prefix}{name}.", value._asdict())
+        else:
+            yield prefix + name, value
+
+
+def compute_signature(leaves: dict[str, Any]) -> str:
+    """Compute a digest of the names, types and dimensions of a kernel's arguments, by name."""
+    kinds = [(name, np.asarray(v).dtype.name, np.ndim(v)) for name, v in leaves.items()]
+    return hashlib.sha256(repr(kinds).encode()).hexdigest()[:16]
+
+
+def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
+    """Write a kernel's arguments as an image.
+
+    Args:
+        kernel: a compiled function that Python calls.
+        arguments: C-contiguous arrays, integers, floats, and named tuples of them.
+    """
+    leaves = name_arguments(kernel, arguments)
+    arrays = {name: np.asarray(value) for name, value in leaves.items()}
+    end = block = BASE + WORD * sum(map(_count_words, arrays.values()))
+    addresses: dict[str, int] = {}
+    for name in sorted(arrays, key=is_scratch):
+        if arrays[name].ndim:
+            addresses[name] = end
+            end += -(-arrays[name].nbytes // ALIGNMENT) * ALIGNMENT
+            block = block if is_scratch(name) else end
+    memory = np.zeros(block - BASE, dtype=np.uint8)
+    fields: list[Field] = []
+    words: list[int] = []
+    for name, values in arrays.items():
+        _check(name, values)
+        address = addresses.get(name, BASE + WORD * len(words))
+        fields.append(Field(name, values.dtype.name, values.shape, address))
+        if values.ndim == 0:
+            words.append(int(values.view(np.int64)))
+            continue
+        # As Numba takes an array: two owners that are nobody, and what follows from its shape.
+        words += [0, 0, values.size, values.itemsize, address, *values.shape, *values.strides]
+        if not is_scratch(name):
+            first = address - BASE
+            memory[first : first + values.nbytes] = values.reshape(-1).view(np.uint8)
+    memory[: WORD * len(words)] = np.array(words, dtype=np.int64).view(np.uint8)
+    return Image(tuple(fields), memory.tobytes(), end, compute_signature(leaves))
+
+
+def is_scratch(name: str) -> bool:
+    """Return whether an argument of this name is scratch."""
+    return name.startswith(SCRATCH)
+
+
+def _count_words(values: np.ndarray) -> int:
+    """Count the arguments that Numba makes of an array or a number."""
+    return 5 + 2 * values.ndim if values.ndim else 1
+
+
+def _check(name: str, values: np.ndarray) -> None:
+    allowed = KINDS if values.ndim else NUMBERS
+    if values.dtype.name not in allowed or not values.flags.c_contiguous:
+        raise ValueError(
+            f"{name} must be of {', '.join(allowed)} and C-contiguous, got {values.dtype} with "
+            f"strides {values.strides}"
+        )

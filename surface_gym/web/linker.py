@@ -1,0 +1,141 @@
+"""A WebAssembly module made of one object file.
+
+LLVM writes an object file as a module that imports its memory and its stack's end, with every index
+and address as it is when nothing else is linked. So these imports are replaced by definitions, and
+the notes for other linkers left out. https://webassembly.github.io/spec/core/binary
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+STACK = 64 * 1024  # [bytes] of stack, with the constants below it
+PAGES = 2  # of 64 KiB, that the memory has at first; it grows
+_HEAD = b"\0asm\1\0\0\0"
+# Sections, in the order that they have in a module.
+(CUSTOM, TYPE, IMPORT, FUNCTION, TABLE, MEMORY, GLOBAL, EXPORT, START, ELEMENT, CODE, DATA,
+ DATA_COUNT) = range(13)  # fmt: skip
+_ORDER = (TYPE, IMPORT, FUNCTION, MEMORY, GLOBAL, EXPORT, DATA_COUNT, CODE, DATA)
+_FUNCTIONS, _MEMORIES, _GLOBALS = 0, 2, 3  # kinds of imports and exports
+_I32, _I32_CONST, _END, _MUTABLE = 0x7F, 0x41, 0x0B, 1
+
+
+class _Reader:
+    """Bytes read one after the other."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self.place = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether all is read."""
+        return self.place >= len(self._data)
+
+    def take(self, count: int) -> bytes:
+        """Read some bytes."""
+        self.place += count
+        return self._data[self.place - count : self.place]
+
+    def number(self) -> int:
+        """Read an unsigned number, seven bits a byte, the lowest first."""
+        value = shift = 0
+        while True:
+            (byte,) = self.take(1)
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+
+class _Import(NamedTuple):
+    """What an object file takes from others."""
+
+    kind: int
+    name: bytes
+    written: bytes  # as it stands in the file
+
+
+def link(code: bytes, name: str) -> bytes:
+    """Make a module of an object file, which exports `memory` and the file's last function.
+
+    Args:
+        code: the object file.
+        name: by which the function is exported.
+    """
+    sections = dict(_sections(code))
+    if TABLE in sections or ELEMENT in sections:
+        raise ValueError("code must not call functions by their address, got a table of them")
+    imports = list(_imports(sections[IMPORT]))
+    functions = [each.written for each in imports if each.kind == _FUNCTIONS]
+    others = [each.name for each in imports if each.kind != _FUNCTIONS]
+    if not set(others) <= {b"__linear_memory", b"__stack_pointer"}:
+        raise ValueError(f"code must import functions, its memory and its stack, got {others}")
+    last = len(functions) + _Reader(sections[FUNCTION]).number() - 1
+    sections[IMPORT] = _list(functions)
+    sections[MEMORY] = _list([bytes([0, PAGES])])
+    if b"__stack_pointer" in others:
+        # A signed number: the bit above its highest is 0, as in a power of two that takes 17 bits.
+        start = bytes([_I32, _MUTABLE, _I32_CONST]) + _unsigned(STACK) + bytes([_END])
+        sections[GLOBAL] = _list([start])
+    sections[EXPORT] = _list(
+        [
+            _name(b"memory") + bytes([_MEMORIES, 0]),
+            _name(name.encode()) + bytes([_FUNCTIONS]) + _unsigned(last),
+        ]
+    )
+    kept = [(each, sections[each]) for each in _ORDER if each in sections]
+    return _HEAD + b"".join(bytes([k]) + _unsigned(len(body)) + body for k, body in kept)
+
+
+def make_note(name: str, content: bytes) -> bytes:
+    """Make a section for a module's end, which those who run the module skip."""
+    body = _name(name.encode()) + content
+    return bytes([CUSTOM]) + _unsigned(len(body)) + body
+
+
+def _sections(code: bytes) -> Iterator[tuple[int, bytes]]:
+    """Read the sections of a file, but the notes."""
+    reader = _Reader(code)
+    if reader.take(len(_HEAD)) != _HEAD:
+        raise ValueError(f"code must be a WebAssembly object file, got {code[:8]!r}")
+    while not reader.ended:
+        (kind,) = reader.take(1)
+        body = reader.take(reader.number())
+        if kind != CUSTOM:
+            yield kind, body
+
+
+def _imports(body: bytes) -> Iterator[_Import]:
+    reader = _Reader(body)
+    for _ in range(reader.number()):
+        first = reader.place
+        reader.take(reader.number())  # the module's name
+        name = reader.take(reader.number())
+        (kind,) = reader.take(1)
+        if kind == _FUNCTIONS:
+            reader.number()  # its type
+        elif kind == _GLOBALS:
+            reader.take(2)  # its type, and whether it changes
+        elif kind == _MEMORIES:
+            for _ in range(1 + (reader.number() & 1)):  # least pages, and most if they are bounded
+                reader.number()
+        else:
+            raise ValueError(f"code must import functions, its memory and its stack, got {name!r}")
+        yield _Import(kind, name, body[first : reader.place])
+
+
+def _list(items: list[bytes]) -> bytes:
+    return _unsigned(len(items)) + b"".join(items)
+
+
+def _name(name: bytes) -> bytes:
+    return _unsigned(len(name)) + name
+
+
+def _unsigned(value: int) -> bytes:
+    """Write a number, seven bits a byte, the lowest first."""
+    written = bytearray()
+    while value >= 0x80:
+        written.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*written, value])

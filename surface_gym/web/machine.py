@@ -1,0 +1,60 @@
+"""A module run by wasmtime, in Python: as a browser runs it, where tests can look."""
+
+import ctypes
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+import wasmtime
+from numpy.typing import NDArray
+
+from surface_gym.web.compiler import Module
+from surface_gym.web.image import BASE, Image
+
+PAGE = 64 * 1024  # [bytes] by which a module's memory grows
+
+
+class Machine:
+    """An instance of a module with its memory."""
+
+    def __init__(self, module: Module) -> None:
+        self._signature = module.signature
+        engine = wasmtime.Engine()
+        self._store = wasmtime.Store(engine)
+        code = wasmtime.Module(engine, module.code)
+        given = [self._import(each.type, str(each.name)) for each in code.imports]
+        exports: Any = wasmtime.Instance(self._store, code, given).exports(self._store)
+        self._memory = exports["memory"]
+        self._step = exports["step"]
+        self._image: Image | None = None
+
+    def _import(self, kind: Any, name: str) -> wasmtime.Func:
+        """Make a function that the module imports of the one of C that the CPU's code calls."""
+        function = ctypes.CFUNCTYPE(ctypes.c_double, *[ctypes.c_double] * len(kind.params))
+        return wasmtime.Func(self._store, kind, function(llvm.address_of_symbol(name)))
+
+    def load(self, image: Image) -> None:
+        """Write an image into the memory; earlier views are no longer valid."""
+        if image.signature != self._signature:
+            raise ValueError(
+                f"image must be of the module's kernel, {self._signature}, got {image.signature}"
+            )
+        short = image.end - self._memory.data_len(self._store)
+        if short > 0:
+            self._memory.grow(self._store, -(-short // PAGE))
+        self._memory.write(self._store, image.block, BASE)
+        self._image = image
+
+    def step(self) -> int:
+        """Call the kernel; return what it returns, or -1 where an index was out of bounds."""
+        return int(self._step(self._store, BASE))
+
+    def view(self, name: str) -> NDArray[Any]:
+        """View an array or a number by its name, such as `parcels.state`, in the memory."""
+        if self._image is None or name not in self._image.places:
+            names = ", ".join(self._image.places) if self._image else "none before an image"
+            raise ValueError(f"name must be one of {names}, got {name!r}")
+        field = self._image.places[name]
+        start = ctypes.addressof(self._memory.data_ptr(self._store).contents) + field.address
+        seen = np.ctypeslib.as_array((ctypes.c_uint8 * field.size).from_address(start))
+        return seen.view(field.dtype).reshape(field.shape)

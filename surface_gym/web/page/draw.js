@@ -1,0 +1,581 @@
+/** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
+
+import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
+
+/**
+ * @typedef {object} Mark what is drawn under the modules and stays
+ * @property {"line"|"path"|"zone"|"exit"|"inlet"} kind of it: exits, inlets and zones are areas
+ * @property {number[][]} points [m] corners of the area, or along the line
+ * @property {string} [label]
+ * @property {number|string|null} [colour] index of an exit's, name of the palette's, "#rrggbb"
+ *
+ * @typedef {object} Surface
+ * @property {number} rows
+ * @property {number} columns
+ * @property {number|number[]} pitch [m] between neighbours: one, or in x and in y
+ * @property {number[]} origin [m] centre of the module in row 0, column 0
+ * @property {Uint8Array|null} rotor 1: a module, 0: a support; row by row; null: all are modules
+ * @property {Uint8Array|null} [obeys] 0: a module that no controller turns; null: all obey
+ * @property {number[]} [view] [m] least x and y, greatest x and y to show; default: all
+ * @property {Mark[]} [marks]
+ *
+ * @typedef {object} ParcelInFrame
+ * @property {number[][]} [outline] [m] corners in its own frame, or
+ * @property {number} [radius] [m]
+ * @property {number} x [m] of its frame
+ * @property {number} y [m]
+ * @property {number} theta [rad]
+ * @property {number} [vx] [m/s]
+ * @property {number} [vy] [m/s]
+ * @property {number} [omega] [rad/s]
+ * @property {number|string} [colour] index of an exit's colour, or "#rrggbb"; default: grey
+ * @property {string} [label]
+ * @property {number} [opacity] of all of it, 0 to 1
+ * @property {number} [asked] theta [rad] that it is to turn to
+ * @property {number[][]} [forces] x, y [m] where it acts, and fx, fy [N] of each
+ *
+ * @typedef {object} Frame
+ * @property {number} time [s]
+ * @property {ArrayLike<number>} axes [rad] of each module, row by row
+ * @property {ParcelInFrame[]} parcels the last is drawn above the others
+ * @property {(number[][]|{points: number[][], colour?: number|string})[]} [traces] [m] of ways
+ * @property {string[]} [counts] written after the labels of the exits, in their order
+ */
+
+const ANGLES = 180; // pictures of a module in half a turn
+const MOST_SCALE = 4000; // [device px/m]
+const PALE = 0.62; // share of the plate's colour in a module that does not obey
+const TRACE_STEP = 6; // [device px] between the points of a trace
+const MARGIN = 0.25; // [pitch] round the view
+
+/** A picture of a surface on a canvas; what stays is kept on layers between frames. */
+export class Picture {
+  /**
+   * @param {HTMLCanvasElement} canvas as large as its style says, on any screen
+   * @param {Surface} surface
+   * @param {{theme?: "light"|"dark"|"auto", forceScale?: number}} [options] forces are drawn
+   *   `forceScale` [m/N] long
+   */
+  constructor(canvas, surface, { theme = "auto", forceScale = 0.005 } = {}) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.ground = document.createElement("canvas"); // what stays
+    this.modules = document.createElement("canvas"); // the same under the modules
+    this.sprites = new Map();
+    this.forceScale = forceScale;
+    /** Index of the module and of the parcel drawn with a ring; -1: none. */
+    this.chosen = { module: -1, parcel: -1 };
+    this.frame = null;
+    this.fitted = true;
+    this.setSurface(surface);
+    this.setTheme(theme);
+    this.observer = new ResizeObserver(() => {
+      if (this.resize() && this.frame) this.draw(this.frame);
+    });
+    this.observer.observe(canvas);
+  }
+
+  /** Show another surface, all of it. */
+  setSurface(surface) {
+    this.surface = surface;
+    const { rows, columns, pitch, origin } = surface;
+    this.pitch = typeof pitch === "number" ? [pitch, pitch] : pitch;
+    const [px, py] = this.pitch;
+    this.edges = [
+      origin[0] - px / 2,
+      origin[1] - py / 2,
+      origin[0] + (columns - 0.5) * px,
+      origin[1] + (rows - 0.5) * py,
+    ];
+    const margin = MARGIN * Math.min(px, py);
+    const [left, low, right, high] = surface.view ?? this.edges;
+    this.view = [left - margin, low - margin, right + margin, high + margin];
+    this.drawn = new Int16Array(rows * columns).fill(-1);
+    this.resize();
+    this.fit();
+  }
+
+  /** Width over height of what `fit` shows. */
+  get aspect() {
+    const [left, low, right, high] = this.view;
+    return (right - left) / (high - low);
+  }
+
+  /** Draw in the colours of a theme from the next frame on. */
+  setTheme(theme) {
+    this.theme = theme;
+    this.colours = THEMES[themeName(theme)];
+    this.sprites.clear();
+    this.stale = true;
+  }
+
+  /** Free what watches the canvas. */
+  dispose() {
+    this.observer.disconnect();
+  }
+
+  /** Follow the canvas's size on the screen; return whether it changed. */
+  resize() {
+    this.ratio = window.devicePixelRatio || 1;
+    const width = Math.max(1, Math.round(this.canvas.clientWidth * this.ratio));
+    const height = Math.max(1, Math.round(this.canvas.clientHeight * this.ratio));
+    if (this.canvas.width === width && this.canvas.height === height && this.scale) return false;
+    for (const each of [this.canvas, this.ground, this.modules]) {
+      each.width = width;
+      each.height = height;
+    }
+    this.stale = true;
+    if (this.fitted) this.fit();
+    return true;
+  }
+
+  /** Show the whole surface. */
+  fit() {
+    const [left, low, right, high] = this.view;
+    this.scale = Math.min(this.canvas.width / (right - left), this.canvas.height / (high - low));
+    this.centre = [(left + right) / 2, (low + high) / 2];
+    this.leastScale = this.scale / 2;
+    this.fitted = true;
+    this.stale = true;
+  }
+
+  /** Zoom by a factor; the point of the surface at a place [CSS px] of the canvas stays there. */
+  zoom(factor, px = this.canvas.clientWidth / 2, py = this.canvas.clientHeight / 2) {
+    const [x, y] = this.toSurface(px, py);
+    this.scale = Math.min(Math.max(this.scale * factor, this.leastScale), MOST_SCALE);
+    const [toX, toY] = this.toSurface(px, py);
+    this._centreOn(this.centre[0] + x - toX, this.centre[1] + y - toY);
+  }
+
+  /** Move the picture with the pointer, by CSS pixels to the right and down. */
+  pan(dx, dy) {
+    const perPixel = this.ratio / this.scale;
+    this._centreOn(this.centre[0] - dx * perPixel, this.centre[1] + dy * perPixel);
+  }
+
+  _centreOn(x, y) {
+    const [left, low, right, high] = this.view;
+    this.centre = [Math.min(Math.max(x, left), right), Math.min(Math.max(y, low), high)];
+    this.fitted = false;
+    this.stale = true;
+  }
+
+  /** Convert a place [CSS px] on the canvas to x, y [m]. */
+  toSurface(px, py) {
+    return [
+      this.centre[0] + (px * this.ratio - this.canvas.width / 2) / this.scale,
+      this.centre[1] - (py * this.ratio - this.canvas.height / 2) / this.scale,
+    ];
+  }
+
+  /** Convert x, y [m] to a place [CSS px] on the canvas: the inverse of `toSurface`. */
+  toCanvas(x, y) {
+    const [across, down] = this._place(x, y);
+    return [across / this.ratio, down / this.ratio];
+  }
+
+  /** Find the module at a place [CSS px]: row times columns plus column; -1: none. */
+  moduleAt(px, py) {
+    const [x, y] = this.toSurface(px, py);
+    const { rows, columns, rotor } = this.surface;
+    const column = Math.floor((x - this.edges[0]) / this.pitch[0]);
+    const row = Math.floor((y - this.edges[1]) / this.pitch[1]);
+    if (column < 0 || column >= columns || row < 0 || row >= rows) return -1;
+    const index = row * columns + column;
+    return rotor && !rotor[index] ? -1 : index;
+  }
+
+  /** Find the uppermost parcel of the last frame at a place [CSS px]: its index; -1: none. */
+  parcelAt(px, py) {
+    const [x, y] = this.toSurface(px, py);
+    const parcels = this.frame?.parcels ?? [];
+    for (let k = parcels.length - 1; k >= 0; k--) {
+      const parcel = parcels[k];
+      const [dx, dy] = [x - parcel.x, y - parcel.y];
+      const [cosine, sine] = [Math.cos(parcel.theta), Math.sin(parcel.theta)];
+      if (isWithin(parcel, cosine * dx + sine * dy, cosine * dy - sine * dx)) return k;
+    }
+    return -1;
+  }
+
+  /** Draw a frame. @param {Frame} frame */
+  draw(frame) {
+    this.frame = frame;
+    if (this.stale) this._paintGround();
+    this._turnModules(frame.axes);
+    const { context } = this;
+    context.drawImage(this.modules, 0, 0);
+    context.lineJoin = "round";
+    context.lineCap = "round";
+    this._writeExits(frame.counts);
+    for (const [k, trace] of (frame.traces ?? []).entries()) {
+      this._drawTrace(trace.points ?? trace, trace.colour ?? frame.parcels[k]?.colour);
+    }
+    for (const [k, parcel] of frame.parcels.entries()) {
+      this._drawParcel(parcel, k === this.chosen.parcel);
+    }
+    for (const parcel of frame.parcels) this._drawForces(parcel.forces ?? []);
+    if (this.chosen.module >= 0) this._drawRing(this.chosen.module);
+  }
+
+  /** Convert x, y [m] to device pixels. */
+  _place(x, y) {
+    return [
+      this.canvas.width / 2 + (x - this.centre[0]) * this.scale,
+      this.canvas.height / 2 - (y - this.centre[1]) * this.scale,
+    ];
+  }
+
+  /** Compute the size [device px] of a module's picture. */
+  get _cell() {
+    return Math.max(1, Math.floor(Math.min(...this.pitch) * this.scale));
+  }
+
+  _stroke() {
+    return this.ratio * (1 + Math.min(this._cell / this.ratio, 60) / 30);
+  }
+
+  _colour(colour, otherwise) {
+    if (typeof colour === "number") return exitColour(colour);
+    return this.colours[colour] ?? colour ?? otherwise;
+  }
+
+  _trace(context, points, close = false) {
+    context.beginPath();
+    for (const [k, [x, y]] of points.entries()) {
+      if (k) context.lineTo(...this._place(x, y));
+      else context.moveTo(...this._place(x, y));
+    }
+    if (close) context.closePath();
+  }
+
+  /** Paint what stays: plate, supports and marks. */
+  _paintGround() {
+    const context = this.ground.getContext("2d");
+    const { colours, surface } = this;
+    context.fillStyle = colours.paper;
+    context.fillRect(0, 0, this.ground.width, this.ground.height);
+    const [left, top] = this._place(this.edges[0], this.edges[3]);
+    const [right, bottom] = this._place(this.edges[2], this.edges[1]);
+    context.fillStyle = colours.plate;
+    context.fillRect(left, top, right - left, bottom - top);
+    context.lineWidth = this.ratio;
+    context.strokeStyle = colours.plateEdge;
+    context.strokeRect(left, top, right - left, bottom - top);
+    const marks = surface.marks ?? [];
+    for (const mark of marks) if (mark.kind === "zone") this._paintMark(context, mark);
+    if (surface.rotor) this._paintSupports(context);
+    for (const mark of marks) if (mark.kind !== "zone") this._paintMark(context, mark);
+    this.modules.getContext("2d").drawImage(this.ground, 0, 0);
+    this.drawn.fill(-1);
+    if (this.spriteSize !== this._cell) this.sprites.clear();
+    this.spriteSize = this._cell;
+    this.stale = false;
+  }
+
+  _paintSupports(context) {
+    const { columns, origin, rotor } = this.surface;
+    const radius = Math.max(0.07 * this._cell, 0.6);
+    context.fillStyle = this.colours.support;
+    for (let k = 0; k < rotor.length; k++) {
+      if (rotor[k]) continue;
+      const [x, y] = this._place(
+        origin[0] + (k % columns) * this.pitch[0],
+        origin[1] + Math.floor(k / columns) * this.pitch[1],
+      );
+      if (x < 0 || y < 0 || x > this.ground.width || y > this.ground.height) continue;
+      context.beginPath();
+      context.arc(x, y, radius, 0, 2 * Math.PI);
+      context.fill();
+    }
+  }
+
+  _paintMark(context, mark) {
+    const { colours } = this;
+    const stroke = this._stroke();
+    const colour = this._colour(mark.colour, colours.goal);
+    const isArea = mark.kind !== "line" && mark.kind !== "path";
+    this._trace(context, mark.points, isArea);
+    context.lineWidth = 0.75 * stroke;
+    if (mark.kind === "zone") {
+      context.fillStyle = colours.zone;
+      context.fill();
+      context.strokeStyle = colours.zoneEdge;
+      context.stroke();
+    } else if (isArea) {
+      context.fillStyle = mixed(
+        colour,
+        colours.plate,
+        mark.kind === "inlet" ? 0.75 : mark.colour === null ? 0.8 : 0.55,
+      );
+      context.fill();
+      context.strokeStyle = colour;
+      context.stroke();
+    } else {
+      context.lineWidth = 1.4 * stroke;
+      context.setLineDash([4 * stroke, 3 * stroke]);
+      context.strokeStyle = colour;
+      context.stroke();
+      context.setLineDash([]);
+    }
+    if (mark.label && mark.kind !== "exit") {
+      const at = isArea ? middle(mark.points) : mark.points[mark.points.length - 1];
+      const [x, y] = this._place(...at);
+      if (isArea) this._write(context, mark.label, x, y, colours.ink, this._room(mark.points));
+      else this._write(context, mark.label, x, y - 0.8 * this._letters(), colour, Infinity);
+    }
+  }
+
+  _letters() {
+    return this.ratio * Math.min(Math.max(11, (0.95 * this._cell) / this.ratio), 26);
+  }
+
+  /** Compute the width [device px] of an area. */
+  _room(points) {
+    const across = points.map((point) => point[0]);
+    return (Math.max(...across) - Math.min(...across)) * this.scale;
+  }
+
+  /** Write text with a rim, in smaller letters where it has no room [device px]. */
+  _write(context, text, x, y, colour, room) {
+    const whole = this._letters();
+    context.font = `600 ${whole}px system-ui, sans-serif`;
+    const size = whole * Math.min(1, (0.94 * room) / context.measureText(text).width);
+    context.font = `600 ${size}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.lineWidth = 0.25 * size;
+    context.strokeStyle = this.colours.paper;
+    context.strokeText(text, x, y);
+    context.fillStyle = colour;
+    context.fillText(text, x, y);
+  }
+
+  /** Write text on a patch of its colour, within the canvas. */
+  _writeBadge(text, x, y, colour, size) {
+    const { context } = this;
+    context.font = `600 ${size}px system-ui, sans-serif`;
+    const width = context.measureText(text).width + 0.7 * size;
+    const at = Math.min(Math.max(x, width / 2), this.canvas.width - width / 2);
+    context.fillStyle = colour;
+    context.beginPath();
+    context.roundRect(at - width / 2, y - 0.65 * size, width, 1.3 * size, 0.3 * size);
+    context.fill();
+    context.fillStyle = textOn(colour);
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.fillText(text, at, y + 0.05 * size);
+  }
+
+  _writeExits(counts) {
+    let k = 0;
+    for (const mark of this.surface.marks ?? []) {
+      if (mark.kind !== "exit") continue;
+      const count = counts?.[k++];
+      const text = [mark.label, count].filter((part) => part).join(" ");
+      if (!text) continue;
+      const colour = this._colour(mark.colour, this.colours.goal);
+      this._writeBadge(text, ...this._place(...middle(mark.points)), colour, this._letters());
+    }
+  }
+
+  /** Draw again the modules whose axes have changed, on their layer. */
+  _turnModules(axes) {
+    const { columns, rotor, obeys, origin } = this.surface;
+    const context = this.modules.getContext("2d");
+    const size = this._cell;
+    const [left, top] = this._place(...origin);
+    const [across, up] = [this.pitch[0] * this.scale, this.pitch[1] * this.scale];
+    const [width, height] = [this.modules.width, this.modules.height];
+    for (let k = 0; k < this.drawn.length; k++) {
+      if (rotor && !rotor[k]) continue;
+      const step = ((Math.round((axes[k] * ANGLES) / Math.PI) % ANGLES) + ANGLES) % ANGLES;
+      if (step === this.drawn[k]) continue;
+      const x = Math.round(left + (k % columns) * across - size / 2);
+      const y = Math.round(top - Math.floor(k / columns) * up - size / 2);
+      this.drawn[k] = step;
+      if (x + size < 0 || y + size < 0 || x > width || y > height) continue;
+      context.drawImage(this.ground, x, y, size, size, x, y, size, size);
+      context.drawImage(this._sprite(step, Boolean(obeys && !obeys[k])), x, y);
+    }
+  }
+
+  /** Return the picture of a module: a disc with a bar along its axis. */
+  _sprite(step, pale) {
+    const key = pale ? step + ANGLES : step;
+    const known = this.sprites.get(key);
+    if (known) return known;
+    const sprite = document.createElement("canvas");
+    sprite.width = sprite.height = this._cell;
+    const context = sprite.getContext("2d");
+    const half = this._cell / 2;
+    const angle = (Math.PI * step) / ANGLES;
+    const { plate, bar } = this.colours;
+    context.fillStyle = pale ? mixed(axisColour(angle), plate, PALE) : axisColour(angle);
+    context.beginPath();
+    context.arc(half, half, 0.86 * half, 0, 2 * Math.PI);
+    context.fill();
+    const [x, y] = [0.6 * half * Math.cos(angle), -0.6 * half * Math.sin(angle)];
+    context.strokeStyle = pale ? mixed(bar, plate, PALE) : bar;
+    context.lineWidth = Math.max(0.26 * half, 1);
+    context.beginPath();
+    context.moveTo(half - x, half - y);
+    context.lineTo(half + x, half + y);
+    context.stroke();
+    this.sprites.set(key, sprite);
+    return sprite;
+  }
+
+  _drawTrace(points, colour) {
+    if (points.length < 2) return;
+    const { context, colours } = this;
+    const own = this._colour(colour, colours.ink);
+    const stroke = this._stroke();
+    let [fromX, fromY] = this._place(...points[0]);
+    context.beginPath();
+    context.moveTo(fromX, fromY);
+    points.forEach((point, k) => {
+      const [x, y] = this._place(...point);
+      if (k < points.length - 1 && Math.abs(x - fromX) + Math.abs(y - fromY) < TRACE_STEP) return;
+      context.lineTo(x, y);
+      [fromX, fromY] = [x, y];
+    });
+    context.lineJoin = "bevel"; // round ones take twice the time
+    if (own === colours.ink) {
+      context.strokeStyle = colours.paper;
+      context.lineWidth = 2 * stroke;
+      context.stroke();
+    }
+    context.strokeStyle = own;
+    context.lineWidth = own === colours.ink ? stroke : 1.5 * stroke;
+    context.stroke();
+    context.lineJoin = "round";
+  }
+
+  _drawParcel(parcel, isChosen) {
+    const { context, colours } = this;
+    const [cosine, sine] = [Math.cos(parcel.theta), Math.sin(parcel.theta)];
+    const at = ([x, y]) =>
+      this._place(parcel.x + cosine * x - sine * y, parcel.y + sine * x + cosine * y);
+    const isCoded = parcel.colour !== undefined && parcel.colour !== null;
+    const colour = this._colour(parcel.colour, colours.parcel);
+    const stroke = this._stroke();
+    context.lineJoin = "miter";
+    const front = parcel.outline ? Math.max(...parcel.outline.map(([x]) => x)) : parcel.radius;
+    const trace = (share) => {
+      context.beginPath();
+      if (parcel.outline) {
+        for (const [x, y] of parcel.outline) context.lineTo(...at([share * x, share * y]));
+        context.closePath();
+      } else {
+        context.arc(...at([0, 0]), share * parcel.radius * this.scale, 0, 2 * Math.PI);
+      }
+    };
+    context.globalAlpha = (isCoded ? 0.6 : 0.45) * (parcel.opacity ?? 1);
+    context.fillStyle = colour;
+    trace(1);
+    context.fill();
+    context.globalAlpha = parcel.opacity ?? 1;
+    if (isCoded) {
+      trace(Math.max(0, 1 - (1.4 * stroke) / (front * this.scale)));
+      context.strokeStyle = colour;
+      context.lineWidth = 2 * stroke;
+      context.stroke();
+      trace(1);
+    }
+    context.strokeStyle = isChosen ? colours.goal : colours.ink;
+    context.lineWidth = (isChosen ? 2 : 1) * stroke;
+    context.stroke();
+    const tip = 0.86 * front;
+    context.beginPath();
+    context.moveTo(...at([tip, 0]));
+    context.lineTo(...at([tip - 0.3 * front, 0.22 * front]));
+    context.lineTo(...at([tip - 0.3 * front, -0.22 * front]));
+    context.closePath();
+    context.fillStyle = isCoded ? textOn(colour) : colours.ink;
+    context.fill();
+    if (parcel.asked !== undefined) this._drawAsked(parcel, stroke);
+    const size = Math.min(this._letters(), 0.8 * front * this.scale);
+    if (parcel.label && size > 6 * this.ratio) {
+      this._writeBadge(parcel.label, ...at([0, 0]), colour, size);
+    }
+    context.globalAlpha = 1;
+  }
+
+  /** Draw the base dashed, turned as it is asked. */
+  _drawAsked(parcel, stroke) {
+    const { context } = this;
+    const [cosine, sine] = [Math.cos(parcel.asked), Math.sin(parcel.asked)];
+    const radius = parcel.radius ?? 0;
+    const outline = parcel.outline ?? [
+      [-radius, 0],
+      [radius, 0],
+    ];
+    const turned = outline.map(([x, y]) => [
+      parcel.x + cosine * x - sine * y,
+      parcel.y + sine * x + cosine * y,
+    ]);
+    this._trace(context, turned, true);
+    context.setLineDash([4 * stroke, 3 * stroke]);
+    context.strokeStyle = this.colours.goal;
+    context.lineWidth = stroke;
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  /** Draw forces as arrows, all of them in two strokes. */
+  _drawForces(forces) {
+    if (forces.length === 0) return;
+    const { context } = this;
+    context.lineJoin = "round";
+    context.beginPath();
+    for (const [x, y, fx, fy] of forces) {
+      const length = this.forceScale * Math.hypot(fx, fy);
+      if (length === 0) continue;
+      const tipX = x + this.forceScale * fx;
+      const tipY = y + this.forceScale * fy;
+      const tip = this._place(tipX, tipY);
+      context.moveTo(...this._place(x, y));
+      context.lineTo(...tip);
+      const head = Math.min(0.3 * length, 0.35 * this.pitch[0]) / length;
+      const [hx, hy] = [head * (tipX - x), head * (tipY - y)];
+      context.moveTo(...this._place(tipX - hx - 0.6 * hy, tipY - hy + 0.6 * hx));
+      context.lineTo(...tip);
+      context.lineTo(...this._place(tipX - hx + 0.6 * hy, tipY - hy - 0.6 * hx));
+    }
+    context.strokeStyle = this.colours.paper;
+    context.lineWidth = 1.9 * this._stroke();
+    context.stroke();
+    context.strokeStyle = this.colours.force;
+    context.lineWidth = 0.9 * this._stroke();
+    context.stroke();
+  }
+
+  _drawRing(module) {
+    const { columns, origin } = this.surface;
+    const x = origin[0] + (module % columns) * this.pitch[0];
+    const y = origin[1] + Math.floor(module / columns) * this.pitch[1];
+    this.context.beginPath();
+    this.context.arc(...this._place(x, y), 0.5 * this._cell, 0, 2 * Math.PI);
+    this.context.strokeStyle = this.colours.goal;
+    this.context.lineWidth = 1.5 * this._stroke();
+    this.context.stroke();
+  }
+}
+
+/** Compute the middle of the box round some points. */
+function middle(points) {
+  const spans = [0, 1].map((k) => points.map((point) => point[k]));
+  return spans.map((span) => (Math.min(...span) + Math.max(...span)) / 2);
+}
+
+/** Return whether a point in a parcel's own frame lies within its base. */
+function isWithin(parcel, x, y) {
+  if (!parcel.outline) return Math.hypot(x, y) <= parcel.radius;
+  let inside = false;
+  parcel.outline.forEach(([x1, y1], k) => {
+    const [x2, y2] = parcel.outline[(k + 1) % parcel.outline.length];
+    if (y1 > y !== y2 > y && x < x1 + ((y - y1) * (x2 - x1)) / (y2 - y1)) inside = !inside;
+  });
+  return inside;
+}

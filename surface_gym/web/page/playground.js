@@ -1,0 +1,372 @@
+/** The playground: a scene on the page, run, drawn, changed by the reader, and shared. */
+
+import { Agents, YOU } from "./agents.js";
+import { brushed, chosenAngle, chosenParcel, find, number } from "./controls.js";
+import { Picture } from "./draw.js";
+import { connect, fillForm, firstScene } from "./form.js";
+import { get, Machine, PlainError } from "./machine.js";
+import { paintPage } from "./palette.js";
+import { drawAim, listen } from "./pointer.js";
+import { fromFragment, toFragment } from "./scene.js";
+import { TableRun } from "./table.js";
+import { TaskRun } from "./task.js";
+
+const FORCE = 0.012; // [m/N] of an arrow
+const DRAG_SPEED = 2; // [m/s] a metre dragged
+const BUDGET = 24; // [ms] of a frame for the physics, at most
+const LATE = 0.1; // [s] of the past that a frame catches up with, at most
+const SHARE_OVER = 0.05; // weight of a frame in the mean share
+const WRITE_EVERY = 700; // [ms] between addresses, at least
+class Playground {
+  constructor(tasks, agents) {
+    this.tasks = tasks;
+    this.agents = agents;
+    this.loadAgents = async () => agents;
+    this.machines = new Map(); // what was loaded, by name
+    this.shown = []; // a run, its picture and its caption each
+    this.isRunning = false;
+    this.owed = 0; // [s] of the run that are to be stepped
+    this.share = 0; // of a frame's time for physics, a mean
+    this.frames = 0; // drawn
+    this.moved = 0; // [ms] after the page was asked for, when it first drew what has moved
+    this.isStale = true;
+    this.aim = null;
+    this.written = "";
+    this.opening = 0;
+  }
+
+  /** Show a scene that is checked, at its beginning. */
+  async open(scene) {
+    const opening = ++this.opening;
+    const isTable = scene.task === "table";
+    const names = isTable
+      ? [null]
+      : [
+          scene.agent,
+          ...(find("beside").value && this.scene?.task === scene.task
+            ? [find("beside").value]
+            : []),
+        ];
+    const [agents, ...machines] = await Promise.all([
+      isTable ? this.agents : this.loadAgents(),
+      ...names.map((_, k) => this._machine(scene.task, k)),
+    ]);
+    this.agents = agents;
+    if (opening !== this.opening) return; // another was opened meanwhile
+    this._checkSeed(scene, machines[0]);
+    const runs = machines.map((machine, k) => {
+      if (isTable) return new TableRun(machine, scene);
+      const own = k === 0 ? scene : { ...structuredClone(scene), agent: names[k], commands: [] };
+      return new TaskRun(machine, own, this.agents.make(scene.task, names[k]));
+    });
+    this.scene = scene;
+    for (const { picture } of this.shown) picture.dispose();
+    find("pictures").replaceChildren();
+    this.shown = runs.map((run, k) => this._show(run, names[k]));
+    document.body.classList.toggle("at-table", isTable);
+    fillForm(this);
+    this.pause();
+    this.say("");
+  }
+
+  /** Show the scene of the page's address. */
+  async openAddress() {
+    await this.open(await fromFragment(location.hash, this.tasks));
+  }
+
+  /** Load a task's machine, or take one that was loaded; the second of a task is a copy. */
+  async _machine(task, copy) {
+    const key = `${task} ${copy}`;
+    if (!this.machines.has(key)) this.machines.set(key, await Machine.load(task));
+    return this.machines.get(key);
+  }
+
+  _checkSeed({ task, seed }, machine) {
+    if (task !== "table" && seed >= machine.seeds) {
+      throw new PlainError(
+        `The page has starts of the seeds 0 to ${machine.seeds - 1}, and the scene asks for ${seed}.`,
+      );
+    }
+  }
+
+  _show(run, name) {
+    const figure = document.createElement("figure");
+    const canvas = document.createElement("canvas");
+    const caption = document.createElement("figcaption");
+    canvas.tabIndex = 0;
+    canvas.setAttribute("role", "application");
+    canvas.setAttribute(
+      "aria-label",
+      `Picture of the surface${name ? `, ${name} acts` : ""}. Arrows move the ring, Enter uses the tool.`,
+    );
+    figure.append(canvas, caption);
+    find("pictures").append(figure);
+    const picture = new Picture(canvas, run.surface(), {
+      theme: find("theme").value,
+      forceScale: FORCE,
+    });
+    canvas.style.aspectRatio = String(Math.min(Math.max(picture.aspect, 0.8), 5));
+    picture.resize();
+    picture.fit();
+    listen(picture, {
+      tool: () => document.querySelector("input[name=tool]:checked").value,
+      paint: (module, begins) => this.try(() => this.paint(run, module, begins)),
+      throw: (from, to) => this.try(() => this.throw(run, from, to)),
+      aim: (from, to) => {
+        this.aim = from && { picture, from, to };
+        this.isStale = true;
+      },
+      changed: () => {
+        this.isStale = true;
+      },
+    });
+    return { run, picture, caption, name };
+  }
+
+  /** Do something; show its error, if any, in plain words, and pause where nothing can go on. */
+  try(does, stops = false) {
+    const fail = (error) => {
+      if (stops) this.pause();
+      const isPlain = error instanceof PlainError;
+      this.say(isPlain ? error.message : `Something went wrong in the page: ${error.message}`);
+    };
+    try {
+      const done = does();
+      return done?.catch ? done.catch(fail) : done;
+    } catch (error) {
+      return fail(error);
+    }
+  }
+
+  say(text) {
+    find("message").hidden = !text;
+    find("message").textContent = text;
+  }
+
+  start() {
+    if (this.shown.every(({ run }) => run.over)) this.again();
+    this.say("");
+    this.isRunning = true;
+    this.owed = 0;
+    find("start").textContent = "Pause";
+    this._tell();
+  }
+
+  pause() {
+    this.isRunning = false;
+    find("start").textContent = "Start";
+    this.isStale = true;
+    this._tell();
+  }
+
+  /** Begin the scene again. */
+  again() {
+    for (const { run } of this.shown) run.begin();
+    this.owed = 0;
+    this.isStale = true;
+    this._tell();
+  }
+
+  /** Do one control period, of a table as long. */
+  stepOnce() {
+    this.pause();
+    const time = Math.max(...this.shown.map(({ run }) => run.unit), 0.02);
+    for (const { run } of this.shown)
+      for (let done = 0; done < time - 1e-9 && run.advance(); done += run.unit);
+    this._tell();
+  }
+
+  /** Advance the runs by a time [s] of their own, within the budget; return what is left of it. */
+  advance(time) {
+    const unit = Math.max(...this.shown.map(({ run }) => run.unit));
+    const before = performance.now();
+    let left = time;
+    while (left >= unit && performance.now() - before < BUDGET) {
+      let moved = false;
+      for (const { run } of this.shown) moved = run.advance() || moved;
+      left -= unit;
+      if (!moved) {
+        this.pause();
+        return 0;
+      }
+    }
+    return Math.min(left, LATE);
+  }
+
+  /** Draw a frame; `passed` [s] since the last. */
+  frame(passed) {
+    if (this.isRunning) {
+      const before = performance.now();
+      this.owed = this.advance(this.owed + Math.min(passed, LATE) * Number(find("speed").value));
+      if (passed > 0) {
+        const share = (performance.now() - before) / (1000 * passed);
+        this.share += SHARE_OVER * (share - this.share);
+      }
+      this.isStale = true;
+    }
+    if (!this.isStale) return;
+    this.isStale = false;
+    this.frames += 1;
+    const view = { forces: find("forces").checked, traces: find("traces").checked };
+    for (const { run, picture, caption, name } of this.shown) {
+      const share = this.isRunning && !run.over ? Math.min(1, this.owed / run.unit) : 1;
+      picture.draw(run.frame({ ...view, share }));
+      const readings = [...(name ? [["", name]] : []), ...run.readings()];
+      const text = readings.map((pair) => pair.join(" ")).join("|");
+      if (caption.dataset.text !== text) {
+        caption.dataset.text = text;
+        caption.replaceChildren(
+          ...readings.map(([what, value]) => {
+            const span = document.createElement("span");
+            const strong = document.createElement("b");
+            strong.textContent = value;
+            span.append(what && `${what} `, strong);
+            return span;
+          }),
+        );
+      }
+    }
+    if (!this.moved && this.shown[0]?.run.time > 0) this.moved = performance.now();
+    if (this.aim) {
+      const { picture, from, to } = this.aim;
+      const speed = DRAG_SPEED * Math.hypot(to[0] - from[0], to[1] - from[1]);
+      drawAim(picture, from, to, `${speed.toFixed(1)} m/s`);
+    }
+  }
+
+  /** Throw a parcel from a place [m]; dragged to another it has the drag's velocity. */
+  throw(run, from, to) {
+    const velocity = to && [DRAG_SPEED * (to[0] - from[0]), DRAG_SPEED * (to[1] - from[1])];
+    run.throw(chosenParcel(from, velocity));
+    this.say("");
+    if (!this.isRunning) this.start();
+  }
+
+  /** Use the tool on a module. */
+  paint(run, module, begins) {
+    const tool = document.querySelector("input[name=tool]:checked").value;
+    if (tool === "stick") {
+      if (begins) this._stick([module]);
+      return;
+    }
+    this.turn(
+      run,
+      brushed(module, run.rows, run.columns, number("brush")).filter((k) => run.rotor[k]),
+    );
+  }
+
+  /** Turn modules to an angle [rad], by default that of the form. */
+  turn(run, modules, angle = chosenAngle()) {
+    if (run instanceof TableRun) {
+      run.set({ axis: modules.map((module) => [module, angle]) });
+    } else {
+      const { orientations } = run.about;
+      const apart = orientations.map((each) => Math.abs(Math.sin(each - angle)));
+      const choice = apart.indexOf(Math.min(...apart));
+      this._takeOver(run);
+      for (const module of modules) run.want(run.partOf(module), choice);
+    }
+    this.isStale = true;
+    this._tell();
+  }
+
+  /** Let the reader act in place of an agent, from what it has set. */
+  _takeOver(run) {
+    if (run.scene.agent === YOU) return;
+    run.scene.agent = YOU;
+    run.agent = this.agents.make(run.scene.task, YOU);
+    const shown = this.shown.find((each) => each.run === run);
+    shown.name = YOU;
+    if (run === this.shown[0].run) find("agent").value = YOU;
+  }
+
+  /** Turn all modules that the keys are for. */
+  turnAll(angle = chosenAngle()) {
+    const { run } = this.shown[0];
+    const modules =
+      run instanceof TableRun ? [...run.rotor.keys()].filter((k) => run.rotor[k]) : run.modules();
+    const which = find("which").value;
+    const isOne = run instanceof TaskRun && !run.about.stream && which !== "all";
+    const x = isOne ? run.machine.view("parcels.truth")[0] : 0;
+    const isBehind = (module) =>
+      run.about.origin[0] + run.about.pitch[0] * (module % run.columns) < x;
+    this.turn(
+      run,
+      isOne ? modules.filter((module) => isBehind(module) === (which === "behind")) : modules,
+      angle,
+    );
+  }
+
+  /** Let modules stick that obey, and mend those that stick; the episode begins again. */
+  _stick(modules) {
+    const { run } = this.shown[0];
+    const key = (module) => `${Math.floor(module / run.columns)},${module % run.columns}`;
+    const stuck = new Set(this.scene.stuck.map((each) => each.join()));
+    for (const module of modules.map(key)) if (!stuck.delete(module)) stuck.add(module);
+    return this.reopen({ stuck: [...stuck].map((each) => each.split(",").map(Number)) });
+  }
+
+  /** Open the scene anew with a part of it changed. */
+  reopen(change) {
+    const scene = structuredClone(this.scene);
+    return this.try(() =>
+      this.open({ ...scene, ...(scene.task === "table" ? {} : { commands: [] }), ...change }),
+    );
+  }
+
+  /** Say how the runs stand, where that has changed. */
+  _tell() {
+    const states = this.shown.map(
+      ({ run, name }) =>
+        `${name ? `${name}: ` : ""}${run.over ?? (this.isRunning ? "running" : "paused")}`,
+    );
+    const text = states.join("; ");
+    if (find("state").textContent !== text) find("state").textContent = text;
+  }
+
+  /** Keep the scene in the address. */
+  async writeAddress() {
+    if (!this.scene) return;
+    const fragment = await toFragment(this.scene);
+    if (fragment === this.written) return;
+    this.written = fragment;
+    history.replaceState(null, "", `#${fragment}`);
+  }
+}
+
+/** Let something be done the first time that it is asked for, and keep its answer. */
+function once(does) {
+  let answer;
+  return () => (answer ??= does());
+}
+
+async function begin() {
+  paintPage(document.documentElement, "auto");
+  const page = new Playground([], new Agents(null, null));
+  globalThis.playground = page; // for those who want to look into it
+  await page.try(async () => {
+    const address = location.hash;
+    const [site] = await Promise.all([get("site.json", "json"), page._machine("table", 0)]);
+    page.tasks = site.tasks;
+    for (const task of site.tasks) find("task").append(new Option(`task: ${task}`, task));
+    connect(page);
+    if (site.agents) page.loadAgents = once(() => Agents.load());
+    if (address.length > 1) await page.try(() => page.openAddress());
+    if (!page.scene) {
+      const message = find("message").textContent;
+      await page.open(firstScene());
+      page.say(message);
+      if (!message && !matchMedia("(prefers-reduced-motion: reduce)").matches) page.start();
+    }
+  });
+  let last = performance.now();
+  const draw = (now) => {
+    page.try(() => page.frame(Math.max(0, now - last) / 1000), true);
+    last = now;
+    requestAnimationFrame(draw);
+  };
+  requestAnimationFrame(draw);
+  setInterval(() => page.try(() => page.writeAddress()), WRITE_EVERY);
+}
+
+begin();

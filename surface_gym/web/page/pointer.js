@@ -1,0 +1,158 @@
+/** What pointer and keys do on a picture: a tool used at places, a drag, zoom by wheel and pinch. */
+
+const WHEEL = 1.0015; // zoom for each pixel of the wheel
+const STEP = 1.25; // zoom of a key
+const ARROWS = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowDown: [-1, 0] };
+
+/**
+ * Listen to a picture's canvas.
+ * @param {import("./draw.js").Picture} picture
+ * @param {object} does
+ * @param {() => string} does.tool that is chosen
+ * @param {(module: number, begins: boolean) => void} does.paint with the pointer on a module
+ * @param {(from: number[], to: number[]|null) => void} does.throw from a place [m], dragged to one
+ * @param {(from: number[]|null, to?: number[]) => void} does.aim while it is dragged; null: no more
+ * @param {() => void} does.changed the picture is to be drawn again
+ */
+export function listen(picture, does) {
+  const { canvas } = picture;
+  const pointers = new Map();
+  let from = null;
+  let painted = -1;
+
+  const at = (event) => {
+    const box = canvas.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  };
+
+  canvas.addEventListener("pointerdown", (event) => {
+    if (event.button > 0) return;
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, at(event));
+    if (pointers.size > 1) {
+      from = null;
+      does.aim(null);
+      return;
+    }
+    from = at(event);
+    const tool = does.tool();
+    if (tool === "turn" || tool === "stick") {
+      painted = picture.moduleAt(...from);
+      if (painted >= 0) does.paint(painted, true);
+    }
+  });
+
+  canvas.addEventListener("pointermove", (event) => {
+    const place = at(event);
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    if (pointers.size === 2) {
+      const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
+      const length = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
+      picture.zoom(
+        length(place) / Math.max(1, length(before)),
+        (place[0] + other[0]) / 2,
+        (place[1] + other[1]) / 2,
+      );
+      picture.pan((place[0] - before[0]) / 2, (place[1] - before[1]) / 2);
+      does.changed();
+    } else if (from) {
+      const tool = does.tool();
+      if (tool === "pan") {
+        picture.pan(place[0] - before[0], place[1] - before[1]);
+        does.changed();
+      } else if (tool === "throw") {
+        does.aim(picture.toSurface(...from), picture.toSurface(...place));
+      } else {
+        const module = picture.moduleAt(...place);
+        if (module >= 0 && module !== painted) does.paint(module, false);
+        painted = module;
+      }
+    }
+    pointers.set(event.pointerId, place);
+  });
+
+  const end = (event, isWhole) => {
+    if (!pointers.delete(event.pointerId)) return;
+    does.aim(null);
+    if (isWhole && from && does.tool() === "throw") {
+      const to = at(event);
+      const isDrag = Math.hypot(to[0] - from[0], to[1] - from[1]) > 6;
+      does.throw(picture.toSurface(...from), isDrag ? picture.toSurface(...to) : null);
+    }
+    if (pointers.size === 0) from = null;
+  };
+  canvas.addEventListener("pointerup", (event) => end(event, true));
+  canvas.addEventListener("pointercancel", (event) => end(event, false));
+
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      picture.zoom(WHEEL ** -event.deltaY, ...at(event));
+      does.changed();
+    },
+    { passive: false },
+  );
+
+  canvas.addEventListener("keydown", (event) => {
+    const { rows, columns } = picture.surface;
+    const arrow = ARROWS[event.key];
+    if (arrow) {
+      const ring = picture.chosen.module;
+      const [row, column] =
+        ring < 0
+          ? [Math.floor(rows / 2), Math.floor(columns / 4)]
+          : [Math.floor(ring / columns), ring % columns];
+      const clamp = (value, most) => Math.min(Math.max(value, 0), most - 1);
+      picture.chosen.module =
+        clamp(row + arrow[0], rows) * columns + clamp(column + arrow[1], columns);
+    } else if (event.key === "Enter" && picture.chosen.module >= 0) {
+      const ring = picture.chosen.module;
+      const { origin, pitch } = picture.surface;
+      const tool = does.tool();
+      if (tool === "throw")
+        does.throw(
+          [
+            origin[0] + pitch[0] * (ring % columns),
+            origin[1] + pitch[1] * Math.floor(ring / columns),
+          ],
+          null,
+        );
+      else if (tool !== "pan") does.paint(ring, true);
+    } else if (event.key === "+" || event.key === "-") {
+      picture.zoom(event.key === "+" ? STEP : 1 / STEP);
+    } else {
+      return;
+    }
+    event.preventDefault();
+    event.stopPropagation();
+    does.changed();
+  });
+}
+
+/** Draw the arrow of a throw. @param {string} text at its tip */
+export function drawAim(picture, from, to, text) {
+  const { context, ratio, colours } = picture;
+  const [[x0, y0], [x1, y1]] = [from, to].map((point) =>
+    picture.toCanvas(...point).map((each) => each * ratio),
+  );
+  const length = Math.hypot(x1 - x0, y1 - y0);
+  if (length < 1) return;
+  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length];
+  const head = Math.min(14 * ratio, length);
+  context.strokeStyle = colours.goal;
+  context.fillStyle = colours.goal;
+  context.lineWidth = 3 * ratio;
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.moveTo(x1 - head * (ux + 0.5 * uy), y1 - head * (uy - 0.5 * ux));
+  context.lineTo(x1, y1);
+  context.lineTo(x1 - head * (ux - 0.5 * uy), y1 - head * (uy + 0.5 * ux));
+  context.stroke();
+  context.font = `600 ${14 * ratio}px system-ui, sans-serif`;
+  context.textAlign = "left";
+  context.textBaseline = "bottom";
+  context.fillText(text, x1 + 8 * ratio, y1 - 4 * ratio);
+}

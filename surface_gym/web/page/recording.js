@@ -1,0 +1,198 @@
+/** Reading a recording, as `surface_gym/recording.py` encodes it, and its frames. */
+
+const GLIDE = 0.5; // [s] for which a parcel that has left is shown
+const TRAIL = 1.2; // [s] shown of the way of a stream's parcel
+
+/** Decode a recording from base64. @returns {Promise<Recording>} */
+export async function readRecording(text) {
+  const packed = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Recording(new Uint8Array(await new Response(stream).arrayBuffer()));
+}
+
+/** What a run was; `frameAt` gives what a picture shows. */
+export class Recording {
+  /** @param {Uint8Array} content of an unpacked file */
+  constructor(content) {
+    let place = 0;
+    const take = (size) => {
+      place += size;
+      return content.subarray(place - size, place);
+    };
+    const size = new DataView(content.buffer, content.byteOffset).getUint32(0, true);
+    place = 4;
+    const head = JSON.parse(new TextDecoder().decode(take(size)));
+    const { rows, columns, frames, units } = head;
+    const table = (count, unit) => unpack(take(5 * count * unit.length), unit);
+    this.head = head;
+    this.modules = rows * columns;
+    this.surface = {
+      rows,
+      columns,
+      pitch: head.pitch,
+      origin: head.origin,
+      marks: head.marks,
+      rotor: take(this.modules),
+      obeys: take(this.modules),
+      view: head.view ?? undefined,
+    };
+    this.axis = take(frames * this.modules);
+    for (let k = this.modules; k < this.axis.length; k++)
+      this.axis[k] += this.axis[k - this.modules];
+    [this.time] = table(frames, units.time);
+    const motion = table(sum(head.parcels.map((each) => each.rows)), units.motion);
+    let first = 0;
+    this.parcels = head.parcels.map((each, number) => {
+      const found = {
+        ...each,
+        number,
+        motion: motion.map((column) => column.subarray(first, first + each.rows)),
+      };
+      first += each.rows;
+      return found;
+    });
+    const [counts] = table(head.counted ? frames : 0, [1]);
+    this.firstContact = [0];
+    for (const count of counts) this.firstContact.push(this.firstContact.at(-1) + count);
+    this.contacts = table(head.contacts, units.contact);
+    this.delivered = table(head.exits ? frames : 0, new Array(head.exits).fill(1));
+    const numbers = new Float32Array(content.slice(place).buffer);
+    this.metrics = head.metrics.map((name, k) => [
+      name,
+      numbers.subarray(k * frames, (k + 1) * frames),
+    ]);
+    this.axes = new Float32Array(this.modules);
+    this.axesOf = -1;
+  }
+
+  /** Time [s] of the last frame. */
+  get duration() {
+    return this.time[this.time.length - 1];
+  }
+
+  /** Whether forces are known. */
+  get hasForces() {
+    return this.head.counted;
+  }
+
+  /** Find the last frame at or before a time [s]. */
+  indexAt(time) {
+    let [low, high] = [0, this.time.length - 1];
+    while (low < high) {
+      const middle = Math.ceil((low + high) / 2);
+      if (this.time[middle] <= time + 1e-9) low = middle;
+      else high = middle - 1;
+    }
+    return low;
+  }
+
+  /** Return the axis [rad] of a module in a frame. */
+  axisOf(index, module) {
+    return this.head.angles[this.axis[index * this.modules + module]];
+  }
+
+  /**
+   * Describe the picture at a time [s], between frames too.
+   * @param {number} time
+   * @param {{traces?: boolean, forces?: boolean}} [shown]
+   * @returns {import("./draw.js").Frame}
+   */
+  frameAt(time, { traces = false, forces = false } = {}) {
+    const index = this.indexAt(time);
+    const next = Math.min(index + 1, this.time.length - 1);
+    const share =
+      next > index
+        ? Math.max(0, (time - this.time[index]) / (this.time[next] - this.time[index]))
+        : 0;
+    const axesOf = share > 1e-6 ? next : index; // commands hold from a frame's start to the next
+    if (axesOf !== this.axesOf) {
+      this.axesOf = axesOf;
+      for (let k = 0; k < this.modules; k++) this.axes[k] = this.axisOf(axesOf, k);
+    }
+    const frame = { time, index, axes: this.axes, parcels: [], traces: [] };
+    for (const parcel of this.parcels) {
+      const row = index - parcel.first;
+      if (row < 0 || time - this.time[parcel.first + parcel.rows - 1] > GLIDE) continue;
+      frame.parcels.push(this._parcelAt(parcel, row, share, time));
+      if (traces) frame.traces.push(this._traceTo(parcel, row, frame.parcels.at(-1)));
+    }
+    if (forces && frame.parcels.length) frame.parcels[0].forces = this.forcesAt(index);
+    if (this.delivered.length) frame.counts = this.delivered.map((column) => String(column[index]));
+    return frame;
+  }
+
+  /** Collect x, y [m] and friction on the parcel [N] of each contact of a frame. */
+  forcesAt(index) {
+    const [elements, , fx, fy] = this.contacts;
+    const { columns, pitch, origin } = this.surface;
+    const found = [];
+    for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
+      const [row, column] = [Math.floor(elements[k] / columns), elements[k] % columns];
+      found.push([origin[0] + column * pitch[0], origin[1] + row * pitch[1], fx[k], fy[k]]);
+    }
+    return found;
+  }
+
+  /** Sum the normal forces and the friction (x, y) [N] on the parcel in a frame. */
+  loadAt(index) {
+    const [, normal, fx, fy] = this.contacts;
+    const [from, to] = [this.firstContact[index], this.firstContact[index + 1]];
+    return [normal, fx, fy].map((column) => sum(column.subarray(from, to)));
+  }
+
+  _parcelAt(parcel, row, share, time) {
+    const { motion, outline, label, colour, number } = parcel;
+    const last = parcel.rows - 1;
+    const [from, to] = [Math.min(row, last), Math.min(row + 1, last)];
+    let [x, y, theta, vx, vy, omega] = motion.map(
+      (column) => column[from] + share * (column[to] - column[from]),
+    );
+    const turn = motion[2][to] - motion[2][from];
+    theta = motion[2][from] + share * (turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI)));
+    const found = { outline, label, colour: colour ?? undefined, number, opacity: 1 };
+    if (this.head.heading !== null) found.asked = this.head.heading;
+    const gone = time - this.time[parcel.first + last];
+    if (gone > 0 && row >= last && parcel.first + last < this.time.length - 1) {
+      [x, y, theta] = [x + gone * vx, y + gone * vy, theta + gone * omega]; // no physics holds there
+      found.opacity = 1 - gone / GLIDE;
+    }
+    return Object.assign(found, { x, y, theta, vx, vy, omega });
+  }
+
+  _traceTo(parcel, row, at) {
+    const end = Math.min(row, parcel.rows - 1);
+    const back = this.parcels.length > 1 ? Math.round(TRAIL / this.head.control_period) : end;
+    const [x, y] = parcel.motion;
+    const points = [];
+    for (let k = Math.max(0, end - back); k <= end; k++) points.push([x[k], y[k]]);
+    points.push([at.x, at.y]);
+    return { points, colour: at.colour };
+  }
+}
+
+function sum(values) {
+  return values.reduce((total, value) => total + value, 0);
+}
+
+/** Compute a table's columns from their bytes: what `_pack` in recording.py wrote. */
+function unpack(planes, units) {
+  const count = planes.length / 5;
+  const rows = count / (units.length || 1);
+  return units.map((unit, column) => {
+    const values = new Float64Array(rows);
+    let [value, change] = [0, 0];
+    for (let k = 0; k < rows; k++) {
+      const at = column * rows + k;
+      const folded =
+        planes[at] +
+        256 * planes[at + count] +
+        65536 * planes[at + 2 * count] +
+        16777216 * planes[at + 3 * count] +
+        4294967296 * planes[at + 4 * count];
+      change += folded % 2 ? -(folded + 1) / 2 : folded / 2;
+      value += change;
+      values[k] = value * unit;
+    }
+    return values;
+  });
+}

@@ -1,0 +1,422 @@
+/**
+ * Scenes: what a run is made of, so that anybody can repeat it. A scene lives in the address of the
+ * page, after "#", and comes out as JSON and as a Python script.
+ */
+
+import { PlainError } from "./machine.js";
+import { checkArray, checkNumber, makeBody, shown } from "./shapes.js";
+
+export const VERSION = 1;
+export const MOST_PARCELS = 24;
+const MOST_MODULES = 6000;
+const MOST_BYTES = 2_000_000; // of a scene as JSON
+const MOST_CHANGES = 5000;
+export const MOST_TIME = 60; // [s]
+const HERE = 1000; // [m]
+const FAST = 20; // [m/s]
+const MARK = "1."; // before a scene in an address: how it is packed
+
+/**
+ * @typedef {object} Thrown a parcel as it comes in
+ * @property {import("./shapes.js").Base} base
+ * @property {number} mass [kg]
+ * @property {number} com_height [m]
+ * @property {number[]} com_offset [m]
+ * @property {number[]} pose [m, m, rad] of the base's frame
+ * @property {number[]} velocity [m/s, m/s, rad/s]
+ * @property {number} [step] at whose beginning it comes; 0: it is there from the start
+ *
+ * @typedef {object} Change of the table from a step on
+ * @property {number} step
+ * @property {number[][]} [axis] module and its new angle [rad]
+ * @property {number} [tilt] [rad]
+ * @property {number} [tilt_direction] [rad]
+ * @property {number[]} [friction]
+ *
+ * @typedef {object} TableScene
+ * @property {1} version
+ * @property {"table"} task
+ * @property {number} rows
+ * @property {number} columns
+ * @property {number[]} pitch [m]
+ * @property {number[]} origin [m]
+ * @property {number[][]} axis angle [rad] and how many modules in a row have it, row by row
+ * @property {number[][]} rotor 1 or 0, and how many in a row
+ * @property {number[]} friction [-] along an axis, across it, of a support
+ * @property {number} tilt [rad]
+ * @property {number} tilt_direction [rad]
+ * @property {number[]} sides [-] restitution and friction between parcels
+ * @property {number} dt [s]
+ * @property {number} duration [s]
+ * @property {Thrown[]} parcels
+ * @property {Change[]} changes
+ *
+ * @typedef {object} TaskScene
+ * @property {1} version
+ * @property {string} task
+ * @property {number} seed
+ * @property {string} agent that acts; "you": the commands
+ * @property {number[][]} stuck row and column of modules
+ * @property {number} late control periods by which axes are
+ * @property {[number, number[][]][]} commands a period, and the modules and choices set from it on
+ */
+
+/** Make a table to begin with. @returns {TableScene} */
+export function emptyTable({ rows = 10, columns = 24, angle = Math.PI / 2 } = {}) {
+  return {
+    version: VERSION,
+    task: "table",
+    rows,
+    columns,
+    pitch: [0.1, 0.1],
+    origin: [0.05, 0.05],
+    axis: [[angle, rows * columns]],
+    rotor: [[1, rows * columns]],
+    friction: [0.5, 0.01, 0.005],
+    tilt: 0,
+    tilt_direction: 0,
+    sides: [0, 0.3],
+    dt: 0.005,
+    duration: 20,
+    parcels: [],
+    changes: [],
+  };
+}
+
+/** Write a long list as values and how many of each follow each other. */
+export function packed(values) {
+  const runs = [];
+  for (const value of values) {
+    const last = runs[runs.length - 1];
+    if (last && last[0] === value) last[1] += 1;
+    else runs.push([value, 1]);
+  }
+  return runs;
+}
+
+/** Read what `packed` wrote, for so many values. */
+export function unpacked(name, runs, count, least, most) {
+  checkArray(name, runs, 1, count);
+  const values = [];
+  for (const run of runs) {
+    const [value, many] = checkArray(name, run, 2);
+    checkNumber(name, value, least, most);
+    checkWhole(`${name}, how many`, many, 1, count - values.length);
+    for (let k = 0; k < many; k++) values.push(value);
+  }
+  if (values.length !== count)
+    throw new PlainError(`${name} must be of ${count} modules, got ${values.length}.`);
+  return values;
+}
+
+/** Check that a value is a whole number between two bounds. */
+export function checkWhole(name, value, least, most) {
+  checkNumber(name, value, least, most);
+  if (!Number.isInteger(value))
+    throw new PlainError(`${name} must be a whole number, got ${value}.`);
+  return value;
+}
+
+/** Check all of a scene; @param {string[]} tasks that there are. @returns the scene */
+export function checkScene(scene, tasks) {
+  if (typeof scene !== "object" || scene === null || Array.isArray(scene)) {
+    throw new PlainError(`A scene must be an object, got ${shown(scene)}.`);
+  }
+  if (scene.version !== VERSION)
+    throw new PlainError(`The scene's version must be ${VERSION}, got ${shown(scene.version)}.`);
+  if (scene.task === "table") return checkTable(scene);
+  if (!tasks.includes(scene.task)) {
+    throw new PlainError(
+      `The scene's task must be one of table, ${tasks.join(", ")}, got ${shown(scene.task)}.`,
+    );
+  }
+  return checkTask(scene);
+}
+
+function checkTable(scene) {
+  checkWhole("rows", scene.rows, 1, MOST_MODULES);
+  checkWhole("columns", scene.columns, 1, MOST_MODULES);
+  const modules = scene.rows * scene.columns;
+  if (modules > MOST_MODULES)
+    throw new PlainError(`A table has at most ${MOST_MODULES} modules, got ${modules}.`);
+  for (const each of checkArray("pitch", scene.pitch, 2)) checkNumber("pitch", each, 0.01, 10);
+  for (const each of checkArray("origin", scene.origin, 2))
+    checkNumber("origin", each, -HERE, HERE);
+  unpacked("axis", scene.axis, modules, -7, 7);
+  unpacked("rotor", scene.rotor, modules, 0, 1);
+  checkFriction(scene.friction);
+  checkTilt(scene);
+  const [restitution, rubbing] = checkArray("sides", scene.sides, 2);
+  checkNumber("sides, restitution", restitution, 0, 1);
+  checkNumber("sides, friction", rubbing, 0, 10);
+  checkNumber("dt", scene.dt, 0.0005, 0.01);
+  checkNumber("duration", scene.duration, scene.dt, MOST_TIME);
+  const steps = Math.round(scene.duration / scene.dt);
+  if (!Array.isArray(scene.parcels))
+    throw new PlainError(`parcels must be an array, got ${shown(scene.parcels)}.`);
+  if (scene.parcels.length > MOST_PARCELS) {
+    throw new PlainError(
+      `A table holds at most ${MOST_PARCELS} parcels, and the scene has ${scene.parcels.length}.`,
+    );
+  }
+  for (const [k, parcel] of scene.parcels.entries()) checkThrown(parcel, `parcel ${k + 1}`, steps);
+  checkArray("changes", scene.changes, 0, MOST_CHANGES);
+  let last = 0;
+  for (const change of scene.changes) {
+    last = checkWhole("step of a change", change?.step, last, steps);
+    if (change.axis !== undefined) {
+      for (const turn of checkArray("axis of a change", change.axis, 0, modules)) {
+        const [module, angle] = checkArray("axis of a change", turn, 2);
+        checkWhole("module of a change", module, 0, modules - 1);
+        checkNumber("angle of a change", angle, -7, 7);
+      }
+    }
+    if (change.friction !== undefined) checkFriction(change.friction);
+    checkTilt({ tilt: 0, tilt_direction: 0, ...change });
+  }
+  return scene;
+}
+
+function checkThrown(parcel, name, steps) {
+  if (typeof parcel !== "object" || parcel === null)
+    throw new PlainError(`${name} must be an object, got ${shown(parcel)}.`);
+  makeBody(parcel, name);
+  const [x, y, theta] = checkArray(`${name}.pose`, parcel.pose, 3);
+  for (const each of [x, y]) checkNumber(`${name}.pose`, each, -HERE, HERE);
+  checkNumber(`${name}.pose`, theta, -1000, 1000);
+  for (const each of checkArray(`${name}.velocity`, parcel.velocity, 3))
+    checkNumber(`${name}.velocity`, each, -FAST, FAST);
+  checkWhole(`${name}.step`, parcel.step ?? 0, 0, steps);
+}
+
+function checkFriction(friction) {
+  const [along, across] = checkArray("friction", friction, 3);
+  for (const each of friction) checkNumber("friction", each, 0, 10);
+  if (across > along)
+    throw new PlainError(
+      `friction along an axis must not be less than across it, got ${shown(friction)}.`,
+    );
+}
+
+function checkTilt({ tilt, tilt_direction }) {
+  checkNumber("tilt", tilt, -0.78, 0.78);
+  checkNumber("tilt_direction", tilt_direction, -7, 7);
+}
+
+function checkTask(scene) {
+  checkWhole("seed", scene.seed, 0, 1e6);
+  if (typeof scene.agent !== "string" || scene.agent.length > 60)
+    throw new PlainError(`agent must be a name, got ${shown(scene.agent)}.`);
+  for (const module of checkArray("stuck", scene.stuck, 0, MOST_MODULES)) {
+    for (const each of checkArray("stuck", module, 2)) checkWhole("stuck", each, 0, MOST_MODULES);
+  }
+  checkWhole("late", scene.late, 0, 10);
+  let last = 0;
+  for (const command of checkArray("commands", scene.commands, 0, MOST_CHANGES)) {
+    const [period, turns] = checkArray("commands", command, 2);
+    last = checkWhole("period of a command", period, last, 1e5);
+    for (const turn of checkArray("commands", turns, 0, MOST_MODULES)) {
+      for (const each of checkArray("commands", turn, 2))
+        checkWhole("commands", each, 0, MOST_MODULES);
+    }
+  }
+  return scene;
+}
+
+/** Read a scene from text in JSON. */
+export function readJson(text, tasks) {
+  if (text.length > MOST_BYTES)
+    throw new PlainError(`A scene has at most ${MOST_BYTES} letters, got ${text.length}.`);
+  let found;
+  try {
+    found = JSON.parse(text);
+  } catch (error) {
+    throw new PlainError(`The scene is not whole: ${error.message}.`);
+  }
+  return checkScene(found, tasks);
+}
+
+/** Write a scene for the address of the page. */
+export async function toFragment(scene) {
+  const packer = new Blob([JSON.stringify(scene)])
+    .stream()
+    .pipeThrough(new CompressionStream("deflate-raw"));
+  const bytes = new Uint8Array(await new Response(packer).arrayBuffer());
+  let text = "";
+  for (const byte of bytes) text += String.fromCharCode(byte);
+  return MARK + btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+}
+
+/** Read the scene of an address, or say what is wrong with it. */
+export async function fromFragment(fragment, tasks) {
+  const text = fragment.replace(/^#/, "");
+  if (!text.startsWith(MARK))
+    throw new PlainError(`The address holds no scene: after "#" it must begin with ${MARK}`);
+  let bytes;
+  try {
+    const plain = atob(text.slice(MARK.length).replaceAll("-", "+").replaceAll("_", "/"));
+    bytes = Uint8Array.from(plain, (letter) => letter.charCodeAt(0));
+  } catch {
+    throw new PlainError("The scene in the address is cut short or damaged.");
+  }
+  return readJson(await unzipped(bytes), tasks);
+}
+
+/** Unpack bytes, but no more than a scene has. */
+async function unzipped(bytes) {
+  const reader = new Blob([bytes])
+    .stream()
+    .pipeThrough(new DecompressionStream("deflate-raw"))
+    .getReader();
+  const decoder = new TextDecoder();
+  let text = "";
+  for (;;) {
+    let part;
+    try {
+      part = await reader.read();
+    } catch {
+      throw new PlainError("The scene in the address is cut short or damaged.");
+    }
+    if (part.done) return text + decoder.decode();
+    text += decoder.decode(part.value, { stream: true });
+    if (text.length > MOST_BYTES) {
+      reader.cancel().catch(() => {});
+      throw new PlainError(
+        `A scene has at most ${MOST_BYTES} letters, and the address holds more.`,
+      );
+    }
+  }
+}
+
+/** Write a Python script that gives the same run. @param {object} [periods] of a task's run */
+export function toPython(scene, periods = 0) {
+  return scene.task === "table" ? tableScript(scene) : taskScript(scene, periods);
+}
+
+function tableScript(scene) {
+  const isPlain = scene.changes.length === 0 && scene.parcels.every(({ step }) => !step);
+  if (!isPlain || scene.parcels.length === 0) return sceneScript(scene);
+  const { parcels } = scene;
+  const one = parcels.length === 1;
+  const grid = (runs, kind) =>
+    `np.repeat(${list(runs.map(([value]) => (kind ? (value ? "True" : "False") : value)))}, ${list(runs.map(([, many]) => many))})`;
+  const shape = `.reshape(${scene.rows}, ${scene.columns})`;
+  const lines = [
+    '"""A run of the playground: the same parcels on the same surface."""',
+    "",
+    "import numpy as np",
+    "",
+    "import surface_gym as sg",
+    "",
+    "surface = sg.Surface(",
+    `    axis=${grid(scene.axis)}${shape},`,
+    `    rotor=${grid(scene.rotor, true)}${shape},`,
+    `    pitch=${tuple(scene.pitch)},`,
+    `    origin=${tuple(scene.origin)},`,
+    ...["mu_max", "mu_min", "mu_support"].map((name, k) => `    ${name}=${scene.friction[k]},`),
+    `    tilt=${scene.tilt},`,
+    `    tilt_direction=${scene.tilt_direction},`,
+    ")",
+    "parcels = [",
+    ...parcels.map((parcel) => `    ${parcelCode(parcel)},`),
+    "]",
+    `poses = ${list(parcels.map(({ pose }) => tuple(pose)))}`,
+    `velocities = ${list(parcels.map(({ velocity }) => tuple(velocity)))}`,
+  ];
+  const time = `duration=${scene.duration}, dt=${scene.dt}`;
+  if (one) {
+    lines.push(
+      `trajectory = sg.simulate(surface, parcels[0], poses[0], velocities[0], ${time})`,
+      "trajectories = [trajectory]",
+    );
+  } else {
+    lines.push(
+      `sides = {"restitution": ${scene.sides[0]}, "side_friction": ${scene.sides[1]}}`,
+      `encounter = sg.simulate_together(surface, parcels, poses, velocities, ${time}, **sides)`,
+      "trajectories = encounter.trajectories",
+    );
+  }
+  lines.push(
+    "for trajectory in trajectories:",
+    "    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)",
+    "",
+  );
+  return lines.join("\n");
+}
+
+/** A script of a scene that changes as it runs. */
+function sceneScript(scene) {
+  return [
+    '"""A run of the playground: parcels come in, or the table changes, on the way."""',
+    "",
+    "from surface_gym.web.scene import Scene",
+    "",
+    `scene = Scene.from_json(r"""${JSON.stringify(scene)}""")`,
+    "trajectories = scene.run().trajectories",
+    "for trajectory in trajectories:",
+    "    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)",
+    "",
+  ].join("\n");
+}
+
+function taskScript(scene, periods) {
+  const stuck = scene.stuck.map(tuple);
+  const made = `"SmartSurface/${scene.task[0].toUpperCase()}${scene.task.slice(1)}-v0"`;
+  const commands = scene.commands.map(
+    ([period, turns]) =>
+      `    ${period}: {${turns.map(([k, choice]) => `${k}: ${choice}`).join(", ")}},`,
+  );
+  return [
+    '"""A run of the playground: the same start, and the same commands in the same periods."""',
+    "",
+    "import gymnasium as gym",
+    "import numpy as np",
+    "",
+    "import surface_gym",
+    ...(stuck.length ? ["from surface_gym.randomisation import Actuators"] : []),
+    "",
+    stuck.length
+      ? `env = gym.make(${made}, actuators=Actuators(stuck=(${stuck.join(", ")},)))`
+      : `env = gym.make(${made})`,
+    `observation, info = env.reset(seed=${scene.seed})`,
+    "commands = {  # by the control period: modules and the orientations they turn to",
+    ...commands,
+    "}",
+    "action = np.full(env.action_space.shape, 3)  # 90 deg: parcels roll on",
+    "rewards = 0.0",
+    `for period in range(${periods}):`,
+    "    for module, choice in commands.get(period, {}).items():",
+    "        action[module] = choice",
+    "    observation, reward, terminated, truncated, info = env.step(action)",
+    "    rewards += reward",
+    "    if terminated or truncated:",
+    "        break",
+    'print(rewards, info["time"], info.get("outcome"), *info.get("pose", ()), *info.get("velocity", ()))',
+    "",
+  ].join("\n");
+}
+
+function parcelCode({ base, mass, com_height: height, com_offset: offset }) {
+  let code = `sg.Disc(${base.disc})`;
+  if (base.rectangle) code = `sg.Rectangle(${base.rectangle.join(", ")})`;
+  if (base.polygon) code = `sg.Polygon(${list(base.polygon.map(tuple))})`;
+  return `sg.Parcel(${code}, mass=${mass}, com_height=${height}, com_offset=${tuple(offset)})`;
+}
+
+function tuple(values) {
+  return `(${values.join(", ")})`;
+}
+
+function list(values) {
+  return `[${values.join(", ")}]`;
+}
+
+/** Write a run as comma-separated values. @param {import("./tracks.js").Track[]} tracks of its parcels */
+export function toCsv(tracks) {
+  const rows = ["time [s],parcel,x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s]"];
+  for (const { number, times, motion } of tracks) {
+    for (const [k, time] of times.entries())
+      rows.push([time, number, ...motion.slice(6 * k, 6 * k + 6)].join(","));
+  }
+  return `${rows.join("\n")}\n`;
+}

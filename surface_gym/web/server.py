@@ -1,0 +1,139 @@
+"""A server of the playground, for browsers on this machine alone.
+
+It listens at 127.0.0.1, and answers only those who ask for it by that name or as localhost: a page
+of another host, whose name was made to mean this machine, gets nothing. It reads files of a few
+folders and lists none.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+HOST = "127.0.0.1"
+NAMES = (HOST, "localhost")  # of this machine, in a browser
+FIRST_PAGE = "playground.html"
+KINDS = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".wasm": "application/wasm",
+}
+PLAIN = "application/octet-stream"
+ALWAYS = {
+    "Cache-Control": "no-cache",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+}
+IDLE = 60.0  # [s] after which a connection is closed
+
+
+class Server(ThreadingHTTPServer):
+    """A server of the files in some folders, as if they were one.
+
+    Args:
+        folders: the first that has a file of a name serves it.
+        port: to listen at; 0: any that is free.
+    """
+
+    daemon_threads = True  # an open connection holds up nothing
+    allow_reuse_address = os.name != "nt"  # there it would share a port that is taken
+
+    def __init__(self, folders: Sequence[Path], port: int = 0) -> None:
+        self._folders = [each.resolve() for each in folders]
+        if not 0 <= port < 2**16:
+            raise ValueError(f"port must be from 0 to 65535, got {port}")
+        try:
+            super().__init__((HOST, port), _Handler)
+        except OSError as error:
+            raise ValueError(
+                f"port must be one that is free, or 0 for any such, got {port} "
+                f"({error.strerror or error})"
+            ) from None
+
+    def add(self, folder: Path) -> None:
+        """Serve the files of one more folder."""
+        self._folders.append(folder.resolve())
+
+    @property
+    def address(self) -> str:
+        """Address of the first page's folder, with a slash at its end."""
+        return f"http://{HOST}:{self.server_port}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print an error, but not that a browser has left."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
+
+    def find(self, path: str) -> Path | None:
+        """Find the file of a path, such as `/playground.js`."""
+        name = unquote(path).lstrip("/")
+        for folder in self._folders:
+            try:
+                file = (folder / name).resolve()
+                if file.is_relative_to(folder) and file.is_file():
+                    return file
+            except (OSError, ValueError):  # a name that no file can have
+                return None
+        return None
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers to one browser."""
+
+    server: Server
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "surface_gym", ""
+    timeout = IDLE
+
+    def do_GET(self) -> None:
+        """Send a file."""
+        self._answer(with_content=True)
+
+    def do_HEAD(self) -> None:
+        """Send what is before a file."""
+        self._answer(with_content=False)
+
+    def _answer(self, with_content: bool) -> None:
+        if not _is_here(self.headers.get("Host", "")):
+            self.send_error(HTTPStatus.FORBIDDEN, f"Only {' and '.join(NAMES)} are answered")
+            return
+        try:
+            path = urlsplit(self.path).path
+        except ValueError:
+            path = ""
+        if path == "/":
+            self._begin(HTTPStatus.FOUND, 0, Location=f"/{FIRST_PAGE}")
+            return
+        file = self.server.find(path)
+        if file is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        content = file.read_bytes()
+        kind = KINDS.get(file.suffix, PLAIN)
+        self._begin(HTTPStatus.OK, len(content), **{"Content-Type": kind})
+        if with_content:
+            self.wfile.write(content)
+
+    def _begin(self, status: HTTPStatus, size: int, **headers: str) -> None:
+        self.send_response(status)
+        headers["Content-Length"] = str(size)
+        for name, value in {**headers, **ALWAYS}.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def log_message(self, *_: Any) -> None:
+        """Write no log."""
+
+
+def _is_here(host: str) -> bool:
+    """Whether a request's Host names this machine."""
+    try:
+        return urlsplit(f"//{host}").hostname in NAMES
+    except ValueError:
+        return False

@@ -1,0 +1,121 @@
+"""What agents on slopes learn from: rewards of each parcel, over environments that begin anew."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from surface_gym.agents.evaluation.material_flow import NEVER_SEEN, SHAPES_SEED
+from surface_gym.agents.learning import local, slopes
+from surface_gym.agents.learning.config import LocalConfig, ParcelsConfig
+from surface_gym.agents.learning.local import LocalLearner
+from surface_gym.agents.learning.parcels import ParcelLearner
+from surface_gym.flow import take_away as ta
+from surface_gym.parcel import assortment
+from surface_gym.registration import ON_SLOPES
+
+TINY = ParcelsConfig(num_envs=6, n_steps=16, batch_size=32, n_epochs=1, hidden=(8,), steps=192)
+LOCAL = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8,), steps=192)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch) -> None:
+    monkeypatch.setattr(slopes, "DURATION", 4.0)
+
+
+def surfaces(task: str = "merge", num_envs: int = 6) -> slopes.Surfaces:
+    made = slopes.Surfaces(slopes.training_configs(replace(TINY, task=task)), num_envs)
+    made.begin(np.random.default_rng(0))
+    return made
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_learning_needs_no_shape_that_it_is_measured_on(task) -> None:
+    measured = {each.base for each in assortment(NEVER_SEEN, SHAPES_SEED)}
+    for config in slopes.training_configs(replace(TINY, task=task)):
+        assert not measured & {each.base for each in config.task.parcels}
+
+
+def test_a_parcel_earns_its_own_reward_and_a_share_of_the_others() -> None:
+    made = surfaces()
+    for _ in range(60):
+        stepped = made.step(np.full((6, made.rows, 2), 3))
+    batch = made.batches[0]
+    there = batch.streams.present[0]
+    terms = batch.parcels.terms.reshape(2, made.rows, -1)[0, :, : len(ta.PARCEL_TERMS)]
+    own = np.where(there, terms @ list(slopes.WEIGHTS.values()), 0.0)
+    assert not stepped.left[0].any()
+    assert there.sum() > 1
+    wanted = np.where(there, own + slopes.SHARED * (own.sum() - own), 0.0)
+    np.testing.assert_allclose(stepped.reward[0], wanted, rtol=1e-12)
+
+
+def test_rewards_of_rows_and_episodes_are_those_of_the_environment() -> None:
+    """Whatever leaves or enters, all terms of an episode are counted, and each leaving once."""
+    made = surfaces()
+    left = np.zeros(6, dtype=np.int64)
+    for _ in range(100):  # 4 s: one episode each
+        stepped = made.step(np.full((6, made.rows, 2), 3))
+        left += stepped.left.sum(axis=1)
+    assert stepped.out_of_time.all()
+    assert len(stepped.last) == 6
+    assert len(made.infos) == 6
+    for info in made.infos:
+        assert info["episode"]["l"] == pytest.approx(4.0)
+        assert info["episode"]["r"] == pytest.approx(sum(info["reward_terms"].values()))
+    delivered = [
+        info["reward_terms"]["right"] - info["reward_terms"]["wrong"] for info in made.infos
+    ]
+    assert left.tolist() == [round(each) for each in delivered]
+    assert max(delivered) > 1.0
+    assert all(batch.streams.clock.max() == 0.0 for batch in made.batches)
+
+
+def test_where_nothing_leaves_for_long_an_episode_ends_as_a_jam(monkeypatch) -> None:
+    """Parcels that are held, but may tremble, wait for none that could leave."""
+    monkeypatch.setattr(slopes, "STALLED", 0.99)
+    made = surfaces()
+    brake = np.zeros((6, made.rows, 2), dtype=np.int64)
+    periods = round(1.0 / made.batches[0].config.control_period)
+    steps = [made.step(brake) for _ in range(periods)]
+    assert not any(each.jammed.any() for each in steps[:-1])
+    assert steps[-1].jammed.all()
+    assert not steps[-1].left.any()
+    assert len(made.infos) == 6
+    assert all(batch.streams.clock.max() == 0.0 for batch in made.batches)
+
+
+@pytest.mark.parametrize(
+    ("learner", "config", "still"),
+    [(ParcelLearner, TINY, pytest.approx(0.0, abs=1e-6)), (LocalLearner, LOCAL, 0.0)],
+)
+def test_only_the_critic_learns_at_first(learner, config, still, monkeypatch) -> None:
+    monkeypatch.setattr(local, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
+    made = learner(replace(config, task="merge"))
+    made.begin(0)
+    samples = made._roll_out()
+    before = {name: each.clone() for name, each in made._learning.named_parameters()}
+    assert made._step(samples, critic_only=True) == still
+    for name, each in made._learning.named_parameters():
+        assert torch.equal(each, before[name]) == (not name.startswith("critic"))
+    made._step(samples, critic_only=False)
+    assert made._step(samples, critic_only=False) > 0.0
+
+
+@pytest.mark.parametrize(("learner", "config"), [(ParcelLearner, TINY), (LocalLearner, LOCAL)])
+def test_the_best_network_so_far_is_kept(learner, config, monkeypatch) -> None:
+    monkeypatch.setattr(slopes, "SMOOTH", 1.0)  # a rollout changes no score
+    made = learner(replace(config, task="merge"))
+    weights = made._learning.critic[0].weight
+    kept = []
+    for steps, score in ((0, 1.0), (slopes.CRITIC_FIRST * 96, 1.0), (10**6, 0.5), (10**6, 2.0)):
+        made.steps, made._score = max(1, steps), score  # 0: it would imitate the rule first
+        with torch.no_grad():
+            weights += 1.0
+        made.begin(0)
+        before = weights.clone()
+        made.learn(SimpleNamespace(add_episodes=lambda _: None))
+        kept.append(torch.equal(made.network.critic[0].weight, before))
+    assert kept == [False, True, False, True]

@@ -1,0 +1,106 @@
+"""A browser, and the pages it opens, served as they are built."""
+
+import json
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surface_gym.web.server import Server
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+WIDE, NARROW = (1400, 900), (400, 800)
+
+
+@pytest.fixture(scope="module")  # while Playwright is there, no other test can run a loop of events
+def browser() -> Iterator[Any]:
+    """Run the system's Chromium without a window."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium on this machine (apt install chromium)")
+    with api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="session")
+def modules(pytestconfig: pytest.Config) -> Path:
+    """The folder in which modules stay from test to test, until their source is edited."""
+    assert pytestconfig.cache is not None
+    return pytestconfig.cache.mkdir("modules")
+
+
+class Site:
+    """Pages and modules in a folder, served on this machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._server = Server([folder])
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self._tasks: list[str] = []
+
+    @property
+    def address(self) -> str:
+        """Address of the folder."""
+        return self._server.address
+
+    def add(self, *tasks: str) -> "Site":
+        """Build what is not there yet."""
+        from surface_gym.web.build import SITE, TABLE, write_pages, write_task
+
+        for task in (TABLE, *tasks):
+            if task not in self._tasks:
+                write_task(task, self.folder)
+                self._tasks.append(task)
+        write_pages(self.folder, [task for task in self._tasks if task != TABLE])
+        assert json.loads((self.folder / SITE).read_text())["tasks"] == self._tasks[1:]
+        return self
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture(scope="session")
+def site(modules: Path) -> Iterator[Site]:
+    """The site."""
+    made = Site(modules)
+    yield made
+    made.close()
+
+
+def new_page(browser: Any, size: tuple[int, int], wrong: list[str], **options: Any) -> Any:
+    """Open an empty page with settings of its own, whose errors are written into a list."""
+    width, height = size
+    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    page = context.new_page()
+    page.set_default_timeout(20_000)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    return page
+
+
+@pytest.fixture
+def visit(browser: Any, site: Site) -> Iterator[Callable[..., Any]]:
+    """Open a page of the site; in the end there must be no error and no request elsewhere."""
+    pages, wrong = [], []
+
+    def look(address: str, size: tuple[int, int] = WIDE, **options: Any) -> Any:
+        page = new_page(browser, size, wrong, **options)
+        pages.append(page)
+        page.on("console", lambda said: said.type == "error" and wrong.append(said.text))
+        page.on("request", lambda asked: is_foreign(asked.url) and wrong.append(asked.url))
+        page.goto(site.address + address)
+        return page
+
+    def is_foreign(url: str) -> bool:
+        return not url.startswith((site.address, "data:", "blob:"))
+
+    yield look
+    for page in pages:
+        page.context.close()
+    assert wrong == []

@@ -1,0 +1,106 @@
+"""What is written for pages, and when a module is compiled anew."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from surface_gym import __version__
+from surface_gym.registration import PERIODS
+from surface_gym.web import build
+from surface_gym.web.build import AGENTS, PAGE, SITE, TABLE, main, update_modules
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch) -> Path:
+    """The package's folder of modules, which is empty; to write a task is to write its name."""
+    folder = tmp_path / "package" / "modules"
+    folder.parent.mkdir()
+    monkeypatch.setattr(build, "MODULES", folder)
+    monkeypatch.setattr(build, "IN_CHECKOUT", False)
+    monkeypatch.setattr(build, "write_task", write_name)
+    return folder
+
+
+def write_name(task: str, folder: Path) -> str:
+    file = folder / f"{task}.wasm"
+    there = file.exists()
+    file.write_text(task)
+    return f"{task} kept" if there else f"{task} compiled"
+
+
+def names(folder: Path) -> set[str]:
+    return {each.name for each in folder.iterdir()}
+
+
+MODULE_FILES = {f"{task}.wasm" for task in (TABLE, *PERIODS)}
+
+
+def test_the_package_gets_what_is_missing_once(package, capsys):
+    assert update_modules() == package
+    assert names(package) == MODULE_FILES | {SITE}
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[1] == "1/10  table compiled"
+    assert len(printed) == 11
+    assert update_modules() == package
+    assert capsys.readouterr().out == ""
+
+
+def test_modules_of_another_version_are_written_again(package, capsys):
+    update_modules()
+    for name in AGENTS:
+        (package / name).write_text("of before")
+    site = json.loads((package / SITE).read_text())
+    assert site == {"version": __version__, "tasks": list(PERIODS), "agents": False}
+    for text in (json.dumps({**site, "version": "0.0.1"}), "[]", "cut sho"):
+        (package / SITE).write_text(text)
+        capsys.readouterr()
+        update_modules()
+        assert "1/10  table kept" in capsys.readouterr().out
+        assert json.loads((package / SITE).read_text()) == site
+    assert not (package / AGENTS[-1]).exists()
+
+
+@pytest.mark.usefixtures("package")
+def test_a_checkout_looks_whether_its_source_was_edited(monkeypatch, capsys):
+    monkeypatch.setattr(build, "IN_CHECKOUT", True)
+    update_modules()
+    capsys.readouterr()
+    update_modules()
+    assert "10/10  sequence kept" in capsys.readouterr().out
+
+
+def test_where_the_package_cannot_be_written_the_home_folder_is(package, monkeypatch, tmp_path):
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    assert update_modules().is_relative_to(tmp_path / ".cache")
+    assert not package.exists()
+
+
+def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys):
+    update_modules()
+    for name in AGENTS:
+        (package / name).write_text("agents")
+    capsys.readouterr()
+    folder = tmp_path / "deep" / "site"
+    main([str(folder), "--tasks", "sort", "flow"])
+    assert capsys.readouterr().out.splitlines() == [
+        "1/3  table kept", "2/3  sort kept", "3/3  flow kept",
+    ]  # fmt: skip
+    written = {"table.wasm", "sort.wasm", "flow.wasm", SITE, *AGENTS}
+    assert names(folder) == names(PAGE) | written
+    site = json.loads((folder / SITE).read_text())
+    assert site == {"version": __version__, "tasks": ["sort", "flow"], "agents": True}
+
+
+def test_without_a_folder_the_package_gets_modules_and_no_pages(package):
+    main(["--tasks", "sort"])
+    assert names(package) == {"table.wasm", "sort.wasm", SITE}
+
+
+def test_an_unknown_task_is_refused(package, capsys):
+    with pytest.raises(SystemExit):
+        main(["--tasks", "juggle"])
+    assert "invalid choice: 'juggle'" in capsys.readouterr().err
+    assert not package.exists()

@@ -1,0 +1,31 @@
+"""Environments in a WebAssembly module equal those on the CPU to the bit, in all their arrays."""
+
+from typing import Any
+
+import pytest
+
+from surface_gym.config import EnvConfig
+from surface_gym.tasks import TASKS
+
+pytest.importorskip("wasmtime", reason="wasmtime is not installed (extra 'web')")
+
+from benchmarks.web import Twins
+
+PERIODS = 120  # in which parcels of Sort have left, and others come
+# One of them with a camera, and axes that take their time.
+ARGUMENTS: dict[str, dict[str, Any]] = {"slow": {"preset": "lab", "actions": "halves"}}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_episodes_are_equal_from_their_starts_to_their_ends(task, modules):
+    config = EnvConfig(task, **ARGUMENTS.get(task, {}))
+    twins = Twins(config, 2, file=modules / f"{'-'.join([task, *ARGUMENTS.get(task, {})])}.wasm")
+    episodes = 0
+    for period in range(PERIODS):
+        if period == 0 or twins.are_over:
+            twins.begin()
+            episodes += 1
+        else:
+            assert twins.step(twins.sample()) == 0
+        assert twins.differences() == []
+    assert episodes > 1 or task != "sort"
