@@ -2,7 +2,8 @@
 
 It serves the playground to the browser on this machine and opens it: parcels to throw, tasks to
 play, agents to watch, all by the package's own physics. Ctrl-C ends it. Where the package came
-without the compiled modules that pages need, they are made first, which takes minutes, once.
+without the compiled modules that pages need, each is made when a page first asks for it, which
+takes up to a minute, once.
 
 With --window it opens a window instead, which needs a display. There the keys 1 2 3 4 stand for
 axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
@@ -91,11 +92,12 @@ def serve(task: str | None, port: int, opens: bool) -> None:
         port: to listen at; 0: any that is free.
         opens: whether a browser is opened.
     """
-    from surface_gym.web.build import AGENTS, PAGE, update_modules, write_own
+    from surface_gym.web.build import AGENTS, PAGE, PackageModules, write_own
     from surface_gym.web.server import FIRST_PAGE, Server
 
-    with suppress(KeyboardInterrupt), TemporaryDirectory() as own, Server((PAGE,), port) as server:
-        folder = update_modules()
+    modules = PackageModules()
+    folder, pages = modules.folder, Server((PAGE,), port, modules.prepare)
+    with suppress(KeyboardInterrupt), TemporaryDirectory() as own, pages as server:
         if not (folder / AGENTS[-1]).is_file():
             write_agents(folder)
         page = FIRST_PAGE

@@ -307,7 +307,7 @@ class TestInABrowser:
     def built(self, tmp_path, monkeypatch):
         """Modules that are there."""
         (tmp_path / "agents.json").write_text("{}")
-        monkeypatch.setattr("surface_gym.web.build.update_modules", lambda: tmp_path)
+        monkeypatch.setattr("surface_gym.web.build.MODULES", tmp_path)
 
     @pytest.fixture
     def opened(self, monkeypatch) -> list[str]:
@@ -326,9 +326,7 @@ class TestInABrowser:
         assert (json.loads(unpack(scene))["task"] if scene else "table") == task
         assert capsys.readouterr().out == (f"the playground is at {address}\nCtrl-C ends it\n")
 
-    def test_an_own_task_is_compiled_beside_those_there_are(self, opened, monkeypatch, tmp_path):
-        (tmp_path / "site.json").write_text('{"version": "1", "tasks": ["sort"], "agents": true}')
-        (tmp_path / "table.json").write_text("{}")
+    def test_an_own_task_is_compiled_beside_those_there_are(self, opened, monkeypatch):
         served: list[tuple[str, str]] = []
 
         def serve(server: Server) -> None:
@@ -341,9 +339,8 @@ class TestInABrowser:
         monkeypatch.setattr("surface_gym.web.build.write_task", write_class)
         play.main(["--port", "0", "--task", "examples/reach.py:Reach"])
         assert json.loads(unpack(opened[0].partition("#")[2]))["task"] == "Reach"
-        site = {"version": "1", "tasks": ["sort", "Reach"], "agents": True}
-        assert json.loads(served[0][1]) == site
-        assert served[1:] == [("table.json", "{}"), ("Reach.json", "Reach")]
+        assert json.loads(served[0][1])["tasks"] == [*PERIODS, "Reach"]
+        assert served[1:] == [("table.json", "table"), ("Reach.json", "Reach")]
 
     @pytest.mark.parametrize(
         ("arguments", "said"),
@@ -381,8 +378,8 @@ def interrupt(_: Server) -> None:
     raise KeyboardInterrupt
 
 
-def write_class(name: str, folder: Path, own: object) -> str:
-    (folder / f"{name}.json").write_text(type(own).__name__)
+def write_class(name: str, folder: Path, own: object = None) -> str:
+    (folder / f"{name}.json").write_text(name if own is None else type(own).__name__)
     return name
 
 
@@ -390,7 +387,7 @@ def write_class(name: str, folder: Path, own: object) -> str:
 def test_ctrl_c_ends_the_server(tmp_path):
     program = (
         "import sys; from pathlib import Path; from surface_gym import play; "
-        "from surface_gym.web import build; build.update_modules = lambda: Path(sys.argv[1]); "
+        "from surface_gym.web import build; build.MODULES = Path(sys.argv[1]); "
         "play.main(['--port', '0', '--no-browser'])"
     )
     (tmp_path / "agents.json").write_text("{}")

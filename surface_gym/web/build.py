@@ -11,6 +11,7 @@ import gzip
 import json
 import os
 import shutil
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from surface_gym.registration import PERIODS
 PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
 TABLE = "table"
+ALL = (TABLE, *PERIODS)
 SITE = "site.json"  # what a page finds beside it
 AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes
 
@@ -96,18 +98,42 @@ def _copy(name: str, folder: Path) -> None:
         shutil.copyfile(MODULES / name, folder / name)
 
 
-def update_modules() -> Path:
-    """Write what is missing of the package's modules, or old in a checkout; return their folder."""
-    folder = MODULES
-    if not (MODULES / SITE).is_file() and not os.access(MODULES.parent, os.W_OK):
-        folder = Path.home() / ".cache" / "surface_gym" / "modules"
-    whole = _are_whole(folder)
-    if not whole:  # agents of another version, maybe
-        (folder / AGENTS[-1]).unlink(missing_ok=True)
-    if IN_CHECKOUT or not whole:
-        print("compiling what pages need, where it is missing: minutes the first time")
-        write_site(folder, list(PERIODS))
-    return folder
+class PackageModules:
+    """The package's modules, each of which is compiled as a page first asks for one of its files.
+
+    What is there is kept. Only a checkout looks whether its source was edited.
+    """
+
+    def __init__(self) -> None:
+        self.folder = MODULES
+        if not (MODULES / SITE).is_file() and not os.access(MODULES.parent, os.W_OK):
+            self.folder = Path.home() / ".cache" / "surface_gym" / "modules"
+        self._lock = threading.Lock()
+        self._checked: set[str] = set()
+        if not self._are_current():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for name in (AGENTS[-1], *(f"{task}.json" for task in ALL)):
+                (self.folder / name).unlink(missing_ok=True)
+            write_pages(self.folder, list(PERIODS))
+
+    def prepare(self, name: str) -> None:
+        """Write the files of the task that a file's name begins with, unless they are there."""
+        task = name.partition(".")[0]
+        with self._lock:
+            if task not in ALL or task in self._checked:
+                return
+            if IN_CHECKOUT or not (self.folder / f"{task}.json").is_file():
+                print(f"{task}: compiling it takes up to a minute, if it is not there", flush=True)
+                print(write_task(task, self.folder), flush=True)
+            self._checked.add(task)
+
+    def _are_current(self) -> bool:
+        """Whether the folder is one of this version, with all tasks."""
+        try:
+            site = json.loads((self.folder / SITE).read_text())
+            return bool(site["version"] == __version__ and site["tasks"] == list(PERIODS))
+        except (OSError, LookupError, TypeError, ValueError):
+            return False
 
 
 def write_own(own: Any, folder: Path, package: Path) -> str:
@@ -117,15 +143,6 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
     print(write_task(name, folder, own), flush=True)
     (folder / SITE).write_text(json.dumps({**site, "tasks": [*site["tasks"], name]}) + "\n")
     return name
-
-
-def _are_whole(folder: Path) -> bool:
-    """Whether a folder has the modules of all tasks, and of this version."""
-    try:
-        site = json.loads((folder / SITE).read_text())
-        return bool(site["version"] == __version__ and site["tasks"] == list(PERIODS))
-    except (OSError, LookupError, TypeError, ValueError):
-        return False
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ folders and lists none.
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -39,13 +39,21 @@ class Server(ThreadingHTTPServer):
     Args:
         folders: the first that has a file of a name serves it.
         port: to listen at; 0: any that is free.
+        prepare: is called with the name of a file, such as `sort.wasm`, before it is looked for,
+            and may write it.
     """
 
     daemon_threads = True  # an open connection holds up nothing
     allow_reuse_address = os.name != "nt"  # there it would share a port that is taken
 
-    def __init__(self, folders: Sequence[Path], port: int = 0) -> None:
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        port: int = 0,
+        prepare: Callable[[str], None] | None = None,
+    ) -> None:
         self._folders = [each.resolve() for each in folders]
+        self._prepare = prepare
         if not 0 <= port < 2**16:
             raise ValueError(f"port must be from 0 to 65535, got {port}")
         try:
@@ -73,6 +81,8 @@ class Server(ThreadingHTTPServer):
     def find(self, path: str) -> Path | None:
         """Find the file of a path, such as `/playground.js`."""
         name = unquote(path).lstrip("/")
+        if self._prepare is not None:
+            self._prepare(name)
         for folder in self._folders:
             try:
                 file = (folder / name).resolve()

@@ -2,6 +2,8 @@
 
 import json
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from surface_gym import __version__
 from surface_gym.registration import PERIODS
 from surface_gym.web import build
-from surface_gym.web.build import AGENTS, PAGE, SITE, TABLE, main, update_modules
+from surface_gym.web.build import AGENTS, ALL, PAGE, SITE, PackageModules, main
 
 
 @pytest.fixture
@@ -26,7 +28,8 @@ def package(tmp_path, monkeypatch) -> Path:
 def write_name(task: str, folder: Path) -> str:
     file = folder / f"{task}.wasm"
     there = file.exists()
-    file.write_text(task)
+    for each in (file, file.with_suffix(".json")):
+        each.write_text(task)
     return f"{task} kept" if there else f"{task} compiled"
 
 
@@ -34,21 +37,40 @@ def names(folder: Path) -> set[str]:
     return {each.name for each in folder.iterdir()}
 
 
-MODULE_FILES = {f"{task}.wasm" for task in (TABLE, *PERIODS)}
+def prepare_all() -> PackageModules:
+    found = PackageModules()
+    for task in ALL:
+        found.prepare(f"{task}.json")
+    return found
 
 
-def test_the_package_gets_what_is_missing_once(package, capsys):
-    assert update_modules() == package
-    assert names(package) == MODULE_FILES | {SITE}
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[1] == "1/10  table compiled"
-    assert len(printed) == 11
-    assert update_modules() == package
+def test_the_package_gets_a_module_once_when_it_is_asked_for(package, capsys):
+    modules = PackageModules()
+    assert modules.folder == package
+    assert names(package) == {SITE}
+    for name in ("sort.json", "sort.wasm", "playground.js", SITE, "sort.bin"):
+        modules.prepare(name)
+    assert names(package) == {"sort.wasm", "sort.json", SITE}
+    assert capsys.readouterr().out.splitlines()[1:] == ["sort compiled"]
+    PackageModules().prepare("sort.wasm")
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.usefixtures("package")
+def test_browsers_that_ask_at_once_wait_for_one_another(monkeypatch, capsys):
+    def write_slowly(task: str, folder: Path) -> str:
+        time.sleep(0.05)
+        return write_name(task, folder)
+
+    monkeypatch.setattr(build, "write_task", write_slowly)
+    modules = PackageModules()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(modules.prepare, ["sort.json", "sort.bin", "sort.wasm", "sort.starts"]))
+    assert capsys.readouterr().out.count("sort compiled") == 1
+
+
 def test_modules_of_another_version_are_written_again(package, capsys):
-    update_modules()
+    prepare_all()
     for name in AGENTS:
         (package / name).write_text("of before")
     site = json.loads((package / SITE).read_text())
@@ -56,8 +78,8 @@ def test_modules_of_another_version_are_written_again(package, capsys):
     for text in (json.dumps({**site, "version": "0.0.1"}), "[]", "cut sho"):
         (package / SITE).write_text(text)
         capsys.readouterr()
-        update_modules()
-        assert "1/10  table kept" in capsys.readouterr().out
+        prepare_all()
+        assert "table kept" in capsys.readouterr().out
         assert json.loads((package / SITE).read_text()) == site
     assert not (package / AGENTS[-1]).exists()
 
@@ -65,21 +87,21 @@ def test_modules_of_another_version_are_written_again(package, capsys):
 @pytest.mark.usefixtures("package")
 def test_a_checkout_looks_whether_its_source_was_edited(monkeypatch, capsys):
     monkeypatch.setattr(build, "IN_CHECKOUT", True)
-    update_modules()
+    prepare_all()
     capsys.readouterr()
-    update_modules()
-    assert "10/10  sequence kept" in capsys.readouterr().out
+    prepare_all()
+    assert "sequence kept" in capsys.readouterr().out
 
 
 def test_where_the_package_cannot_be_written_the_home_folder_is(package, monkeypatch, tmp_path):
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    assert update_modules().is_relative_to(tmp_path / ".cache")
+    assert PackageModules().folder.is_relative_to(tmp_path / ".cache")
     assert not package.exists()
 
 
 def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys):
-    update_modules()
+    prepare_all()
     for name in AGENTS:
         (package / name).write_text("agents")
     capsys.readouterr()
@@ -88,15 +110,15 @@ def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys)
     assert capsys.readouterr().out.splitlines() == [
         "1/3  table kept", "2/3  sort kept", "3/3  flow kept",
     ]  # fmt: skip
-    written = {"table.wasm", "sort.wasm", "flow.wasm", SITE, *AGENTS}
-    assert names(folder) == names(PAGE) | written
+    files = {f"{task}.{kind}" for task in ("table", "sort", "flow") for kind in ("wasm", "json")}
+    assert names(folder) == names(PAGE) | files | {SITE, *AGENTS}
     site = json.loads((folder / SITE).read_text())
     assert site == {"version": __version__, "tasks": ["sort", "flow"], "agents": True}
 
 
 def test_without_a_folder_the_package_gets_modules_and_no_pages(package):
     main(["--tasks", "sort"])
-    assert names(package) == {"table.wasm", "sort.wasm", SITE}
+    assert names(package) == {"table.wasm", "table.json", "sort.wasm", "sort.json", SITE}
 
 
 def test_an_unknown_task_is_refused(package, capsys):

@@ -291,8 +291,9 @@ def test_runs_are_side_by_side_in_step(show, trajectory):
     shown.scrub(50)
     assert shown.page.locator(".end").all_inner_texts() == ["", trajectory.outcome, "time is over"]
     shown.page.locator("summary", has_text="Numbers").click()
-    cells = shown.page.locator("tr", has_text="reward").locator("td").all_inner_texts()
-    assert cells == ["2", "\N{EN DASH}", "1"]
+    row = shown.page.locator("tr", has_text="reward")
+    row.wait_for()  # the table is filled after it has opened
+    assert row.locator("td").all_inner_texts() == ["2", "\N{EN DASH}", "1"]
 
 
 def test_light_and_dark_are_the_systems_or_chosen(show):

@@ -84,6 +84,13 @@ def test_no_folder_is_listed_and_nothing_outside_is_read(server, path):
     assert b"secret" not in content.replace(path.encode(), b"")
 
 
+def test_a_file_may_be_written_as_it_is_asked_for(tmp_path):
+    with Server([tmp_path], prepare=lambda name: (tmp_path / "late.json").write_text(name)) as made:
+        threading.Thread(target=made.serve_forever, daemon=True).start()
+        assert ask(made, "/late.json?again=1")[1] == b"late.json"
+        made.shutdown()
+
+
 @pytest.mark.parametrize("host", ["localhost", "localhost:8642", "127.0.0.1", "LOCALHOST:1"])
 def test_this_machine_is_answered(server, host):
     assert ask(server, "/sort.json", host=host)[0].status == 200

@@ -17,6 +17,8 @@ const BUDGET = 24; // [ms] of a frame for the physics, at most
 const LATE = 0.1; // [s] of the past that a frame catches up with, at most
 const SHARE_OVER = 0.05; // weight of a frame in the mean share
 const WRITE_EVERY = 700; // [ms] between addresses, at least
+const SLOW = 600; // [ms] of waiting, after which the page says for what
+
 class Playground {
   constructor(tasks, agents) {
     this.tasks = tasks;
@@ -77,8 +79,23 @@ class Playground {
   /** Load a task's machine, or take one that was loaded; the second of a task is a copy. */
   async _machine(task, copy) {
     const key = `${task} ${copy}`;
-    if (!this.machines.has(key)) this.machines.set(key, await Machine.load(task));
+    if (!this.machines.has(key)) {
+      const name = task === "table" ? "the table" : `the task ${task}`;
+      const text = `Loading ${name}. A checkout compiles it first, which takes up to a minute.`;
+      this.machines.set(key, await this._waitFor(Machine.load(task), text));
+    }
     return this.machines.get(key);
+  }
+
+  /** Wait for something; say what for, if it takes long. */
+  async _waitFor(promise, text) {
+    const timer = setTimeout(() => this.say(text), SLOW);
+    try {
+      return await promise;
+    } finally {
+      clearTimeout(timer);
+      if (find("message").textContent === text) this.say("");
+    }
   }
 
   _checkSeed({ task, seed }, machine) {
