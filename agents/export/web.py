@@ -2,7 +2,7 @@
 
 Beside the pages of `surface-gym web FOLDER` it writes `agents.bin`, the weights of those policies
 of the package that see what the page shows, and `agents.json`, their networks, and the layouts that
-rules choose for the page's starts.
+rules choose for the page's starts; and what the page `home.html` shows.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from ..rules import RULES
 from ..rules.base import FixedRule
 from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
+from .home import write_home
 from .policy import NetworkDecision, network_decision, shipped
 
 ALGOS = ("ppo", "dqn")
@@ -125,7 +126,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description="Write agents beside the pages of `surface-gym web`.",
     )
     parser.add_argument("folder", type=Path, help="that `surface-gym web` has written")
-    write_agents(parser.parse_args(arguments).folder)
+    folder = parser.parse_args(arguments).folder
+    write_agents(folder)
+    write_home(folder)
 
 
 if __name__ == "__main__":

@@ -156,6 +156,12 @@ class TestSite:
             for loaded in LOADED.findall(page.read_text()):
                 assert not loaded.startswith(("http:", "https:", "//")), (page, loaded)
 
+    def test_the_first_page_has_the_film_where_the_two_lines_come(self, site):
+        text = (site / "index.html").read_text()
+        assert re.search(r'<div id="live">\s*<p><img [^>]*src="images/start.webp"', text)
+        assert '<script type="module" src="assets/live.js">' in text
+        assert (site / "assets" / "live.js").is_file()
+
     def test_formulas_are_mathml_that_needs_no_script(self, site):
         text = (site / "physics" / "index.html").read_text()
         written = (DOCS / "physics.md").read_text()

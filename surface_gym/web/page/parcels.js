@@ -53,7 +53,7 @@ export class ParcelAgent {
 }
 
 /** Let parcels claim modules, as `claim_modules` of `surface_gym/flow/kernel.py`: rows by module. */
-function claim(run) {
+export function claim(run) {
   const { machine, about, columns } = run;
   const [x0, y0] = about.origin;
   const [pitchX, pitchY] = about.pitch;
