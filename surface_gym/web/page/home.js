@@ -64,7 +64,7 @@ class LineRun extends TaskRun {
     const { machine } = this;
     const numbers = machine.view("streams.number");
     const first = numbers.length - machine.get("stream_params.queue");
-    const shown = numbers.subarray(first).findLastIndex((number) => number >= 0n) + 1;
+    const shown = numbers.subarray(first).findLastIndex((each) => each >= 0n) + 1;
     let rear = this.about.origin[0] - this.about.pitch[0] / 2;
     for (let row = first; row < first + shown; row++) {
       const look = this._look(row);
