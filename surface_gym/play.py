@@ -23,7 +23,9 @@ import os
 import subprocess
 import sys
 import webbrowser
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -97,9 +99,8 @@ def serve(task: str | None, port: int, opens: bool) -> None:
 
     modules = PackageModules()
     folder, pages = modules.folder, Server((PAGE,), port, modules.prepare)
-    with suppress(KeyboardInterrupt), TemporaryDirectory() as own, pages as server:
-        if not (folder / AGENTS[-1]).is_file():
-            write_agents(folder)
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        server = stack.enter_context(pages)
         page = FIRST_PAGE
         if task is not None:
             from surface_gym.web.scene import TaskScene
@@ -107,10 +108,13 @@ def serve(task: str | None, port: int, opens: bool) -> None:
             if ":" in task:
                 from surface_gym.agents.library import find_task
 
-                task = write_own(find_task(task), Path(own), folder)
-                server.add(Path(own))
+                own = Path(stack.enter_context(TemporaryDirectory()))
+                task = write_own(find_task(task), own, folder)
+                server.add(own)
             page = TaskScene(task, tasks=(task,)).url(FIRST_PAGE)
         server.add(folder)
+        if not (folder / AGENTS[-1]).is_file():
+            stack.enter_context(writing_agents(folder))
         address = server.address + page
         print(f"the playground is at {address}\nCtrl-C ends it", flush=True)
         if opens:
@@ -118,14 +122,23 @@ def serve(task: str | None, port: int, opens: bool) -> None:
         server.serve_forever()
 
 
-def write_agents(folder: Path) -> None:
-    """Write the agents beside the modules, if the libraries that they need are there."""
+@contextmanager
+def writing_agents(folder: Path) -> Iterator[None]:
+    """Let a process of its own write the agents beside the modules, which takes minutes, once."""
+    if find_spec("torch") is None:
+        print("no agents: torch is missing, pip install 'surface_gym[agents]'")
+        yield
+        return
+    print("agents are made meanwhile: reload the page in a few minutes to watch them")
+    writing = subprocess.Popen(
+        [sys.executable, "-m", "surface_gym.agents.export.web", str(folder)],
+        start_new_session=True,  # Ctrl-C is for the server, which then ends it
+    )
     try:
-        from surface_gym.agents.export import web
-
-        web.write_agents(folder)
-    except ModuleNotFoundError as error:
-        print(f"no agents: {error.name} is missing, pip install 'surface_gym[agents]'")
+        yield
+    finally:
+        writing.terminate()
+        writing.wait()
 
 
 def play_in_window(task: str) -> None:

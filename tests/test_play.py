@@ -14,6 +14,7 @@ import numpy as np
 import pygame
 import pytest
 
+import surface_gym as sg
 from surface_gym import play
 from surface_gym.flow.state import JAM
 from surface_gym.game import (
@@ -305,8 +306,8 @@ def test_escape_ends(arguments, monkeypatch):
 class TestInABrowser:
     @pytest.fixture(autouse=True)
     def built(self, tmp_path, monkeypatch):
-        """Modules that are there."""
-        (tmp_path / "agents.json").write_text("{}")
+        """The package's folder of modules, as of this version."""
+        fill(tmp_path)
         monkeypatch.setattr("surface_gym.web.build.MODULES", tmp_path)
 
     @pytest.fixture
@@ -362,6 +363,31 @@ class TestInABrowser:
         play.main(["--port", "0", "--no-browser"])
         assert opened == []
 
+    def test_agents_that_are_missing_are_made_beside_the_server(
+        self, opened, monkeypatch, tmp_path, capsys
+    ):
+        (tmp_path / "agents.json").unlink()
+        asked: list[str] = []
+
+        class Writing:
+            def __init__(self, command: list[str], **_: object) -> None:
+                asked.extend(command[1:])
+
+            def terminate(self) -> None:
+                asked.append("terminated")
+
+            def wait(self) -> None: ...
+
+        monkeypatch.setattr(subprocess, "Popen", Writing)
+        play.main(["--port", "0"])
+        module = "surface_gym.agents.export.web"
+        assert asked == ["-m", module, str(tmp_path), "terminated"]
+        assert "agents are made meanwhile" in capsys.readouterr().out
+        monkeypatch.setattr(play, "find_spec", lambda _: None)
+        play.main(["--port", "0"])
+        assert "no agents: torch is missing" in capsys.readouterr().out
+        assert len(opened) == 2
+
     def test_a_port_that_is_taken_or_none_is_refused_in_one_line(self, opened):
         with Server([]) as server, pytest.raises(SystemExit) as end:
             play.main(["--port", str(server.server_port)])
@@ -372,6 +398,13 @@ class TestInABrowser:
         with pytest.raises(SystemExit, match=r"^error: port must be from 0 to 65535, got 65536$"):
             play.main(["--port", "65536"])
         assert opened == []
+
+
+def fill(folder: Path) -> None:
+    """Write what says that a folder has modules and agents of this version."""
+    site = {"version": sg.__version__, "tasks": list(PERIODS), "agents": True}
+    (folder / "site.json").write_text(json.dumps(site))
+    (folder / "agents.json").write_text("{}")
 
 
 def interrupt(_: Server) -> None:
@@ -390,7 +423,7 @@ def test_ctrl_c_ends_the_server(tmp_path):
         "from surface_gym.web import build; build.MODULES = Path(sys.argv[1]); "
         "play.main(['--port', '0', '--no-browser'])"
     )
-    (tmp_path / "agents.json").write_text("{}")
+    fill(tmp_path)
     running = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
