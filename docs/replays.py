@@ -98,7 +98,7 @@ RECORDINGS: dict[str, Callable[[], Recording]] = {
     "sort-agent": partial(record_method, "sort", "PPO"),
     "flow-zone": partial(record_stream, "zone, arranged anew"),
     "flow-modules": partial(record_stream, "modules"),
-    "merge": partial(record_agent, "merge", "merge-parcels"),
+    "merge": partial(record_agent, "merge", "merge-local"),
 }
 
 

@@ -1,5 +1,6 @@
 """Starts of a task for a page, which cannot draw them: by seed, what a start is made of."""
 
+import inspect
 import math
 from typing import Any, NamedTuple
 
@@ -123,6 +124,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
     name = config.task_name
     return {
         "task": name,
+        "file": "" if name in PERIODS else inspect.getsourcefile(type(task)),  # of a task of one's own
         "summary": (type(task).__doc__ or "").strip().splitlines()[0],
         "rows": line.rows,
         "columns": line.columns,

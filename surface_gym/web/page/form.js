@@ -166,9 +166,10 @@ export function connect(page) {
     find("shared").textContent = "The address of this page is the scene; it was copied.";
   });
   const name = () => `${page.scene.task}-scene`;
-  on("python", "click", () =>
-    save(`${name()}.py`, toPython(page.scene, page.shown[0].run.period), "text/x-python"),
-  );
+  on("python", "click", () => {
+    const { period, about } = page.shown[0].run;
+    save(`${name()}.py`, toPython(page.scene, period, about?.file), "text/x-python");
+  });
   on("json", "click", () => save(`${name()}.json`, JSON.stringify(page.scene), "application/json"));
   on("csv", "click", () => save(`${name()}.csv`, toCsv(page.shown[0].run.tracks), "text/csv"));
   on("open", "change", async ({ target }) => {

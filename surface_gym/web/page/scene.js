@@ -288,9 +288,12 @@ async function unzipped(bytes) {
   }
 }
 
-/** Write a Python script that gives the same run. @param {object} [periods] of a task's run */
-export function toPython(scene, periods = 0) {
-  return scene.task === "table" ? tableScript(scene) : taskScript(scene, periods);
+/**
+ * Write a scene as a Python script that gives the same run, of so many control periods in a task.
+ * @param {string} [file] with the class of a task of the reader's own
+ */
+export function toPython(scene, periods = 0, file = "") {
+  return scene.task === "table" ? tableScript(scene) : taskScript(scene, periods, file);
 }
 
 function tableScript(scene) {
@@ -359,9 +362,12 @@ function sceneScript(scene) {
   ].join("\n");
 }
 
-function taskScript(scene, periods) {
+function taskScript(scene, periods, file) {
   const stuck = scene.stuck.map(tuple);
-  const made = `"SmartSurface/${scene.task[0].toUpperCase()}${scene.task.slice(1)}-v0"`;
+  const id = `SmartSurface/${scene.task[0].toUpperCase()}${scene.task.slice(1)}-v0`;
+  const made = file
+    ? `SmartSurfaceEnv(find_task(${JSON.stringify(`${file}:${scene.task}`)})`
+    : `gym.make("${id}"`;
   const commands = scene.commands.map(
     ([period, turns]) =>
       `    ${period}: {${turns.map(([k, choice]) => `${k}: ${choice}`).join(", ")}},`,
@@ -369,15 +375,17 @@ function taskScript(scene, periods) {
   return [
     '"""A run of the playground: the same start, and the same commands in the same periods."""',
     "",
-    "import gymnasium as gym",
+    ...(file ? [] : ["import gymnasium as gym"]),
     "import numpy as np",
     "",
-    "import surface_gym",
+    ...(file
+      ? ["from surface_gym.agents.library import find_task", "from surface_gym.env import SmartSurfaceEnv"]
+      : ["import surface_gym"]),
     ...(stuck.length ? ["from surface_gym.randomisation import Actuators"] : []),
     "",
     stuck.length
-      ? `env = gym.make(${made}, actuators=Actuators(stuck=(${stuck.join(", ")},)))`
-      : `env = gym.make(${made})`,
+      ? `env = ${made}, actuators=Actuators(stuck=(${stuck.join(", ")},)))`
+      : `env = ${made})`,
     `observation, info = env.reset(seed=${scene.seed})`,
     "commands = {  # by the control period: modules and the orientations they turn to",
     ...commands,

@@ -287,7 +287,7 @@ def test_what_is_no_export_is_refused(given, named) -> None:
 def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="preset must be one of"):
         _ = policy.Training("weather").presets
-    for name in ("flow-schedule", "merge-parcels"):
+    for name in ("flow-schedule", "merge-parcels", "merge-local"):
         with pytest.raises(SystemExit, match="error: name must be that of an agent of single"):
             main([name, "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):

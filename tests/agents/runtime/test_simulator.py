@@ -270,6 +270,7 @@ def test_a_report_is_written_whatever_ends_the_run(tmp_path, monkeypatch) -> Non
         ("nobody", {}, "name must be a folder or one of"),
         ("flow-schedule", {}, "parcel"),
         ("merge-parcels", {}, "parcel"),
+        ("merge-local", {}, "parcel"),
     ],
 )
 def test_what_is_not_allowed_is_refused(name, given, message) -> None:
