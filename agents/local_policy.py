@@ -97,7 +97,7 @@ class LocalPolicy(SlopePolicy):
         self._network = network
         self._view = ModuleView(self._config)
         self._rest = find_rest(self._config)
-        self._numbers = np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
+        self._numbers = find_numbers()
 
     @torch.no_grad()
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
@@ -115,6 +115,11 @@ class LocalPolicy(SlopePolicy):
         since = 4.0 * tables[..., ta.TIME].reshape(-1)[row] / self._config.control_period
         place = (since / HOLD + 1e-3).astype(np.int64) + APART * (row % rows)
         return torch.from_numpy(self._numbers[place % NUMBERS])
+
+
+def find_numbers() -> Singles:
+    """Draw the numbers (NUMBERS,) in [0, 1) that modules look up, always the same."""
+    return np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
 
 
 def find_rest(config: EnvConfig) -> int:

@@ -21,6 +21,7 @@ FIRST = (
     "tests/web/test_streams.py",
     "tests/web/test_tasks.py",
     "tests/web/test_playground.py",
+    "tests/web/test_agents.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each class.
@@ -50,6 +51,16 @@ OF_STREAMS = (
     "tests/web/test_playground.py::"
     "test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python",
 )
+# Of agents on each slope, of which Merge is tried each time.
+OF_SLOPES = tuple(
+    f"tests/web/test_agents.py::{test}"
+    for test in (
+        "test_a_rule_on_a_slope_runs_as_in_python_again_too",
+        "test_a_policy_of_parcels_chooses_as_in_python",
+        "test_a_policy_of_modules_chooses_as_in_python",
+        "test_an_agent_is_loaded_as_it_is_chosen_and_its_script_gives_the_same_run",
+    )
+)
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
@@ -67,6 +78,7 @@ NIGHTLY = (
     "tests/parallel/test_jobs.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
     "processes",
     *(f"{test}[{task}" for test in OF_STREAMS for task in ("singulate", "merge", "sequence")),
+    *(f"{test}[{task}" for test in OF_SLOPES for task in ("singulate", "sequence")),
 )
 
 

@@ -1,13 +1,17 @@
 """Agents for the playground: `python -m surface_gym.agents.export.web FOLDER`.
 
 Beside the pages of `surface-gym web FOLDER` it writes `agents.bin`, the weights of those policies
-of the package that see what the page shows, and `agents.json`, their networks, and the layouts that
-rules choose for the page's starts; and what the page `home.html` shows.
+of single parcels that see what the page shows, and `agents.json`: their networks, the layouts that
+rules choose for the page's starts, and what agents of streams are made of. Those need files of
+their own, which a page loads when one is chosen: `agent-time-slots.wasm` is the rule's compiled
+function, `agent-merge-time-slots.bin` its memory, and `agent-merge-parcels.bin` a network's
+weights. It also writes what the page `home.html` shows.
 """
 
 import argparse
 import json
 from collections.abc import Sequence
+from io import BytesIO
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,57 +21,102 @@ import numpy as np
 
 from surface_gym.cli import typed
 from surface_gym.config import EnvConfig
+from surface_gym.env import make_batch
 from surface_gym.files import replacing
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.batch import stream_functions
+from surface_gym.flow.kernel import make_assigning_kernel
+from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import OWN, PRESENT, WAITS
-from surface_gym.registration import FLOW_TASK, env_id
+from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.web.build import AGENTS, SITE
+from surface_gym.web.compiler import compile_module
+from surface_gym.web.image import make_image
 from surface_gym.web.starts import SEEDS
 
-from .. import library
+from .. import library, local_policy, parcel_policy
 from ..base import Singles, find_axes
+from ..local_policy import LocalPolicy
+from ..parcel_policy import ParcelPolicy
+from ..policy import load_tensors
 from ..rules import RULES
 from ..rules.base import FixedRule
+from ..rules.sequencing import PassAndPark
+from ..rules.singulation import HoldAndRelease, TimeSlots
+from ..rules.slopes import SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
 from .home import write_home
 from .policy import NetworkDecision, network_decision, shipped
 
 ALGOS = ("ppo", "dqn")
+SINGLE = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
+RULES_ON_SLOPES: dict[str, dict[str, type[SlopeRule]]] = {
+    "singulate": {**SINGLE},
+    "merge": {**SINGLE},
+    "sequence": {"pass and park": PassAndPark},
+}
+Card = dict[str, Any]  # as `page/agents.js` reads it
 Runs = list[list[int]]  # a choice, and how many modules in a row have it
 
 
-def describe_policy(decision: NetworkDecision, place: int) -> tuple[dict[str, Any], list[Singles]]:
-    """Describe a policy for `page/policy.js`, and list its weights, from a place [floats] on."""
-    layers, weights = [], []
-    for layer in decision.network.layers:
-        outputs, inputs = layer.weights.shape
-        layers.append([inputs, outputs, place])
-        weights += [layer.weights.ravel(), layer.bias]
-        place += layer.weights.size + layer.bias.size
+class Weights:
+    """Numbers of networks, one after the other."""
+
+    def __init__(self) -> None:
+        self._arrays: list[Singles] = []
+        self._size = 0
+
+    def add(self, values: Any) -> int:
+        """Add an array; return the place [floats] where it begins."""
+        self._arrays.append(np.asarray(values, dtype="<f4").ravel())
+        self._size += self._arrays[-1].size
+        return self._size - self._arrays[-1].size
+
+    def add_layer(self, weights: Any, bias: Any) -> list[int]:
+        """Add a layer's weights (outputs, inputs) and bias; return inputs, outputs and place."""
+        outputs, inputs = weights.shape
+        place = self.add(weights)
+        self.add(bias)
+        return [inputs, outputs, place]
+
+    def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
+        """Add the layers of a part of a network, by the names of its tensors."""
+        layers = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
+        return [
+            self.add_layer(tensors[f"{each}.weight"], tensors[f"{each}.bias"])
+            for each in layers
+            if each.partition(".")[0] == name
+        ]
+
+    def to_bytes(self) -> bytes:
+        """Write all of them."""
+        return b"".join(each.tobytes() for each in self._arrays)
+
+
+def describe_policy(decision: NetworkDecision, weights: Weights) -> Card:
+    """Describe a policy for `page/policy.js`, and add its weights."""
     card = {
-        "layers": layers,
+        "layers": [weights.add_layer(each.weights, each.bias) for each in decision.network.layers],
         "activation": decision.network.activation,
         "choices": len(decision.angles),
     }
     if decision.symmetry is not None:
         card["side"] = decision.symmetry.side
         card["mirror"] = decision.symmetry.images.tolist()
-    return card, weights
+    return card
 
 
-def find_policies() -> tuple[dict[str, dict[str, Any]], Singles]:
-    """Describe the policies by task and name; with the weights of all, one after the other."""
-    found: dict[str, dict[str, Any]] = {}
-    weights: list[Singles] = []
+def find_policies(weights: Weights) -> dict[str, dict[str, Card]]:
+    """Describe the policies of single parcels by task and name, and add their weights."""
+    found: dict[str, dict[str, Card]] = {}
     for name in library.names():
         card = library.load(name).card
         if card.algo not in ALGOS or card.observe or card.actions != "halves":
             continue
-        place = sum(each.size for each in weights)
-        described, more = describe_policy(network_decision(shipped(name)), place)
+        described = describe_policy(network_decision(shipped(name)), weights)
         found.setdefault(card.task, {})[name] = described
-        weights += more
-    return found, np.concatenate(weights)
+    return found
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
@@ -85,7 +134,11 @@ def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
     return found
 
 
-def describe_parcel_rules(policy: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _packed(choices: list[int]) -> Runs:
+    return [[choice, len(list(run))] for choice, run in groupby(choices)]
+
+
+def describe_parcel_rules(policy: Card) -> dict[str, Card]:
     """Describe, by name, rules of Flow that decide for each parcel, one of them by a policy."""
     axes = find_axes(EnvConfig(FLOW_TASK))
     card = {
@@ -95,28 +148,116 @@ def describe_parcel_rules(policy: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {"event rule": {**card, "policy": None}, "sort-ppo": {**card, "policy": policy}}
 
 
-def _packed(choices: list[int]) -> Runs:
-    return [[choice, len(list(run))] for choice, run in groupby(choices)]
+def write_obeying(task: str, folder: Path) -> Card:
+    """Write the function that finds the parcel that each module of a stream obeys; its arguments
+    are those of the task's own module, so that it runs on a copy of that memory.
+    """
+    batch = make_batch(EnvConfig(task), 1, compiles=False)
+    kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
+    module = compile_module(kernel, batch.arguments, folder / f"{name}.wasm")
+    return {"code": name, "signature": module.signature}
+
+
+def write_machine(name: str, task: str, kernel: Any, arguments: Any, folder: Path) -> Card:
+    """Write a compiled function, and its memory for a task, as `page/machine.js` loads them."""
+    code, machine = f"agent-{name}", f"agent-{task}-{name}"
+    compile_module(kernel, arguments, folder / f"{code}.wasm")
+    image = make_image(kernel, arguments)
+    _write(folder / f"{machine}.bin", image.block)
+    _write(folder / f"{machine}.json", image.to_json().encode())
+    return {"code": code, "machine": machine}
+
+
+def write_rule(name: str, rule: SlopeRule, config: EnvConfig, folder: Path) -> Card:
+    """Write a rule on a slope as it begins an episode."""
+    tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
+    memory = make_memory(1, config.rows)
+    forget(memory, np.ones(1, dtype=np.bool_))
+    halves = np.zeros((1, config.rows, 2), dtype=np.int64)
+    arguments = rule.arguments(tables, memory, halves)
+    machine = write_machine(
+        name.replace(" ", "-"), config.task_name, rule.kernel, arguments, folder
+    )
+    return {"kind": "rule", **machine, "choices": rule.choices.tolist()}
+
+
+def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
+    """Describe a policy of parcels, which corrects a rule, and add its weights."""
+    return {
+        **rule,
+        "kind": "parcels",
+        **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
+        **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
+        "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
+        "most": parcel_policy.MOST, "present": ta.PRESENT, "time": ta.TIME,
+        "end": ta.END, "offset": ta.OFFSET, "forward": ta.FORWARD,
+    }  # fmt: skip
+
+
+def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
+    """Describe a policy of modules, and add its weights and the numbers that they agree on."""
+    return {
+        "kind": "modules",
+        "actor": weights.add_layers(tensors, "actor"),
+        "numbers": [weights.add(local_policy.find_numbers()), local_policy.NUMBERS],
+        "hold": local_policy.HOLD, "apart": local_policy.APART, "most": local_policy.MOST,
+        "period": config.control_period, "rest": local_policy.find_rest(config), "time": ta.TIME,
+    }  # fmt: skip
+
+
+def write_slope_agents(task: str, folder: Path) -> dict[str, Card]:
+    """Write the rules and the shipped agents of a task on a slope; describe them by name."""
+    config = EnvConfig(task, actions="parcels")
+    rules = RULES_ON_SLOPES[task]
+    found = {name: write_rule(name, make(config), config, folder) for name, make in rules.items()}
+    named = {make: found[name] for name, make in rules.items()}
+    for name in library.names():
+        policy = library.load(name)
+        if policy.card.task != task or not isinstance(policy, ParcelPolicy | LocalPolicy):
+            continue
+        first = library.SHELF / name / f"seed-{library.seeds(name)[0]}"
+        tensors = load_tensors(BytesIO(library.read_files(first).weights))
+        weights = Weights()
+        if isinstance(policy, ParcelPolicy):
+            rule = named[parcel_policy.RULES[task]]
+            card = describe_parcel_network(tensors, rule, weights)
+        else:
+            modules = EnvConfig(task, actions=policy.card.actions)
+            view = ModuleView(modules).arguments(
+                np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
+            )
+            card = {
+                **write_machine("module-view", task, view_modules, view, folder),
+                **describe_module_network(tensors, modules, weights),
+            }
+        _write(folder / f"agent-{name}.bin", weights.to_bytes())
+        found[name] = {**card, "weights": f"agent-{name}.bin"}
+    return found
 
 
 def write_agents(folder: Path) -> None:
     """Write the agents of the tasks that a site has."""
     site = json.loads((folder / SITE).read_text())
-    policies, weights = find_policies()
+    weights = Weights()
+    policies = find_policies(weights)
     agents: dict[str, dict[str, Any]] = {}
     for task in site["tasks"]:
         if task in policies:
             agents[task] = {"policies": policies[task], "layouts": find_layouts(task)}
         elif task == FLOW_TASK:
-            agents[task] = {"parcels": describe_parcel_rules(policies["sort"]["sort-ppo"])}
-    contents = {
-        AGENTS[0]: weights.astype("<f4").tobytes(),
-        AGENTS[1]: (json.dumps(agents, separators=(",", ":")) + "\n").encode(),
-        SITE: (json.dumps({**site, "agents": True}) + "\n").encode(),
-    }
-    for name, content in contents.items():
-        with replacing(folder / name) as part:
-            part.write_bytes(content)
+            described = describe_parcel_rules(policies["sort"]["sort-ppo"])
+            agents[task] = {"obeying": write_obeying(task, folder), "parcels": described}
+        elif task in ON_SLOPES:
+            found = write_slope_agents(task, folder)
+            agents[task] = {"obeying": write_obeying(task, folder), "slopes": found}
+    _write(folder / AGENTS[0], weights.to_bytes())
+    _write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
+    _write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())
+
+
+def _write(file: Path, content: bytes) -> None:
+    with replacing(file) as part:
+        part.write_bytes(content)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

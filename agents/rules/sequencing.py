@@ -5,7 +5,7 @@ on where nobody is ahead, or through the passage.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -242,6 +242,8 @@ def _lead_out(parking: Parking, parcels: Parcels, order: Integers, count: int, p
 class PassAndPark(SlopeRule):
     """Let parcels leave in their order: who must wait is parked beside a passage."""
 
+    kernel = staticmethod(choose_in_order)
+
     def __init__(
         self, config: EnvConfig, tuning: Tuning | None = None, parking: Parking | None = None
     ) -> None:
@@ -250,8 +252,6 @@ class PassAndPark(SlopeRule):
         self._slope = self._slope._replace(alignment=min(self._slope.alignment, ALIGNMENT))
         self._parking = Parking() if parking is None else parking
 
-    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
-        choose_in_order(
-            tables, self._slope, self._tuning, self._parking, self._parcels, self._slots,
-            *memory, halves,
-        )  # fmt: skip
+    def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
+        tables, slope, tuning, *more = super().arguments(tables, memory, halves)
+        return (tables, slope, tuning, self._parking, *more)

@@ -4,6 +4,7 @@ They turn parcels and lead them to the mouth alike, and differ in how they brake
 """
 
 import math
+from typing import Any
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
@@ -238,10 +239,7 @@ def choose_by_release(
 class TimeSlots(SlopeRule):
     """Give each parcel a time slot at the end, and brake those that would be early."""
 
-    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
-        choose_by_slots(
-            tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves
-        )
+    kernel = staticmethod(choose_by_slots)
 
 
 class HoldAndRelease(SlopeRule):
@@ -251,18 +249,11 @@ class HoldAndRelease(SlopeRule):
         hold: [m] from where a parcel's front is held to the end.
     """
 
+    kernel = staticmethod(choose_by_release)
+
     def __init__(self, config: EnvConfig, tuning: Tuning | None = None, hold: float = HOLD) -> None:
         super().__init__(config, tuning)
         self._hold = checks.not_negative("hold", hold, self._slope.length)
 
-    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
-        choose_by_release(
-            tables,
-            self._slope,
-            self._tuning,
-            self._parcels,
-            self._slots,
-            *memory,
-            halves,
-            self._hold,
-        )
+    def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
+        return (*super().arguments(tables, memory, halves), self._hold)

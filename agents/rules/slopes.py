@@ -6,8 +6,7 @@ it.
 
 import copy
 import math
-from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -345,6 +344,9 @@ class SlopeRule(BatchController):
     """A rule for tasks on a slope with a take-away, by `actions="parcels"`."""
 
     _dims = 2
+    # Compiled; by `arguments` it writes halves (num_envs, rows, 2), of which those of free rows
+    # stay.
+    kernel: ClassVar[Any]
 
     def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
@@ -352,15 +354,15 @@ class SlopeRule(BatchController):
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         axes = find_axes(config)
-        self._choices = np.array([axes.roll, axes.brake, axes.left, axes.right])
+        self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
         self._slope = read_slope(config)
         self._tuning = find_tuning(config) if tuning is None else tuning
         self._parcels = make_parcels(config.rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
-    @abstractmethod
-    def _choose(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> None:
-        """Write halves (num_envs, rows, 2), of which those of free rows stay."""
+    def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
+        """List what the kernel takes, to decide by tables (num_envs, rows, features)."""
+        return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -370,8 +372,8 @@ class SlopeRule(BatchController):
         memory = make_memory(num_envs, rows) if state is None else copy.deepcopy(state)
         forget(memory, fresh)
         halves = np.full((num_envs, rows, 2), ROLL)
-        self._choose(np.ascontiguousarray(batch), memory, halves)
-        return self._choices[halves].reshape(num_envs, -1), memory
+        self.kernel(*self.arguments(np.ascontiguousarray(batch), memory, halves))
+        return self.choices[halves].reshape(num_envs, -1), memory
 
 
 def read_slope(config: EnvConfig) -> Slope:

@@ -252,9 +252,37 @@ class StreamFunctions(NamedTuple):
     actuation: Actuation
 
 
+def _assigning(functions: StreamFunctions) -> Any:
+    """Build `assign_modules`, which writes whom each of surface i's modules obeys."""
+    claim_modules = claiming(functions.outside)
+
+    @inlined
+    def assign_modules(
+        params: EnvParams,
+        stream_params: StreamParams,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        streams: StreamState,
+        i: int,
+    ) -> None:
+        rows = streams.number.shape[1]
+        first = i * rows
+        owner, soonest = streams.owner[i], streams.soonest[i]
+        free_modules(
+            owner, soonest, st.env_state(surfaces, parcels, bodies, i, first, params.elements)
+        )
+        for k in range(rows):
+            if streams.present[i, k]:
+                parcel = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
+                claim_modules(owner, soonest, parcel, k, stream_params.ahead)
+
+    return assign_modules
+
+
 def _obeying(functions: StreamFunctions) -> Any:
     """Build `obey_command`, which turns surface i's modules by its command, and counts them."""
-    claim_modules = claiming(functions.outside)
+    assign_modules = _assigning(functions)
     part_of, commanded, obey = functions.part_of, functions.commanded, functions.actuation.obey
 
     @inlined
@@ -270,12 +298,8 @@ def _obeying(functions: StreamFunctions) -> Any:
         rows = streams.number.shape[1]
         first = i * rows
         state = st.env_state(surfaces, parcels, bodies, i, first, params.elements)
-        owner, soonest = streams.owner[i], streams.soonest[i]
-        free_modules(owner, soonest, state)
-        for k in range(rows):
-            if streams.present[i, k]:
-                parcel = st.env_state(surfaces, parcels, bodies, i, first + k, params.elements)
-                claim_modules(owner, soonest, parcel, k, stream_params.ahead)
+        owner = streams.owner[i]
+        assign_modules(params, stream_params, surfaces, parcels, bodies, streams, i)
         obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
         zone = state.zone
         for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
@@ -506,3 +530,28 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
         return faults
 
     return compiled(step_streams, functions.label)
+
+
+@lru_cache(maxsize=64)
+def make_assigning_kernel(functions: StreamFunctions) -> Any:
+    """Build `assign_streams`, which takes what `step_streams` takes, steps nothing, and writes whom
+    the modules of the chosen surfaces (count,) obey in the next control period. It returns 0.
+    """
+    assign_modules = _assigning(functions)
+
+    def assign_streams(
+        params: EnvParams,
+        stream_params: StreamParams,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        streams: StreamState,
+        scratch: WorldScratch,
+        sensor_scratch: Scratch,
+        chosen: Integers,
+    ) -> int:
+        for i in chosen:
+            assign_modules(params, stream_params, surfaces, parcels, bodies, streams, i)
+        return 0
+
+    return compiled(assign_streams, functions.label)

@@ -9,7 +9,7 @@ All of it is computed from the table of parcels, so as the sensors have it.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -315,22 +315,25 @@ class ModuleView:
 
     def __call__(self, tables: Singles) -> ModuleObservations:
         """Compute what modules see from observations (num_envs, rows, features)."""
+        arguments = self.arguments(tables)
+        view_modules(*arguments)
+        return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
+
+    def arguments(self, tables: Singles) -> tuple[Any, ...]:
+        """List what `view_modules` takes; the last of it is what modules will see."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"
             )
         num_envs, rows, _ = tables.shape
-        scratch = (
+        return (
+            np.ascontiguousarray(tables, dtype=np.float32), self._surface,
             np.zeros(rows, dtype=np.int64), np.zeros((rows, _DECODED)),
             np.zeros(DIRECTIONS), np.zeros(self.modules),
+            np.zeros((num_envs, self.modules), dtype=np.int64),
+            np.zeros((num_envs, self.modules, len(OWN)), dtype=np.float32),
+            np.zeros((num_envs, rows, PASSED), dtype=np.float32),
         )  # fmt: skip
-        seen = ModuleObservations(
-            np.empty((num_envs, self.modules), dtype=np.int64),
-            np.empty((num_envs, self.modules, len(OWN)), dtype=np.float32),
-            np.empty((num_envs, rows, PASSED), dtype=np.float32),
-        )
-        view_modules(np.ascontiguousarray(tables, dtype=np.float32), self._surface, *scratch, *seen)
-        return seen
 
 
 def module_space() -> spaces.Box:

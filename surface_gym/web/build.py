@@ -25,7 +25,8 @@ MODULES = Path(__file__).parent / "modules"  # of the package: a release brings 
 TABLE = "table"
 ALL = (TABLE, *PERIODS)
 SITE = "site.json"  # what a page finds beside it
-AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes
+AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes,
+EACH_AGENT = "agent-*.*"  # and what a page loads of one that is chosen
 
 
 def write_task(task: str, folder: Path, own: Any = None) -> str:
@@ -87,9 +88,18 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
         print(f"{number}/{len(chosen)}  ", end="", flush=True)
         _copy(f"{task}.wasm", folder)
         print(write_task(task, folder), flush=True)
-    for name in AGENTS:
+    _drop_old_agents(folder)
+    for name in (*AGENTS, *sorted(file.name for file in MODULES.glob(EACH_AGENT))):
         _copy(name, folder)
     write_pages(folder, tasks)
+
+
+def _drop_old_agents(folder: Path) -> None:
+    """Remove the list of agents if a module was compiled later, which they may not fit."""
+    agents = folder / AGENTS[-1]
+    compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
+    if agents.is_file() and agents.stat().st_mtime < compiled:
+        agents.unlink()
 
 
 def _copy(name: str, folder: Path) -> None:

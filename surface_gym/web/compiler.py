@@ -96,7 +96,8 @@ def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = 
     """Compile a kernel for arguments of these types; takes ten seconds to a minute.
 
     Args:
-        kernel: a compiled function that Python calls, and which returns an integer.
+        kernel: a compiled function that Python calls, and which returns an integer or nothing;
+            then the module returns 0.
         arguments: arrays, numbers, and named tuples of them.
         file: of the module, which is read if it is of this source, and else written.
     """
@@ -169,6 +170,7 @@ def _entry(name: str, kinds: list[str]) -> str:
 declare i32 @"{name}"({", ".join(kinds)})
 define i32 @step(ptr %words) {{
   %result = alloca i64
+  store i64 0, ptr %result
   %error = alloca ptr
 {words}
   %status = call i32 @"{name}"(ptr %result, ptr %error, {given})

@@ -1,8 +1,11 @@
 """A browser, and the pages it opens, served as they are built."""
 
+import contextlib
+import io
 import json
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,8 @@ from surface_gym.web.server import Server
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WIDE, NARROW = (1400, 900), (400, 800)
+PAGE = "playground.html"
+STILL: dict[str, Any] = {"reduced_motion": "reduce"}  # so that the first scene waits
 
 
 @pytest.fixture(scope="module")  # while Playwright is there, no other test can run a loop of events
@@ -104,3 +109,56 @@ def visit(browser: Any, site: Site) -> Iterator[Callable[..., Any]]:
     for page in pages:
         page.context.close()
     assert wrong == []
+
+
+@pytest.fixture
+def play(site: Site, visit: Callable[..., Any]) -> Callable[..., Any]:
+    """Open the playground, with the tasks named, when it is there."""
+
+    def opened(*tasks: str, address: str = PAGE, **options: Any) -> Any:
+        site.add("sort", *tasks)
+        page = visit(address, **{**STILL, **options})
+        page.wait_for_selector("canvas")
+        return page
+
+    return opened
+
+
+def open_sort(play: Callable[..., Any]) -> Any:
+    """Open the playground at Sort."""
+    page = play()
+    page.select_option("#task", "sort")
+    wait_for(page, "playground.scene.task === 'sort'")
+    return page
+
+
+def wait_for(page: Any, what: str, most: float = 15.0) -> None:
+    """Wait until an expression is true; the page's policy allows Playwright's own way not."""
+    end = time.monotonic() + most
+    while not page.evaluate(what):
+        assert time.monotonic() < end, f"{what} has not come about: {page.inner_text('body')}"
+        page.wait_for_timeout(30)
+
+
+def end_states(page: Any) -> list[list[float]]:
+    """Run to the end; return the last time, pose and velocity of each parcel."""
+    found: list[list[float]] = page.evaluate(
+        """() => {
+          const { run } = playground.shown[0];
+          playground.pause();
+          while (run.advance());
+          return run.tracks.map(({ times, motion }) => [times.at(-1), ...motion.slice(-6)]);
+        }"""
+    )
+    return found
+
+
+def run_script(page: Any) -> list[list[str]]:
+    """Run the page's Python script; return what it prints."""
+    with page.expect_download() as saved:
+        page.click("#python")
+    script = saved.value.path().read_text()
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(compile(script, "script", "exec"), {})
+    return [line.split() for line in said.getvalue().splitlines()]

@@ -1,11 +1,7 @@
 """The playground in a browser: each control, each task, thrown parcels, scenes shared and bad."""
 
-import contextlib
-import io
 import json
 import math
-import time
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,23 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.registration import PERIODS
 from surface_gym.web.scene import Scene, TaskScene, Thrown, pack
-from tests.web.conftest import NARROW, WIDE
-
-PAGE = "playground.html"
-STILL: dict[str, Any] = {"reduced_motion": "reduce"}  # so that the first scene waits
-
-
-@pytest.fixture
-def play(site, visit):
-    """Open the playground, with the tasks named, when it is there."""
-
-    def opened(*tasks, address=PAGE, **options):
-        site.add("sort", *tasks)
-        page = visit(address, **{**STILL, **options})
-        page.wait_for_selector("canvas")
-        return page
-
-    return opened
+from tests.web.conftest import NARROW, WIDE, end_states, open_sort, run_script, wait_for
 
 
 @pytest.fixture
@@ -39,14 +19,6 @@ def table(play):
     page.select_option("#task", "table")
     wait_for(page, "playground.scene.parcels.length === 0")
     return page
-
-
-def wait_for(page, what, most=15.0):
-    """Wait until an expression is true; the page's policy allows Playwright's own way not."""
-    end = time.monotonic() + most
-    while not page.evaluate(what):
-        assert time.monotonic() < end, f"{what} has not come about: {page.inner_text('body')}"
-        page.wait_for_timeout(30)
 
 
 def scene(page):
@@ -76,29 +48,6 @@ def share(page):
 
 def set_slider(page, name, value):
     page.locator(name).fill(str(value))
-
-
-def end_states(page):
-    """Run to the end; return the last time, pose and velocity of each parcel."""
-    return page.evaluate(
-        """() => {
-          const { run } = playground.shown[0];
-          playground.pause();
-          while (run.advance());
-          return run.tracks.map(({ times, motion }) => [times.at(-1), ...motion.slice(-6)]);
-        }"""
-    )
-
-
-def run_script(page):
-    """Run the page's Python script; return what it prints."""
-    with page.expect_download() as saved:
-        page.click("#python")
-    script = saved.value.path().read_text()
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        exec(compile(script, "script", "exec"), {})
-    return [line.split() for line in said.getvalue().splitlines()]
 
 
 def assert_same(page):
@@ -407,34 +356,6 @@ def test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python(play, task)
         assert truth == [float(each) for each in more[-6:]]
 
 
-def open_sort(play):
-    page = play()
-    page.select_option("#task", "sort")
-    wait_for(page, "playground.scene.task === 'sort'")
-    return page
-
-
-def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):
-    page = open_sort(play)
-    page.select_option("#agent", "all at 45°")
-    page.select_option("#beside", "all at \N{MINUS SIGN}45°")
-    wait_for(page, "playground.shown.length === 2")
-    page.click("#start")
-    wait_for(page, "playground.shown.every(({ run }) => run.over)")
-    ends = page.evaluate("playground.shown.map(({ run }) => run.over)")
-    assert set(ends) == {"wrong side", "success"}
-    page.click("#again")
-    page.click("#step")
-    page.locator("canvas").first.focus()
-    page.keyboard.press("1")
-    page.click("#step")
-    page.click("#step")
-    assert page.input_value("#agent") == "you"
-    axes = page.evaluate("playground.shown.map(({ run }) => [...run.frame().axes])")
-    assert axes[0].count(0) == 32
-    assert axes[1].count(0) == 0
-
-
 def test_keys_turn_the_modules_ahead_of_the_parcel_or_behind_it(play):
     page = open_sort(play)
     for _ in range(10):
@@ -523,67 +444,3 @@ def test_a_theme_and_zoom(play):
     wait_for(page, f"playground.shown[0].picture.scale > {before}")
     page.click("#fit")
     assert page.evaluate("playground.shown[0].picture.scale") == pytest.approx(before)
-
-
-def test_policies_and_layouts_act_in_the_page_as_in_python(play, site):
-    import gymnasium as gym
-
-    from surface_gym.agents import library
-    from surface_gym.agents.export.web import write_agents
-    from surface_gym.agents.rules.sorting import BestSorting
-    from surface_gym.config import EnvConfig
-
-    site.add("sort")
-    write_agents(site.folder)
-    page = play()
-    page.select_option("#task", "sort")
-    wait_for(page, "playground.agents.names('sort').includes('sort-dqn')")
-    for name in ("sort-ppo", "sort-dqn", "best fixed layout"):
-        is_policy = name.startswith("sort-")
-        env = gym.make("SmartSurface/Sort-v0", actions="halves" if is_policy else "modules")
-        agent = library.load(name) if is_policy else BestSorting(EnvConfig("sort"))
-        for seed in (0, 1, 5):
-            observation, info = env.reset(seed=seed)
-            state, over = None, False
-            while not over:
-                action, state = agent.predict(observation, state, deterministic=True)
-                observation, _, terminated, truncated, info = env.step(action)
-                over = terminated or truncated
-            page.evaluate(f"playground.reopen({{ seed: {seed}, agent: '{name}' }})")
-            ((time, *motion),) = end_states(page)
-            assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
-            assert page.evaluate("playground.shown[0].run.over") == info["outcome"].name
-
-
-@pytest.mark.parametrize("name", ["event rule", "sort-ppo"])
-def test_modules_of_a_stream_obey_the_parcels_as_in_python(play, site, name):
-    import gymnasium as gym
-
-    from surface_gym.agents.export.web import write_agents
-    from surface_gym.agents.rules.streams import SortEach, StreamEventRule
-    from surface_gym.config import EnvConfig
-
-    site.add("sort", "flow")
-    write_agents(site.folder)
-    config = EnvConfig("flow", actions="parcels")
-    rule = StreamEventRule(config) if name == "event rule" else SortEach(config)
-    env = gym.make("SmartSurface/Flow-v0", actions="parcels")
-    table, info = env.reset(seed=2)
-    rewards = 0.0
-    for _ in range(300):
-        action, _ = rule.predict(table)
-        table, reward, terminated, _, info = env.step(action)
-        rewards += float(reward)
-        if terminated:  # parcels have jammed
-            break
-    assert info["right"] > 0
-    page = play("flow", address=TaskScene("flow", 2, name).url())
-    run = page.evaluate(
-        """() => {
-          const { run } = playground.shown[0];
-          for (let k = 0; k < 300 && !run.over; k++) run.advance();
-          return [run.rewards, run.time, ...run.machine.view("streams.tally")].map(Number);
-        }"""
-    )
-    tally = [info[each] for each in ("entered", "right", "wrong", "touches")]
-    assert run[:6] == [rewards, info["time"], *tally]

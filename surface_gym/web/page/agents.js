@@ -1,14 +1,17 @@
 /** Who acts in a task: the player, layouts that stay, and the agents of `agents.json`, if any. */
 
-import { get } from "./machine.js";
+import { get, Machine } from "./machine.js";
+import { ModulesPolicy } from "./modules.js";
+import { Obeying } from "./obeying.js";
 import { ParcelAgent } from "./parcels.js";
 import { Policy } from "./policy.js";
+import { ParcelPolicy, SlopeRule } from "./slopes.js";
 
 export const YOU = "you";
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
 
 /** Keeps what the player sets. */
-class Player {
+export class Player {
   act() {}
 }
 
@@ -38,10 +41,15 @@ class Layout {
 
 /** Which agents there are of the tasks, by name. */
 export class Agents {
-  /** @param {object|null} file the content of agents.json @param {ArrayBuffer|null} weights */
-  constructor(file, weights) {
+  /**
+   * @param {object|null} file the content of agents.json
+   * @param {ArrayBuffer|null} weights of policies of single parcels
+   * @param {string} [folder] of what other agents are made of, ending in "/"
+   */
+  constructor(file, weights, folder = "") {
     this.file = file ?? {};
-    this.weights = weights;
+    this.weights = weights && new Float32Array(weights);
+    this.folder = folder;
   }
 
   /** Load them from beside the page. */
@@ -50,14 +58,15 @@ export class Agents {
       get(`${folder}agents.json`, "json"),
       get(`${folder}agents.bin`, "arrayBuffer"),
     ]);
-    return new Agents(file, weights);
+    return new Agents(file, weights, folder);
   }
 
   /** List the names of a task's agents. */
   names(task) {
-    const { layouts = {}, policies = {}, parcels = {} } = this.file[task] ?? {};
+    const { layouts = {}, policies = {}, parcels = {}, slopes = {} } = this.file[task] ?? {};
     return [
       YOU,
+      ...Object.keys(slopes),
       ...Object.keys(parcels),
       ...Object.keys(policies),
       ...Object.keys(layouts),
@@ -65,12 +74,39 @@ export class Agents {
     ];
   }
 
-  /** Make an agent; one of no such name keeps what there is. */
-  make(task, name) {
-    const { layouts = {}, policies = {}, parcels = {} } = this.file[task] ?? {};
-    if (Object.hasOwn(parcels, name)) return new ParcelAgent(parcels[name], this.weights);
+  /** Make an agent for a task's machine, and load what it is made of; of no such name, a player. */
+  async make(task, name, machine) {
+    const {
+      layouts = {},
+      policies = {},
+      parcels = {},
+      slopes = {},
+      obeying,
+    } = this.file[task] ?? {};
+    if (Object.hasOwn(slopes, name)) return this._onSlope(slopes[name], obeying, machine);
+    if (Object.hasOwn(parcels, name))
+      return new ParcelAgent(parcels[name], this.weights, await this._obeying(obeying, machine));
     if (Object.hasOwn(policies, name)) return new Policy(policies[name], this.weights);
     if (Object.hasOwn(layouts, name)) return new Layout(layouts[name]);
     return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
+  }
+
+  async _onSlope(card, obeying, machine) {
+    const { folder } = this;
+    const [own, weights, follows] = await Promise.all([
+      Machine.load(card.machine, folder, card.code),
+      card.weights ? get(`${folder}${card.weights}`, "arrayBuffer") : null,
+      card.kind === "modules" ? null : this._obeying(obeying, machine),
+    ]);
+    if (card.kind === "rule") return new SlopeRule(card, own, follows);
+    const numbers = new Float32Array(weights);
+    return card.kind === "modules"
+      ? new ModulesPolicy(card, own, numbers)
+      : new ParcelPolicy(card, own, follows, numbers);
+  }
+
+  async _obeying(card, machine) {
+    const code = await get(`${this.folder}${card.code}.wasm`, "arrayBuffer");
+    return Obeying.make(card, code, machine);
   }
 }

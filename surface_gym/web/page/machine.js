@@ -39,17 +39,18 @@ export class Machine {
    * Load the files of a task; `starts` too where it has any.
    * @param {string} name such as "sort" or "table"
    * @param {string} [folder] where the files are, ending in "/"
+   * @param {string} [code] name of the module, where several machines share one
    */
-  static async load(name, folder = "") {
+  static async load(name, folder = "", code = name) {
     if (typeof WebAssembly !== "object")
       throw new PlainError("This browser has no WebAssembly, which the physics runs in.");
-    const [layout, block, code] = await Promise.all([
+    const [layout, block, module] = await Promise.all([
       get(`${folder}${name}.json`, "json"),
       get(`${folder}${name}.bin`, "arrayBuffer"),
-      get(`${folder}${name}.wasm`, "arrayBuffer"),
+      get(`${folder}${code}.wasm`, "arrayBuffer"),
     ]);
     const starts = layout.starts ? await get(`${folder}${name}.starts`, "arrayBuffer") : null;
-    return Machine.make(name, layout, block, code, starts);
+    return Machine.make(name, layout, block, module, starts);
   }
 
   /** Make a machine of the content of its files. */

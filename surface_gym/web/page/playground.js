@@ -1,6 +1,6 @@
 /** The playground: a scene on the page, run, drawn, changed by the reader, and shared. */
 
-import { Agents, YOU } from "./agents.js";
+import { Agents, Player, YOU } from "./agents.js";
 import { brushed, chosenAngle, chosenParcel, find, number } from "./controls.js";
 import { Picture } from "./draw.js";
 import { connect, fillForm, firstScene } from "./form.js";
@@ -54,12 +54,15 @@ class Playground {
       ...names.map((_, k) => this._machine(scene.task, k)),
     ]);
     this.agents = agents;
+    const acting = await Promise.all(
+      isTable ? [] : names.map((name, k) => agents.make(scene.task, name, machines[k])),
+    );
     if (opening !== this.opening) return; // another was opened meanwhile
     this._checkSeed(scene, machines[0]);
     const runs = machines.map((machine, k) => {
       if (isTable) return new TableRun(machine, scene);
       const own = k === 0 ? scene : { ...structuredClone(scene), agent: names[k], commands: [] };
-      return new TaskRun(machine, own, this.agents.make(scene.task, names[k]));
+      return new TaskRun(machine, own, acting[k]);
     });
     this.scene = scene;
     for (const { picture } of this.shown) picture.dispose();
@@ -291,7 +294,7 @@ class Playground {
   _takeOver(run) {
     if (run.scene.agent === YOU) return;
     run.scene.agent = YOU;
-    run.agent = this.agents.make(run.scene.task, YOU);
+    run.agent = new Player();
     const shown = this.shown.find((each) => each.run === run);
     shown.name = YOU;
     if (run === this.shown[0].run) find("agent").value = YOU;

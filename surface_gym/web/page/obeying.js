@@ -1,0 +1,40 @@
+/** Which parcel each module obeys: the kernel's own function, compiled into a module by itself. */
+
+import { Machine, PlainError } from "./machine.js";
+
+export class Obeying {
+  /**
+   * @param {{code: string, signature: string}} card
+   * @param {ArrayBuffer} code
+   * @param {Machine} machine of the task, whose arguments the function takes
+   */
+  static async make(card, code, machine) {
+    const { name, layout, block } = machine;
+    if (card.signature !== layout.signature)
+      throw new PlainError(`${card.code}.wasm and ${name}.json are not of one build.`);
+    return new Obeying(await Machine.make(card.code, layout, block, code));
+  }
+
+  constructor(machine) {
+    this.machine = machine;
+  }
+
+  /**
+   * Let modules follow the parcels that they will bear; those of none stay as they are.
+   * @param {import("./task.js").TaskRun} run
+   * @param {ArrayLike<number>} halves choices for the modules ahead of the centre of the parcel in
+   *   each row, and for those behind it
+   */
+  act(run, halves) {
+    const { machine, about, columns } = run;
+    this.machine.restore(machine.save());
+    this.machine.step();
+    const sensed = machine.view("parcels.sensed");
+    this.machine.view("streams.owner").forEach((row, module) => {
+      if (row < 0) return;
+      const x = about.origin[0] + about.pitch[0] * (module % columns);
+      const behind = x < sensed[6 * row] ? 1 : 0;
+      run.want(run.partOf(module), halves[2 * row + behind], false);
+    });
+  }
+}

@@ -1,0 +1,260 @@
+"""Agents in the playground act as in Python: the same runs to the bit, or the same choices."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from surface_gym.agents import library
+from surface_gym.agents.export.web import write_agents
+from surface_gym.agents.library import PolicyCard
+from surface_gym.agents.local_policy import LocalNetwork
+from surface_gym.agents.policy import save_policy
+from surface_gym.agents.rules.sequencing import PassAndPark
+from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
+from surface_gym.agents.rules.sorting import BestSorting
+from surface_gym.agents.rules.streams import SortEach, StreamEventRule
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.registration import ON_SLOPES, env_id
+from surface_gym.web.scene import TaskScene
+from tests.web.conftest import Site, end_states, open_sort, run_script, wait_for
+
+PERIODS = 300
+RULES = [
+    ("singulate", "time slots", TimeSlots),
+    ("singulate", "hold and release", HoldAndRelease),
+    ("merge", "time slots", TimeSlots),
+    ("sequence", "pass and park", PassAndPark),
+]
+TIE = 1e-4  # of two shares that rounding may tell apart either way
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The agents that ship, and one per module of each task on a slope, whose weights are drawn."""
+    folder = tmp_path_factory.mktemp("shelf")
+    shutil.copytree(library.SHELF, folder, dirs_exist_ok=True)
+    torch.manual_seed(0)
+    for task in ON_SLOPES:
+        card = PolicyCard(env_id(task), "local", "modules", 0.04, (16,))
+        save_policy(LocalNetwork(4, card.hidden), card, folder / f"{task}-drawn" / "seed-0")
+        (folder / f"{task}-drawn" / "card.yaml").write_text("command: none\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "SHELF", folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def written(site: Site, shelf: Path) -> set[str]:
+    """The tasks whose agents are beside the pages."""
+    assert shelf == library.SHELF
+    (site.folder / "agents.json").unlink(missing_ok=True)
+    return set()
+
+
+@pytest.fixture
+def agents(site: Site, written: set[str], play: Any) -> Any:
+    """Open the playground at a scene of a task, which has all agents there are."""
+
+    def opened(scene: TaskScene) -> Any:
+        site.add("sort", scene.task)
+        if scene.task not in written:
+            write_agents(site.folder)
+            written.add(scene.task)
+        return play(address=scene.url())
+
+    return opened
+
+
+def test_policies_and_layouts_act_in_the_page_as_in_python(agents):
+    page = agents(TaskScene("sort"))
+    wait_for(page, "playground.agents.names('sort').includes('sort-dqn')")
+    for name in ("sort-ppo", "sort-dqn", "best fixed layout"):
+        is_policy = name.startswith("sort-")
+        env = gym.make("SmartSurface/Sort-v0", actions="halves" if is_policy else "modules")
+        agent = library.load(name) if is_policy else BestSorting(EnvConfig("sort"))
+        for seed in (0, 1, 5):
+            observation, info = env.reset(seed=seed)
+            state, over = None, False
+            while not over:
+                action, state = agent.predict(observation, state, deterministic=True)
+                observation, _, terminated, truncated, info = env.step(action)
+                over = terminated or truncated
+            page.evaluate(f"playground.reopen({{ seed: {seed}, agent: '{name}' }})")
+            ((time, *motion),) = end_states(page)
+            assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
+            assert page.evaluate("playground.shown[0].run.over") == info["outcome"].name
+
+
+def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):
+    page = open_sort(play)
+    page.select_option("#agent", "all at 45°")
+    page.select_option("#beside", "all at \N{MINUS SIGN}45°")
+    wait_for(page, "playground.shown.length === 2")
+    page.click("#start")
+    wait_for(page, "playground.shown.every(({ run }) => run.over)")
+    ends = page.evaluate("playground.shown.map(({ run }) => run.over)")
+    assert set(ends) == {"wrong side", "success"}
+    page.click("#again")
+    page.click("#step")
+    page.locator("canvas").first.focus()
+    page.keyboard.press("1")
+    page.click("#step")
+    page.click("#step")
+    assert page.input_value("#agent") == "you"
+    axes = page.evaluate("playground.shown.map(({ run }) => [...run.frame().axes])")
+    assert axes[0].count(0) == 32
+    assert axes[1].count(0) == 0
+
+
+def run_in_python(task: str, agent: Any, seed: int) -> list[float]:
+    """Run an agent that decides for each parcel; return the reward, the time, what was counted,
+    and where the parcels are that are there.
+    """
+    env = gym.make(env_id(task), actions="parcels")
+    table, info = env.reset(seed=seed)
+    rewards, state = 0.0, None
+    for _ in range(PERIODS):
+        action, state = agent.predict(table, state)
+        table, reward, terminated, _, info = env.step(action)
+        rewards += float(reward)
+        if terminated:  # parcels have jammed
+            break
+    assert info["right"] > 0
+    batch = env.unwrapped.batch
+    tally = [info[each] for each in ("entered", "right", "wrong", "touches")]
+    return [rewards, info["time"], *tally, *batch.parcels.truth[batch.streams.present[0]].flat]
+
+
+def run_in_page(page: Any) -> list[float]:
+    """Run the page's scene for as long; return the same numbers."""
+    found: list[float] = page.evaluate(
+        """(periods) => {
+          const { run } = playground.shown[0];
+          playground.pause();
+          while (run.period < periods && !run.over) run.advance();
+          const there = run.machine.view("streams.present");
+          const truth = [...run.machine.view("parcels.truth")];
+          const tally = [...run.machine.view("streams.tally")].slice(0, 4).map(Number);
+          return [run.rewards, run.time, ...tally,
+            ...truth.filter((_, k) => there[Math.floor(k / 6)])];
+        }""",
+        PERIODS,
+    )
+    return found
+
+
+@pytest.mark.parametrize("name", ["event rule", "sort-ppo"])
+def test_modules_of_a_stream_obey_the_parcels_as_in_python(agents, name):
+    config = EnvConfig("flow", actions="parcels")
+    rule = StreamEventRule(config) if name == "event rule" else SortEach(config)
+    page = agents(TaskScene("flow", 2, name))
+    assert run_in_page(page) == run_in_python("flow", rule, 2)
+
+
+@pytest.mark.parametrize(("task", "name", "rule"), RULES)
+def test_a_rule_on_a_slope_runs_as_in_python_again_too(agents, task, name, rule):
+    page = agents(TaskScene(task, 2, name))
+    wanted = run_in_python(task, rule(EnvConfig(task, actions="parcels")), 2)
+    assert len(wanted) > 6 + 6 * 2  # some parcels are on their way
+    assert run_in_page(page) == wanted
+    page.click("#again")
+    assert run_in_page(page) == wanted
+
+
+def watch(page: Any, chosen: str) -> list[tuple[list[float], list[int]]]:
+    """Run the page's scene; list each table, and what was chosen by it, by an expression."""
+    seen: list[tuple[list[float], list[int]]] = page.evaluate(
+        f"""(periods) => {{
+          const {{ run }} = playground.shown[0];
+          const seen = [];
+          playground.pause();
+          while (run.period < periods && !run.over) {{
+            const table = [...run.machine.view("parcels.observation")];
+            run.advance();
+            seen.push([table, [...{chosen}]]);
+          }}
+          return seen;
+        }}""",
+        PERIODS,
+    )
+    return seen
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_a_policy_of_parcels_chooses_as_in_python(agents, task):
+    config = EnvConfig(task, actions="parcels")
+    policy, state = library.load(f"{task}-parcels", config=config), None
+    options = len(config.chosen_orientations)
+    compared = 0
+    page = agents(TaskScene(task, 2, f"{task}-parcels"))
+    for numbers, chosen in watch(page, "run.agent.chosen"):
+        table = np.array(numbers, dtype=np.float32).reshape(config.rows, -1)
+        action, state = policy.predict(table, state)
+        there = table[:, ta.PRESENT] > 0.5
+        ours, theirs = action.reshape(-1, 2)[there], np.array(chosen).reshape(-1, 2)[there]
+        compared += len(ours)
+        if (ours != theirs).any():  # rounding has tipped one, and what follows is another run
+            due = state.due[0, there]
+            each, place = np.arange(len(ours)), np.array([options, 1])
+            owed = [due[each, ours @ place] + 1.0, due[each, theirs @ place]]
+            assert ((owed[0] - owed[1])[(ours != theirs).any(axis=1)] < TIE).all()
+            break
+    assert compared > 300
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_a_policy_of_modules_chooses_as_in_python(agents, task):
+    config = EnvConfig(task)
+    policy = library.load(f"{task}-drawn", config=config)
+    page = agents(TaskScene(task, 2, f"{task}-drawn"))
+    tables, chosen = zip(*watch(page, "run.wanted"), strict=True)
+    seen = np.array(tables, dtype=np.float32).reshape(len(tables), config.rows, -1)
+    actions, _ = policy.predict(seen)
+    moved = (actions != 3).sum()
+    assert moved > 1000
+    assert (actions != np.array(chosen)).sum() <= TIE * moved
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_an_agent_is_loaded_as_it_is_chosen_and_its_script_gives_the_same_run(agents, task):
+    page = agents(TaskScene(task, 1))
+    asked: list[str] = []
+    page.on("request", lambda each: asked.append(each.url.rpartition("/")[2]))
+    page.select_option("#agent", f"{task}-parcels")
+    wait_for(page, f"playground.shown[0].name === '{task}-parcels'")
+    assert f"agent-{task}-parcels.bin" in asked
+    assert f"agent-{task}-drawn.bin" not in asked
+    page.select_option("#beside", f"{task}-drawn")
+    wait_for(page, "playground.shown.length === 2")
+    assert f"agent-{task}-drawn.bin" in asked
+    page.evaluate(
+        """() => {
+          for (let k = 0; k < 60; k++) for (const { run } of playground.shown) run.advance();
+          const [{ run }] = playground.shown;
+          playground.turn(run, run.modules().slice(0, 40), 0);
+          for (let k = 0; k < 10; k++) run.advance();
+          playground.isStale = true;
+        }"""
+    )
+    assert page.evaluate("playground.shown.map(({ name }) => name)") == ["you", f"{task}-drawn"]
+    ((rewards, clock, *_),) = run_script(page)
+    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
+    assert run == [float(rewards), float(clock)]
+
+
+def test_without_agents_a_task_on_a_slope_has_the_player_and_layouts(site, written, play):
+    written.clear()
+    (site.folder / "agents.json").unlink(missing_ok=True)
+    page = play("singulate")
+    page.select_option("#task", "singulate")
+    wait_for(page, "playground.scene.task === 'singulate'")
+    names = page.locator("#agent option").all_inner_texts()
+    assert names[0] == "you"
+    assert all(name.startswith("all at") for name in names[1:])
