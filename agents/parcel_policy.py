@@ -28,7 +28,11 @@ APART = (2.0, 1.4, 2.0)  # of two parcels, [m] along and across and [m/s], that 
 PAIR = 5  # numbers that say how two parcels lie to each other
 PRIOR = 6.0  # logit of what the rule proposes, before learning: 0.96 of all choices
 SMALL = 0.01  # [-] of the usual first weights of the last layer
-RULES = {"singulate": TimeSlots, "merge": TimeSlots, "sequence": PassAndPark}
+RULES: dict[str, type[SlopeRule]] = {
+    "singulate": TimeSlots,
+    "merge": TimeSlots,
+    "sequence": PassAndPark,
+}
 
 
 class ParcelValues(NamedTuple):

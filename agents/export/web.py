@@ -50,10 +50,10 @@ from .home import write_home
 from .policy import NetworkDecision, network_decision, shipped
 
 ALGOS = ("ppo", "dqn")
-SINGLE = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
+SINGLE: dict[str, type[SlopeRule]] = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
 RULES_ON_SLOPES: dict[str, dict[str, type[SlopeRule]]] = {
-    "singulate": {**SINGLE},
-    "merge": {**SINGLE},
+    "singulate": SINGLE,
+    "merge": SINGLE,
     "sequence": {"pass and park": PassAndPark},
 }
 Card = dict[str, Any]  # as `page/agents.js` reads it

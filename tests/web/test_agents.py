@@ -252,9 +252,9 @@ def test_an_agent_is_loaded_as_it_is_chosen_and_its_script_gives_the_same_run(ag
 def test_without_agents_a_task_on_a_slope_has_the_player_and_layouts(site, written, play):
     written.clear()
     (site.folder / "agents.json").unlink(missing_ok=True)
-    page = play("singulate")
-    page.select_option("#task", "singulate")
-    wait_for(page, "playground.scene.task === 'singulate'")
+    page = play("merge")
+    page.select_option("#task", "merge")
+    wait_for(page, "playground.scene.task === 'merge'")
     names = page.locator("#agent option").all_inner_texts()
     assert names[0] == "you"
     assert all(name.startswith("all at") for name in names[1:])

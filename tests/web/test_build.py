@@ -84,6 +84,19 @@ def test_modules_of_another_version_are_written_again(package, capsys):
     assert not (package / AGENTS[-1]).exists()
 
 
+def test_agents_that_were_written_before_a_module_are_written_again(package, monkeypatch):
+    update_modules()
+    monkeypatch.setattr(build, "IN_CHECKOUT", True)
+    monkeypatch.setattr(build, "write_task", lambda task, _: task)
+    agents = package / AGENTS[-1]
+    compiled = max(each.stat().st_mtime for each in package.glob("*.wasm"))
+    for age, stays in ((-10.0, True), (10.0, False)):
+        agents.write_text("agents")
+        os.utime(agents, (compiled - age, compiled - age))
+        update_modules()
+        assert agents.exists() == stays
+
+
 @pytest.mark.usefixtures("package")
 def test_a_checkout_looks_whether_its_source_was_edited(monkeypatch, capsys):
     monkeypatch.setattr(build, "IN_CHECKOUT", True)
@@ -102,7 +115,8 @@ def test_where_the_package_cannot_be_written_the_home_folder_is(package, monkeyp
 
 def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys):
     prepare_all()
-    for name in AGENTS:
+    agents = {*AGENTS, "agent-time-slots.wasm"}
+    for name in agents:
         (package / name).write_text("agents")
     capsys.readouterr()
     folder = tmp_path / "deep" / "site"
@@ -111,7 +125,7 @@ def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys)
         "1/3  table kept", "2/3  sort kept", "3/3  flow kept",
     ]  # fmt: skip
     files = {f"{task}.{kind}" for task in ("table", "sort", "flow") for kind in ("wasm", "json")}
-    assert names(folder) == names(PAGE) | files | {SITE, *AGENTS}
+    assert names(folder) == names(PAGE) | files | {SITE, *agents}
     site = json.loads((folder / SITE).read_text())
     assert site == {"version": __version__, "tasks": ["sort", "flow"], "agents": True}
 

@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.registration import PERIODS
 from surface_gym.web.scene import Scene, TaskScene, Thrown, pack
-from tests.web.conftest import NARROW, WIDE, end_states, open_sort, run_script, wait_for
+from tests.web.conftest import NARROW, PAGE, WIDE, end_states, open_sort, run_script, wait_for
 
 
 @pytest.fixture

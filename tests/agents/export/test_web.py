@@ -1,29 +1,44 @@
 """Agents for the playground: their files hold the networks and the layouts, for tasks there are."""
 
 import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from surface_gym.agents import library
+from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
+from surface_gym.web.compiler import Module
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("site")
-    (made / "site.json").write_text('{"tasks": ["sort", "flow"], "agents": false}')
-    main([str(made)])
+    (made / "site.json").write_text('{"tasks": ["sort", "flow", "merge"], "agents": false}')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(web, "compile_module", write_nothing)
+        main([str(made)])
     return made
+
+
+def write_nothing(kernel: Any, arguments: tuple[Any, ...], file: Path) -> Module:
+    """Write a module without code."""
+    assert callable(kernel)
+    assert arguments
+    file.touch()
+    return Module(b"", "")
 
 
 def test_it_has_the_agents_of_the_site_s_tasks_that_see_what_the_page_shows(folder):
     assert json.loads((folder / "site.json").read_text())["agents"]
     agents = json.loads((folder / "agents.json").read_text())
-    assert list(agents) == ["sort", "flow"]
+    assert list(agents) == ["sort", "flow", "merge"]
     assert set(agents["flow"]["parcels"]) == {"event rule", "sort-ppo"}
     assert set(agents["sort"]["policies"]) == {"sort-ppo", "sort-dqn"}
     assert set(agents["sort"]["layouts"]) == {"fixed layout", "best fixed layout"}
@@ -53,3 +68,30 @@ def test_a_layout_is_what_the_rule_chooses_at_the_seed_s_start(folder):
         wanted, _ = rule.predict(env.reset(seed=seed)[0])
         choices = [choice for choice, many in layouts[seed] for _ in range(many)]
         assert choices == wanted.tolist()
+
+
+def test_agents_on_a_slope_are_the_rules_and_those_that_ship_each_with_its_files(folder):
+    agents = json.loads((folder / "agents.json").read_text())["merge"]
+    assert (folder / f"{agents['obeying']['code']}.wasm").is_file()
+    learned = [each for each in library.names() if each.startswith("merge-")]
+    assert "merge-parcels" in learned
+    assert list(agents["slopes"]) == ["time slots", "hold and release", *learned]
+    for name, card in agents["slopes"].items():
+        assert card["kind"] == "rule" or card["weights"] == f"agent-{name}.bin"
+        layout = json.loads((folder / f"{card['machine']}.json").read_text())
+        assert layout["bytes"] == (folder / f"{card['machine']}.bin").stat().st_size
+        assert (folder / f"{card['code']}.wasm").is_file()
+
+
+def test_weights_of_an_agent_on_a_slope_are_those_of_its_layers_and_no_more(folder):
+    card = json.loads((folder / "agents.json").read_text())["merge"]["slopes"]["merge-parcels"]
+    weights = np.fromfile(folder / card["weights"], "<f4")
+    network = library.load("merge-parcels")._network.state_dict()
+    layers = [*card["encoder"], *card["actor"], card["attend"], card["pair"]]
+    names = ["encoder.0", "encoder.2", "actor.0", "actor.2", "attend", "pair"]
+    for name, (inputs, outputs, place) in zip(names, layers, strict=True):
+        matrix, bias = (network[f"{name}.{each}"].numpy() for each in ("weight", "bias"))
+        assert matrix.shape == (outputs, inputs)
+        found = weights[place : place + matrix.size + bias.size]
+        assert found.tolist() == [*matrix.ravel().tolist(), *bias.tolist()]
+    assert weights.size == sum((inputs + 1) * outputs for inputs, outputs, _ in layers)
