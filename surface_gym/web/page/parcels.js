@@ -14,7 +14,11 @@ import { Policy } from "./policy.js";
  */
 
 export class ParcelAgent {
-  /** @param {Card} card @param {Float32Array} weights @param {import("./obeying.js").Obeying} obeying */
+  /**
+   * @param {Card} card
+   * @param {Float32Array} weights of all policies
+   * @param {import("./obeying.js").Obeying} obeying
+   */
   constructor(card, weights, obeying) {
     this.card = card;
     this.policy = card.policy && new Policy(card.policy, weights);

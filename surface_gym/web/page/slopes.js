@@ -1,6 +1,6 @@
 /**
- * Agents on a slope, which decide for each parcel: rules, whose compiled functions come from the same
- * source as on the CPU, and policies that correct a rule.
+ * Agents on a slope, which decide for each parcel: rules, whose compiled functions come from the
+ * same source as on the CPU, and policies that correct a rule.
  */
 
 import { linear, perceptron, relu } from "./policy.js";
