@@ -96,8 +96,13 @@ def describe_table() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_home(folder: Path) -> None:
-    """Write the comparison beside the modules of a site."""
+def write_home(folder: Path, obeying: dict[str, Any]) -> None:
+    """Write the comparison beside the modules of a site.
+
+    Args:
+        folder: of the site.
+        obeying: describes the function that finds the parcel that each module of Flow obeys.
+    """
     batch = place_stream(make_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)
     layout = {
@@ -105,6 +110,7 @@ def write_home(folder: Path) -> None:
         "scene": describe(batch),
         "starts": {"fields": [], "marks": [goal_marks(batch)]},  # the image is the only start
         "warmUp": WARM_UP,
+        "obeying": obeying,
         "table": describe_table(),
         "lines": [describe_schedule(each) for each in make_schedulers()],
     }

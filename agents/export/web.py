@@ -269,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path, help="that `surface-gym web` has written")
     folder = parser.parse_args(arguments).folder
     write_agents(folder)
-    write_home(folder)
+    write_home(folder, write_obeying(FLOW_TASK, folder))
 
 
 if __name__ == "__main__":

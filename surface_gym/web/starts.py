@@ -124,7 +124,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
     name = config.task_name
     return {
         "task": name,
-        "file": "" if name in PERIODS else inspect.getsourcefile(type(task)),  # of a task of one's own
+        "file": "" if name in PERIODS else inspect.getsourcefile(type(task)),
         "summary": (type(task).__doc__ or "").strip().splitlines()[0],
         "rows": line.rows,
         "columns": line.columns,

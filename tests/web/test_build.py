@@ -85,16 +85,17 @@ def test_modules_of_another_version_are_written_again(package, capsys):
 
 
 def test_agents_that_were_written_before_a_module_are_written_again(package, monkeypatch):
-    update_modules()
-    monkeypatch.setattr(build, "IN_CHECKOUT", True)
     monkeypatch.setattr(build, "write_task", lambda task, _: task)
-    agents = package / AGENTS[-1]
-    compiled = max(each.stat().st_mtime for each in package.glob("*.wasm"))
-    for age, stays in ((-10.0, True), (10.0, False)):
-        agents.write_text("agents")
-        os.utime(agents, (compiled - age, compiled - age))
-        update_modules()
-        assert agents.exists() == stays
+    main([])
+    module, agents = package / "sort.wasm", package / AGENTS[-1]
+    for name, age in ((module, 10.0), (agents, 0.0)):
+        name.write_text("compiled")
+        os.utime(name, (1e9 - age, 1e9 - age))
+    main([])
+    assert agents.exists()
+    os.utime(module, (1e9 + 10.0, 1e9 + 10.0))
+    main([])
+    assert not agents.exists()
 
 
 @pytest.mark.usefixtures("package")

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.export import home
+from surface_gym.agents.export import home, web
 from surface_gym.flow.arrivals import HOUR
 from tests.docs.reading import DOCS
-from tests.web.conftest import NARROW, WIDE, Site, new_page
-from tests.web.test_playground import wait_for
+from tests.web.conftest import NARROW, WIDE, Site, new_page, wait_for
 
 PAGE = "home.html"
 STILL: dict[str, Any] = {"reduced_motion": "reduce"}
@@ -24,7 +23,7 @@ COMPARED = 400  # control periods of the stream, in which 57 boxes come
 def built(site):
     """The site with the home page's files."""
     site.add("flow")
-    home.write_home(site.folder)
+    home.write_home(site.folder, web.write_obeying("flow", site.folder))
     return site
 
 
@@ -179,8 +178,9 @@ def around(built, tmp_path_factory):
     folder = tmp_path_factory.mktemp("around")
     beside = folder / "playground"
     beside.mkdir()
+    needed = (*home.FILES, "flow.wasm", "agent-flow-obeying.wasm")
     for file in built.folder.iterdir():
-        if file.suffix in (".js", ".css", ".html") or file.name in (*home.FILES, "flow.wasm"):
+        if file.suffix in (".js", ".css", ".html") or file.name in needed:
             shutil.copy(file, beside)
     shutil.copy(DOCS / "assets" / "live.js", folder)
     (folder / "index.html").write_text(
@@ -249,8 +249,7 @@ def test_the_film_stays_where_no_playground_is_beside(read):
 
 def test_the_film_stays_where_the_lines_cannot_run(read):
     page = read(missing="flow.wasm")
-    page.wait_for_selector("#live iframe", state="attached")
-    wait_for(page.frames[1], "document.getElementById('message')?.textContent")
-    assert "flow.wasm could not be loaded" in page.frames[1].text_content("#message")
+    message = page.frame_locator("#live iframe").locator("#message")
+    message.filter(has_text="flow.wasm could not be loaded").wait_for(state="attached")
     assert page.locator("#live img").is_visible()
     assert not page.locator("iframe").is_visible()

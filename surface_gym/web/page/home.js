@@ -6,6 +6,7 @@
 import { find, number } from "./controls.js";
 import { Picture } from "./draw.js";
 import { get, Machine, PlainError } from "./machine.js";
+import { Obeying } from "./obeying.js";
 import { paintPage } from "./palette.js";
 import { Scheduler } from "./schedule.js";
 import { TaskRun } from "./task.js";
@@ -245,12 +246,14 @@ async function loadLines() {
     get("home.bin", "arrayBuffer"),
     get("flow.wasm", "arrayBuffer"),
   ]);
+  const obeyingCode = await get(`${layout.obeying.code}.wasm`, "arrayBuffer");
   const figures = document.querySelectorAll("figure");
   return Promise.all(
     layout.lines.map(async (card, k) => {
       const machine = await Machine.make("home", layout, block, code, new ArrayBuffer(0));
       const scene = { seed: 0, late: 0, stuck: [], commands: [] };
-      const run = new LineRun(machine, scene, new Scheduler(layout.table, card));
+      const obeying = await Obeying.make(layout.obeying, obeyingCode, machine);
+      const run = new LineRun(machine, scene, new Scheduler(layout.table, card, obeying));
       return new Line(run, figures[k]);
     }),
   );

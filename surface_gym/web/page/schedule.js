@@ -5,8 +5,6 @@
  * What it books and chooses is equal to the Python's to the bit.
  */
 
-import { claim } from "./parcels.js";
-
 const NOBODY = -1;
 const SHUT = 0;
 
@@ -47,9 +45,10 @@ const SHUT = 0;
  */
 
 export class Scheduler {
-  /** @param {Table} table @param {Card} card */
-  constructor(table, card) {
+  /** @param {Table} table @param {Card} card @param {import("./obeying.js").Obeying} obeying */
+  constructor(table, card, obeying) {
     this.table = table;
+    this.obeying = obeying;
     this.card = { ...card, place: card.place.map((each) => each ?? Infinity) };
   }
 
@@ -174,8 +173,8 @@ export class Scheduler {
 
   /** Let every module obey the parcel that it bears. */
   _leadByModules(run, at) {
-    const choices = this.rows.map((_, row) => this._choice(at, row));
-    for (const [module, row] of claim(run)) run.want(run.partOf(module), choices[row], false);
+    const halves = this.rows.flatMap((_, row) => Array(2).fill(this._choice(at, row)));
+    this.obeying.act(run, halves);
   }
 
   /** Let all columns of a group obey the parcel over it that is farthest along. */

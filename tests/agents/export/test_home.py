@@ -14,7 +14,7 @@ from surface_gym.web.image import BASE, compute_signature, name_arguments
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("site")
-    home.write_home(made)
+    home.write_home(made, {"code": "agent-flow-obeying"})
     return made
 
 
