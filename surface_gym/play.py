@@ -1,9 +1,9 @@
 """A surface to play with: `surface-gym play`.
 
 It serves the playground to the browser on this machine and opens it: parcels to throw, tasks to
-play, agents to watch, all by the package's own physics. Ctrl-C ends it. Where the package came
-without the compiled modules that pages need, each is made when a page first asks for it, which
-takes up to a minute, once.
+play, agents to watch, your own too, all by the package's own physics. Ctrl-C ends it. Where the
+package came without the compiled modules that pages need, each is made when a page first asks for
+it, which takes up to a minute, once.
 
 With --window it opens a window instead, which needs a display. There the keys 1 2 3 4 stand for
 axes at 0, 45, -45 and 90 deg. Space pauses, R starts again, Escape ends.
@@ -69,6 +69,8 @@ def main(arguments: list[str] | None = None) -> None:
     tasks = f"{', '.join(PERIODS)}, or in a browser your own as path/to/file.py:Class"
     first = f"to begin with: {tasks}; by default an empty table, in a window sort"
     parser.add_argument("--task", help=first)
+    watched = "folder of a training run of one parcel, whose policy acts at first"
+    parser.add_argument("--run", type=Path, help=watched)
     served = f"to serve pages at; 0: any that is free; by default {PORT}"
     parser.add_argument("--port", type=int, default=PORT, help=served)
     parser.add_argument("--no-browser", action="store_true", help="only serve, and print where")
@@ -78,19 +80,23 @@ def main(arguments: list[str] | None = None) -> None:
         is_own = options.task is not None and ":" in options.task and not options.window
         if not is_own and options.task not in (None, *PERIODS):
             raise ValueError(f"task must be one of {tasks}, got {options.task!r}")
+        if options.window and options.run is not None:
+            raise ValueError(f"run must be left out with --window, got {options.run}")
         if options.window:
             play_in_window(options.task or "sort")
         else:
-            serve(options.task, options.port, not options.no_browser)
+            serve(options.task, options.run, options.port, not options.no_browser)
     except (RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
 
 
-def serve(task: str | None, port: int, opens: bool) -> None:
+def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: shown at first, or an own one as path/to/file.py:Class; None: an empty table.
+        task: shown at first, or an own one as path/to/file.py:Class; None: an empty table, or that
+            of the run.
+        run: folder of a training run, whose policy acts at first.
         port: to listen at; 0: any that is free.
         opens: whether a browser is opened.
     """
@@ -102,16 +108,22 @@ def serve(task: str | None, port: int, opens: bool) -> None:
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         server = stack.enter_context(pages)
         page = FIRST_PAGE
-        if task is not None:
+        if task is not None or run is not None:
             from surface_gym.web.scene import TaskScene
 
-            if ":" in task:
+            beside = Path(stack.enter_context(TemporaryDirectory()))
+            server.add(beside)
+            name, agent = task, "you"
+            if task is not None and ":" in task:
                 from surface_gym.agents.library import find_task
 
-                own = Path(stack.enter_context(TemporaryDirectory()))
-                task = write_own(find_task(task), own, folder)
-                server.add(own)
-            page = TaskScene(task, tasks=(task,)).url(FIRST_PAGE)
+                name = write_own(find_task(task), beside, folder)
+            if run is not None:
+                from surface_gym.agents.export import web
+
+                name, agent = web.write_run(run, name, task, beside, folder)
+            assert name is not None  # there is a task or a run
+            page = TaskScene(name, agent=agent, tasks=(name,)).url(FIRST_PAGE)
         server.add(folder)
         if not (folder / AGENTS[-1]).is_file():
             stack.enter_context(writing_agents(folder))

@@ -47,7 +47,7 @@ from ..rules.slopes import SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
 from .home import write_home
-from .policy import NetworkDecision, network_decision, shipped
+from .policy import NetworkDecision, network_decision, of_run, shipped
 
 ALGOS = ("ppo", "dqn")
 SINGLE: dict[str, type[SlopeRule]] = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
@@ -117,6 +117,42 @@ def find_policies(weights: Weights) -> dict[str, dict[str, Card]]:
         described = describe_policy(network_decision(shipped(name)), weights)
         found.setdefault(card.task, {})[name] = described
     return found
+
+
+def write_run(
+    run: Path, name: str | None, task: str | None, folder: Path, package: Path
+) -> tuple[str, str]:
+    """Write the agents of the package's folder, and the policy of a run, into a folder.
+
+    Args:
+        run: folder of `train.py`, with a policy of a single parcel's halves.
+        name: of the task's files; None: the run's task.
+        task: as on the command line; a file in it is run.
+        folder: where to write.
+        package: that has agents, unless they are yet to be written.
+
+    Returns: name of the task's files, and of the policy.
+    """
+    own = task if task is not None and ":" in task else None
+    source = of_run(run, task=own)
+    card = source.policy.card
+    if card.algo not in ALGOS or card.observe or card.actions != "halves":
+        raise ValueError(
+            f"run must hold a policy of {' or '.join(ALGOS)} with actions halves that observes "
+            f"nothing beside the task's, got {card.algo}, {card.actions}, {list(card.observe)}"
+        )
+    if own is None and name not in (None, card.task):
+        raise ValueError(f"task must be that of the run, {card.task!r}, got {task!r}")
+    of_task = name or card.task
+    weights, agents = Weights(), {}
+    if (package / AGENTS[1]).is_file():
+        weights.add(np.frombuffer((package / AGENTS[0]).read_bytes(), dtype="<f4"))
+        agents = json.loads((package / AGENTS[1]).read_text())
+    described = describe_policy(network_decision(source), weights)
+    agents.setdefault(of_task, {}).setdefault("policies", {})[source.name] = described
+    site = folder if (folder / SITE).is_file() else package
+    _write_all(json.loads((site / SITE).read_text()), agents, weights, folder)
+    return of_task, source.name
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
@@ -250,6 +286,13 @@ def write_agents(folder: Path) -> None:
         elif task in ON_SLOPES:
             found = write_slope_agents(task, folder)
             agents[task] = {"obeying": write_obeying(task, folder), "slopes": found}
+    _write_all(site, agents, weights, folder)
+
+
+def _write_all(
+    site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
+) -> None:
+    """Write the agents, and that a site has them."""
     _write(folder / AGENTS[0], weights.to_bytes())
     _write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
     _write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())

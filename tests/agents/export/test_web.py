@@ -1,6 +1,7 @@
 """Agents for the playground: their files hold the networks and the layouts, for tasks there are."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from surface_gym.agents import library
 from surface_gym.agents.export import web
-from surface_gym.agents.export.policy import network_decision, shipped
+from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
@@ -44,11 +45,10 @@ def test_it_has_the_agents_of_the_site_s_tasks_that_see_what_the_page_shows(fold
     assert set(agents["sort"]["layouts"]) == {"fixed layout", "best fixed layout"}
 
 
-@pytest.mark.parametrize("name", ["sort-ppo", "sort-dqn"])
-def test_the_weights_are_those_of_the_policy(folder, name):
+def assert_holds(folder: Path, name: str, decision: NetworkDecision) -> None:
+    """Assert that a folder's agents hold a decision, by the name of its agent."""
     card = json.loads((folder / "agents.json").read_text())["sort"]["policies"][name]
     weights = np.fromfile(folder / "agents.bin", "<f4").astype(np.float64)
-    decision = network_decision(shipped(name))
     values = seen = np.random.default_rng(0).uniform(-1.0, 1.0, decision.features)
     for k, (inputs, outputs, place) in enumerate(card["layers"]):
         if k:
@@ -58,6 +58,36 @@ def test_the_weights_are_those_of_the_policy(folder, name):
     assert values == pytest.approx(decision.network.scores(seen), abs=1e-12)
     assert decision.symmetry is not None
     assert card["mirror"] == decision.symmetry.images.tolist() == [0, 2, 1, 3]
+
+
+@pytest.mark.parametrize("name", ["sort-ppo", "sort-dqn"])
+def test_the_weights_are_those_of_the_policy(folder, name):
+    assert_holds(folder, name, network_decision(shipped(name)))
+
+
+def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
+    run, beside = tmp_path / "mine", tmp_path / "beside"
+    shutil.copytree(library.SHELF / "sort-dqn", run)
+    beside.mkdir()
+    assert web.write_run(run, None, None, beside, folder) == ("sort", "mine")
+    for name, mine in (("mine", "sort-dqn"), ("sort-ppo", "sort-ppo")):
+        assert_holds(beside, name, network_decision(shipped(mine)))
+    site = json.loads((beside / "site.json").read_text())
+    assert site == {"tasks": ["sort", "flow", "merge"], "agents": True}
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "said"),
+    [
+        ("sort-ppo", "stop", "task must be that of the run, 'sort', got 'stop'"),
+        ("sort-modules", "sort", "run must hold a policy of ppo or dqn .*, got modules, modules"),
+        ("merge-local", "merge", "name must be that of an agent of single parcels"),
+    ],
+)
+def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task, said):
+    with pytest.raises(ValueError, match=said):
+        web.write_run(library.SHELF / name, task, task, tmp_path, folder)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_layout_is_what_the_rule_chooses_at_the_seed_s_start(folder):
