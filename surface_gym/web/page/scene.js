@@ -379,7 +379,10 @@ function taskScript(scene, periods, file) {
     "import numpy as np",
     "",
     ...(file
-      ? ["from surface_gym.agents.library import find_task", "from surface_gym.env import SmartSurfaceEnv"]
+      ? [
+          "from surface_gym.agents.library import find_task",
+          "from surface_gym.env import SmartSurfaceEnv",
+        ]
       : ["import surface_gym"]),
     ...(stuck.length ? ["from surface_gym.randomisation import Actuators"] : []),
     "",
