@@ -311,6 +311,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("folder", type=Path, help="that `surface-gym web` has written")
     folder = parser.parse_args(arguments).folder
+    if not (folder / SITE).is_file():
+        parser.error(f"folder must be one that `surface-gym web` has written, got {folder}")
     write_agents(folder)
     write_home(folder, write_obeying(FLOW_TASK, folder))
 

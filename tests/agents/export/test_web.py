@@ -125,3 +125,10 @@ def test_weights_of_an_agent_on_a_slope_are_those_of_its_layers_and_no_more(fold
         found = weights[place : place + matrix.size + bias.size]
         assert found.tolist() == [*matrix.ravel().tolist(), *bias.tolist()]
     assert weights.size == sum((inputs + 1) * outputs for inputs, outputs, _ in layers)
+
+
+def test_a_folder_without_a_site_is_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main([str(tmp_path)])
+    said = f"folder must be one that `surface-gym web` has written, got {tmp_path}"
+    assert said in capsys.readouterr().err
