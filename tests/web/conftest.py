@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import os
 import shutil
 import threading
 import time
@@ -39,11 +40,26 @@ def modules(pytestconfig: pytest.Config) -> Path:
     return pytestconfig.cache.mkdir("modules")
 
 
-class Site:
-    """Pages and modules in a folder, served on this machine."""
+def copy_newer(folder: Path, into: Path) -> None:
+    """Copy the modules of a folder that are missing or older in another."""
+    for file in folder.glob("*.wasm"):
+        there = into / file.name
+        if not there.exists() or there.stat().st_mtime < file.stat().st_mtime:
+            part = there.with_suffix(f".{os.getpid()}")  # other processes copy at the same time
+            shutil.copy2(file, part)
+            part.replace(there)
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+
+class Site:
+    """Pages and modules in a folder, served on this machine.
+
+    Args:
+        folder: that nobody else writes into.
+        kept: modules that all tests have compiled so far; None: none.
+    """
+
+    def __init__(self, folder: Path, kept: Path | None = None) -> None:
+        self.folder, self._kept = folder, kept
         self._server = Server([folder])
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
         self._tasks: list[str] = []
@@ -57,10 +73,14 @@ class Site:
         """Build what is not there yet."""
         from surface_gym.web.build import SITE, TABLE, write_pages, write_task
 
+        if self._kept is not None:
+            copy_newer(self._kept, self.folder)
         for task in (TABLE, *tasks):
             if task not in self._tasks:
                 write_task(task, self.folder)
                 self._tasks.append(task)
+        if self._kept is not None:
+            copy_newer(self.folder, self._kept)
         write_pages(self.folder, [task for task in self._tasks if task != TABLE])
         assert json.loads((self.folder / SITE).read_text())["tasks"] == self._tasks[1:]
         return self
@@ -72,9 +92,9 @@ class Site:
 
 
 @pytest.fixture(scope="session")
-def site(modules: Path) -> Iterator[Site]:
-    """The site."""
-    made = Site(modules)
+def site(modules: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """The site, of this process alone: others have other tasks and agents in theirs."""
+    made = Site(tmp_path_factory.mktemp("site"), modules)
     yield made
     made.close()
 
