@@ -24,6 +24,7 @@ PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
 TABLE = "table"
 ALL = (TABLE, *PERIODS)
+KINDS = ("wasm", "bin", "json", "starts")  # of a task's files
 SITE = "site.json"  # what a page finds beside it
 AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes,
 EACH_AGENT = "agent-*.*"  # and what a page loads of one that is chosen
@@ -127,10 +128,12 @@ class PackageModules:
             write_pages(self.folder, list(PERIODS))
 
     def prepare(self, name: str) -> None:
-        """Write the files of the task that a file's name begins with, unless they are there."""
-        task = name.partition(".")[0]
+        """Write the files of a task unless they are there, if a file's name is that of one."""
+        task, _, kind = name.partition(".")
+        if task not in ALL or kind not in KINDS:  # such as table.js, a script
+            return
         with self._lock:
-            if task not in ALL or task in self._checked:
+            if task in self._checked:
                 return
             if IN_CHECKOUT or not (self.folder / f"{task}.json").is_file():
                 print(f"{task}: compiling it takes up to a minute, if it is not there", flush=True)

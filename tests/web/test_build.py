@@ -48,7 +48,7 @@ def test_the_package_gets_a_module_once_when_it_is_asked_for(package, capsys):
     modules = PackageModules()
     assert modules.folder == package
     assert names(package) == {SITE}
-    for name in ("sort.json", "sort.wasm", "playground.js", SITE, "sort.bin"):
+    for name in ("sort.json", "sort.wasm", "playground.js", "table.js", SITE, "sort.bin"):
         modules.prepare(name)
     assert names(package) == {"sort.wasm", "sort.json", SITE}
     assert capsys.readouterr().out.splitlines()[1:] == ["sort compiled"]
