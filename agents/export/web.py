@@ -112,11 +112,15 @@ def find_policies(weights: Weights) -> dict[str, dict[str, Card]]:
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
         card = library.load(name).card
-        if card.algo not in ALGOS or card.observe or card.actions != "halves":
-            continue
-        described = describe_policy(network_decision(shipped(name)), weights)
-        found.setdefault(card.task, {})[name] = described
+        if is_shown(card):
+            described = describe_policy(network_decision(shipped(name)), weights)
+            found.setdefault(card.task, {})[name] = described
     return found
+
+
+def is_shown(card: library.PolicyCard) -> bool:
+    """Whether a policy is one of single parcels that sees what the page shows."""
+    return card.algo in ALGOS and not card.observe and card.actions == "halves"
 
 
 def write_run(
@@ -136,7 +140,7 @@ def write_run(
     own = task if task is not None and ":" in task else None
     source = of_run(run, task=own)
     card = source.policy.card
-    if card.algo not in ALGOS or card.observe or card.actions != "halves":
+    if not is_shown(card):
         raise ValueError(
             f"run must hold a policy of {' or '.join(ALGOS)} with actions halves that observes "
             f"nothing beside the task's, got {card.algo}, {card.actions}, {list(card.observe)}"
@@ -271,8 +275,8 @@ def write_slope_agents(task: str, folder: Path) -> dict[str, Card]:
     return found
 
 
-def write_agents(folder: Path) -> None:
-    """Write the agents of the tasks that a site has."""
+def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
+    """Write the agents of the tasks that a site has; return them by task."""
     site = json.loads((folder / SITE).read_text())
     weights = Weights()
     policies = find_policies(weights)
@@ -287,6 +291,7 @@ def write_agents(folder: Path) -> None:
             found = write_slope_agents(task, folder)
             agents[task] = {"obeying": write_obeying(task, folder), "slopes": found}
     _write_all(site, agents, weights, folder)
+    return agents
 
 
 def _write_all(
@@ -313,8 +318,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = parser.parse_args(arguments).folder
     if not (folder / SITE).is_file():
         parser.error(f"folder must be one that `surface-gym web` has written, got {folder}")
-    write_agents(folder)
-    write_home(folder, write_obeying(FLOW_TASK, folder))
+    agents = write_agents(folder)
+    if FLOW_TASK in agents:  # whose module both lines of the home page run
+        write_home(folder, agents[FLOW_TASK]["obeying"])
 
 
 if __name__ == "__main__":

@@ -43,6 +43,7 @@ def test_it_has_the_agents_of_the_site_s_tasks_that_see_what_the_page_shows(fold
     assert set(agents["flow"]["parcels"]) == {"event rule", "sort-ppo"}
     assert set(agents["sort"]["policies"]) == {"sort-ppo", "sort-dqn"}
     assert set(agents["sort"]["layouts"]) == {"fixed layout", "best fixed layout"}
+    assert json.loads((folder / "home.json").read_text())["obeying"] == agents["flow"]["obeying"]
 
 
 def assert_holds(folder: Path, name: str, decision: NetworkDecision) -> None:
