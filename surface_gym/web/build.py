@@ -23,7 +23,9 @@ from surface_gym.registration import PERIODS
 PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
 TABLE = "table"
-ALL = (TABLE, *PERIODS)
+CAMERA = "-camera"  # ends the name of a task whose parcels a camera senses
+TASKS = (*PERIODS, *(task + CAMERA for task in PERIODS))
+ALL = (TABLE, *TASKS)
 KINDS = ("wasm", "bin", "json", "starts")  # of a task's files
 SITE = "site.json"  # what a page finds beside it
 AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes,
@@ -34,12 +36,13 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder, and describe them in a line.
 
     Args:
-        task: its name, or that of the files of an own task.
+        task: its name, which may end in `-camera`, or that of the files of an own task.
         folder: where to write.
         own: a task of the user's.
     """
     from surface_gym.config import EnvConfig
     from surface_gym.env import make_batch
+    from surface_gym.sensors import Camera, Exact
     from surface_gym.web.compiler import compile_module
     from surface_gym.web.image import make_image
     from surface_gym.web.starts import CONTACTS, collect_starts, describe
@@ -49,13 +52,15 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     if task == TABLE:
         kernel, arguments = step_table, table_arguments()
     else:
-        batch = make_batch(EnvConfig(own or task), 1, compiles=False)
+        sensors = Camera() if task.endswith(CAMERA) else Exact()
+        config = EnvConfig(own or task.removesuffix(CAMERA), sensors=sensors)
+        batch = make_batch(config, 1, compiles=False)
         starts = collect_starts(batch)
         kernel, arguments = batch.make_kernel(), batch.arguments
         (folder / f"{task}.starts").write_bytes(starts.block)
         more |= {
             "scene": describe(batch),
-            "starts": {"fields": starts.fields, "marks": starts.marks},
+            "starts": {"fields": starts.fields, "marks": starts.marks, "noise": starts.noise},
         }
     code = compile_module(kernel, arguments, folder / f"{task}.wasm").code
     image = make_image(kernel, arguments)
@@ -63,7 +68,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     layout = json.dumps({**image.layout(), **more}, separators=(",", ":"))
     (folder / f"{task}.json").write_text(layout + "\n")
     zipped = [len(gzip.compress(each, mtime=0)) / 1000 for each in (code, image.block)]
-    return f"{task:9}  module {zipped[0]:5.1f} kB, memory {zipped[1]:5.1f} kB, both zipped"
+    return f"{task:16}  module {zipped[0]:5.1f} kB, memory {zipped[1]:5.1f} kB, both zipped"
 
 
 def write_pages(folder: Path, tasks: Sequence[str]) -> None:
@@ -71,8 +76,11 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
     The package's own folder gets no pages, which lie beside it.
     """
+    from surface_gym.web.noise import TABLES, make_tables
+
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
+    (folder / TABLES).write_text(make_tables())
     has_agents = (folder / AGENTS[-1]).is_file()
     there = {"version": __version__, "tasks": list(tasks), "agents": has_agents}
     (folder / SITE).write_text(json.dumps(there) + "\n")
@@ -125,7 +133,7 @@ class PackageModules:
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (AGENTS[-1], *(f"{task}.json" for task in ALL)):
                 (self.folder / name).unlink(missing_ok=True)
-            write_pages(self.folder, list(PERIODS))
+            write_pages(self.folder, TASKS)
 
     def prepare(self, name: str) -> None:
         """Write the files of a task unless they are there, if a file's name is that of one."""
@@ -144,7 +152,7 @@ class PackageModules:
         """Whether the folder is one of this version, with all tasks."""
         try:
             site = json.loads((self.folder / SITE).read_text())
-            return bool(site["version"] == __version__ and site["tasks"] == list(PERIODS))
+            return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))
         except (OSError, LookupError, TypeError, ValueError):
             return False
 
@@ -167,7 +175,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=MODULES,
                         help="where to write; it is made if it is missing; by default into the "
                         "package, for `surface-gym play`")  # fmt: skip
-    all_tasks = list(PERIODS)
+    all_tasks = list(TASKS)
     listed = f"of {', '.join(all_tasks)}; by default all, which takes minutes"
     parser.add_argument("--tasks", nargs="+", choices=all_tasks, default=all_tasks, metavar="TASK",
                         help=listed)  # fmt: skip

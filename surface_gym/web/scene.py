@@ -200,6 +200,7 @@ class TaskScene:
     late: int = 0  # control periods by which axes are
     # a control period, and the modules and the orientations that they turn to in it
     commands: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
+    camera: bool = False  # whether a camera senses the parcels; otherwise sensors are exact
 
     tasks: InitVar[Sequence[str]] = tuple(PERIODS)  # that the page has
 

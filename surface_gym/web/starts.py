@@ -12,9 +12,9 @@ from surface_gym.registration import PERIODS
 from surface_gym.rendering import ExitSide, ExitSpeed, Heading, Path, StopLine
 from surface_gym.scenes import exit_marks
 from surface_gym.web.image import is_scratch, name_arguments
+from surface_gym.web.noise import describe_noise, place
 
 SEEDS = 20  # for which a page has starts: 0, 1, 2 ...
-ONLY = np.zeros(1, dtype=np.int64)
 PATH_STEP = 8  # points of a path between two that are drawn
 
 Mark = dict[str, Any]  # as `page/draw.js` draws it: kind, points [m] and label
@@ -26,34 +26,31 @@ class Starts(NamedTuple):
     fields: tuple[str, ...]  # names of the arrays
     block: bytes
     marks: list[list[Mark]]  # of each seed: its goal
+    noise: dict[str, Any] | None  # as `page/noise.js` reads it; None: sensors draw none
 
 
 def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
     """Draw the starts of seeds 0, 1, 2 ...; the batch, of one environment, is left with seed 0's.
 
-    A start is the one that the environment draws in `reset(seed=...)`.
+    A start is the one that the environment draws in `reset(seed=...)`, but for its noise, which a
+    page draws.
     """
     kernel = batch.make_kernel()
     for seed in range(seeds):  # arrays grow to hold the largest
-        _place(batch, seed)
-    found, marks = [], []
+        place(batch, seed)
+    found, marks, noise = [], [], []
     for seed in [*range(1, seeds), 0]:
-        _place(batch, seed)
+        noise.append(place(batch, seed))
         named = name_arguments(kernel, batch.arguments)
         found.append({k: np.copy(v) for k, v in named.items() if not is_scratch(k)})
         marks.append(goal_marks(batch))
-    found, marks = [found[-1], *found[:-1]], [marks[-1], *marks[:-1]]
+    found, marks, noise = ([each[-1], *each[:-1]] for each in (found, marks, noise))
     first = found[0]
     fields = tuple(
         k for k in first if any(each[k].tobytes() != first[k].tobytes() for each in found)
     )
     block = b"".join(each[name].tobytes() for each in found for name in fields)
-    return Starts(fields, block, marks)
-
-
-def _place(batch: BaseBatch, seed: int) -> None:
-    batch.seed(0, np.random.default_rng(seed))
-    batch.place_drawn(ONLY)
+    return Starts(fields, block, marks, describe_noise(batch, noise))
 
 
 def goal_marks(batch: BaseBatch) -> list[Mark]:

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from surface_gym import __version__
-from surface_gym.registration import PERIODS
 from surface_gym.web import build
-from surface_gym.web.build import AGENTS, ALL, PAGE, SITE, PackageModules, main
+from surface_gym.web.build import AGENTS, ALL, PAGE, SITE, TASKS, PackageModules, main
+from surface_gym.web.noise import TABLES
 
 
 @pytest.fixture
@@ -47,10 +47,10 @@ def prepare_all() -> PackageModules:
 def test_the_package_gets_a_module_once_when_it_is_asked_for(package, capsys):
     modules = PackageModules()
     assert modules.folder == package
-    assert names(package) == {SITE}
+    assert names(package) == {SITE, TABLES}
     for name in ("sort.json", "sort.wasm", "playground.js", "table.js", SITE, "sort.bin"):
         modules.prepare(name)
-    assert names(package) == {"sort.wasm", "sort.json", SITE}
+    assert names(package) == {"sort.wasm", "sort.json", SITE, TABLES}
     assert capsys.readouterr().out.splitlines()[1:] == ["sort compiled"]
     PackageModules().prepare("sort.wasm")
     assert capsys.readouterr().out == ""
@@ -74,7 +74,7 @@ def test_modules_of_another_version_are_written_again(package, capsys):
     for name in AGENTS:
         (package / name).write_text("of before")
     site = json.loads((package / SITE).read_text())
-    assert site == {"version": __version__, "tasks": list(PERIODS), "agents": False}
+    assert site == {"version": __version__, "tasks": list(TASKS), "agents": False}
     for text in (json.dumps({**site, "version": "0.0.1"}), "[]", "cut sho"):
         (package / SITE).write_text(text)
         capsys.readouterr()
@@ -126,14 +126,15 @@ def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys)
         "1/3  table kept", "2/3  sort kept", "3/3  flow kept",
     ]  # fmt: skip
     files = {f"{task}.{kind}" for task in ("table", "sort", "flow") for kind in ("wasm", "json")}
-    assert names(folder) == names(PAGE) | files | {SITE, *agents}
+    assert names(folder) == names(PAGE) | files | {SITE, TABLES, *agents}
     site = json.loads((folder / SITE).read_text())
     assert site == {"version": __version__, "tasks": ["sort", "flow"], "agents": True}
 
 
 def test_without_a_folder_the_package_gets_modules_and_no_pages(package):
     main(["--tasks", "sort"])
-    assert names(package) == {"table.wasm", "table.json", "sort.wasm", "sort.json", SITE}
+    files = {"table.wasm", "table.json", "sort.wasm", "sort.json"}
+    assert names(package) == files | {SITE, TABLES}
 
 
 def test_an_unknown_task_is_refused(package, capsys):

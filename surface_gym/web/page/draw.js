@@ -494,7 +494,9 @@ export class Picture {
     context.closePath();
     context.fillStyle = isCoded ? textOn(colour) : colours.ink;
     context.fill();
-    if (parcel.asked !== undefined) this._drawAsked(parcel, stroke);
+    if (parcel.asked !== undefined)
+      this._drawDashed(parcel, [parcel.x, parcel.y, parcel.asked], colours.goal);
+    if (parcel.sensed) this._drawDashed(parcel, parcel.sensed, colours.ink);
     const size = Math.min(this._letters(), 0.8 * front * this.scale);
     if (parcel.label && size > 6 * this.ratio) {
       this._writeBadge(parcel.label, ...at([0, 0]), colour, size);
@@ -502,22 +504,23 @@ export class Picture {
     context.globalAlpha = 1;
   }
 
-  /** Draw the base dashed, turned as it is asked. */
-  _drawAsked(parcel, stroke) {
+  /** Draw the base dashed, at a pose: as it is asked to turn, or as it is sensed. */
+  _drawDashed(parcel, [left, up, theta], colour) {
     const { context } = this;
-    const [cosine, sine] = [Math.cos(parcel.asked), Math.sin(parcel.asked)];
+    const stroke = this._stroke();
+    const [cosine, sine] = [Math.cos(theta), Math.sin(theta)];
     const radius = parcel.radius ?? 0;
     const outline = parcel.outline ?? [
       [-radius, 0],
       [radius, 0],
     ];
     const turned = outline.map(([x, y]) => [
-      parcel.x + cosine * x - sine * y,
-      parcel.y + sine * x + cosine * y,
+      left + cosine * x - sine * y,
+      up + sine * x + cosine * y,
     ]);
     this._trace(context, turned, true);
     context.setLineDash([4 * stroke, 3 * stroke]);
-    context.strokeStyle = this.colours.goal;
+    context.strokeStyle = colour;
     context.lineWidth = stroke;
     context.stroke();
     context.setLineDash([]);

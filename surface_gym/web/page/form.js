@@ -49,7 +49,16 @@ export function firstScene() {
 }
 
 export function taskScene(task) {
-  return { version: VERSION, task, seed: 0, agent: YOU, stuck: [], late: 0, commands: [] };
+  return {
+    version: VERSION,
+    task,
+    seed: 0,
+    agent: YOU,
+    stuck: [],
+    late: 0,
+    camera: false,
+    commands: [],
+  };
 }
 
 /** Let the controls show the page's scene. */
@@ -90,6 +99,8 @@ export function fillForm(page) {
       ...names.slice(1).map((name) => new Option(name, name, false, name === beside)),
     );
     find("late").value = String(scene.late);
+    find("camera").checked = scene.camera;
+    find("camera").disabled = !page.hasCamera(scene.task);
   }
   for (const input of document.querySelectorAll("input[type=range]")) showNumber(input);
 }
@@ -122,6 +133,7 @@ export function connect(page) {
   on("beside", "change", () => page.reopen({}));
   on("afresh", "click", () => page.reopen({}));
   on("late", "change", ({ target }) => page.reopen({ late: Number(target.value) }));
+  on("camera", "change", ({ target }) => page.reopen({ camera: target.checked }));
   on("clear", "click", () => {
     page.shown[0].run.clear();
     page.pause();

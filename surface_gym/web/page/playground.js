@@ -5,6 +5,7 @@ import { brushed, chosenAngle, chosenParcel, find, number } from "./controls.js"
 import { Picture } from "./draw.js";
 import { connect, fillForm, firstScene } from "./form.js";
 import { get, Machine, PlainError } from "./machine.js";
+import { Noise } from "./noise.js";
 import { paintPage } from "./palette.js";
 import { drawAim, listen } from "./pointer.js";
 import { fromFragment, toFragment } from "./scene.js";
@@ -17,11 +18,13 @@ const BUDGET = 24; // [ms] of a frame for the physics, at most
 const LATE = 0.1; // [s] of the past that a frame catches up with, at most
 const SHARE_OVER = 0.05; // weight of a frame in the mean share
 const WRITE_EVERY = 700; // [ms] between addresses, at least
+const CAMERA = "-camera"; // ends the name of a task whose parcels a camera senses
 const SLOW = 600; // [ms] of waiting, after which the page says for what
 
 class Playground {
-  constructor(tasks, agents) {
-    this.tasks = tasks;
+  /** @param {string[]} modules names of tasks, with and without a camera */
+  constructor(modules, agents) {
+    this.modules = modules;
     this.agents = agents;
     this.loadAgents = async () => agents;
     this.machines = new Map(); // what was loaded, by name
@@ -37,10 +40,21 @@ class Playground {
     this.opening = 0;
   }
 
+  /** Names of the tasks that there are. */
+  get tasks() {
+    return this.modules.filter((name) => !name.endsWith(CAMERA));
+  }
+
+  hasCamera(task) {
+    return this.modules.includes(task + CAMERA);
+  }
+
   /** Show a scene that is checked, at its beginning. */
   async open(scene) {
     const opening = ++this.opening;
     const isTable = scene.task === "table";
+    if (scene.camera && !this.hasCamera(scene.task))
+      throw new PlainError(`The page has no camera for the task ${scene.task}.`);
     const names = isTable
       ? [null]
       : [
@@ -51,18 +65,21 @@ class Playground {
         ];
     const [agents, ...machines] = await Promise.all([
       isTable ? this.agents : this.loadAgents(),
-      ...names.map((_, k) => this._machine(scene.task, k)),
+      ...names.map((_, k) => this._machine(scene, k)),
     ]);
     this.agents = agents;
     const acting = await Promise.all(
       isTable ? [] : names.map((name, k) => agents.make(scene.task, name, machines[k])),
+    );
+    const noises = await Promise.all(
+      machines.map((machine) => (scene.camera ? Noise.load(machine) : null)),
     );
     if (opening !== this.opening) return; // another was opened meanwhile
     this._checkSeed(scene, machines[0]);
     const runs = machines.map((machine, k) => {
       if (isTable) return new TableRun(machine, scene);
       const own = k === 0 ? scene : { ...structuredClone(scene), agent: names[k], commands: [] };
-      return new TaskRun(machine, own, acting[k]);
+      return new TaskRun(machine, own, acting[k], noises[k]);
     });
     this.scene = scene;
     for (const { picture } of this.shown) picture.dispose();
@@ -80,12 +97,13 @@ class Playground {
   }
 
   /** Load a task's machine, or take one that was loaded; the second of a task is a copy. */
-  async _machine(task, copy) {
-    const key = `${task} ${copy}`;
+  async _machine({ task, camera = false }, copy) {
+    const file = camera ? task + CAMERA : task;
+    const key = `${file} ${copy}`;
     if (!this.machines.has(key)) {
       const name = task === "table" ? "the table" : `the task ${task}`;
       const text = `Loading ${name}. A checkout compiles it first, which takes up to a minute.`;
-      this.machines.set(key, await this._waitFor(Machine.load(task), text));
+      this.machines.set(key, await this._waitFor(Machine.load(file), text));
     }
     return this.machines.get(key);
   }
@@ -366,9 +384,12 @@ async function begin() {
   globalThis.playground = page; // for those who want to look into it
   await page.try(async () => {
     const address = location.hash;
-    const [site] = await Promise.all([get("site.json", "json"), page._machine("table", 0)]);
-    page.tasks = site.tasks;
-    for (const task of site.tasks) find("task").append(new Option(`task: ${task}`, task));
+    const [site] = await Promise.all([
+      get("site.json", "json"),
+      page._machine({ task: "table" }, 0),
+    ]);
+    page.modules = site.tasks;
+    for (const task of page.tasks) find("task").append(new Option(`task: ${task}`, task));
     connect(page);
     if (site.agents) page.loadAgents = once(() => Agents.load());
     if (address.length > 1) await page.try(() => page.openAddress());

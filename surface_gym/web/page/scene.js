@@ -58,6 +58,7 @@ const MARK = "1."; // before a scene in an address: how it is packed
  * @property {string} agent that acts; "you": the commands
  * @property {number[][]} stuck row and column of modules
  * @property {number} late control periods by which axes are
+ * @property {boolean} [camera] whether a camera senses parcels; otherwise sensors are exact
  * @property {[number, number[][]][]} commands a period, and the modules and choices set from it on
  */
 
@@ -211,6 +212,8 @@ function checkTask(scene) {
     for (const each of checkArray("stuck", module, 2)) checkWhole("stuck", each, 0, MOST_MODULES);
   }
   checkWhole("late", scene.late, 0, 10);
+  if (![true, false, undefined].includes(scene.camera))
+    throw new PlainError(`camera must be true or false, got ${shown(scene.camera)}.`);
   let last = 0;
   for (const command of checkArray("commands", scene.commands, 0, MOST_CHANGES)) {
     const [period, turns] = checkArray("commands", command, 2);
@@ -368,6 +371,10 @@ function taskScript(scene, periods, file) {
   const made = file
     ? `SmartSurfaceEnv(find_task(${JSON.stringify(`${file}:${scene.task}`)})`
     : `gym.make("${id}"`;
+  const faults = [
+    ...(stuck.length ? [`actuators=Actuators(stuck=(${stuck.join(", ")},))`] : []),
+    ...(scene.camera ? ["sensors=Camera()"] : []),
+  ];
   const commands = scene.commands.map(
     ([period, turns]) =>
       `    ${period}: {${turns.map(([k, choice]) => `${k}: ${choice}`).join(", ")}},`,
@@ -385,10 +392,9 @@ function taskScript(scene, periods, file) {
         ]
       : ["import surface_gym"]),
     ...(stuck.length ? ["from surface_gym.randomisation import Actuators"] : []),
+    ...(scene.camera ? ["from surface_gym.sensors import Camera"] : []),
     "",
-    stuck.length
-      ? `env = ${made}, actuators=Actuators(stuck=(${stuck.join(", ")},)))`
-      : `env = ${made})`,
+    `env = ${[made, ...faults].join(", ")})`,
     `observation, info = env.reset(seed=${scene.seed})`,
     "commands = {  # by the control period: modules and the orientations they turn to",
     ...commands,

@@ -11,11 +11,13 @@ export class TaskRun {
   /**
    * @param {import("./scene.js").TaskScene} scene that is checked; its commands follow the run
    * @param {object} agent with `act(run)`, which writes into `run.wanted`
+   * @param {import("./noise.js").Noise|null} noise that sensors draw
    */
-  constructor(machine, scene, agent) {
+  constructor(machine, scene, agent, noise = null) {
     this.machine = machine;
     this.scene = scene;
     this.agent = agent;
+    this.noise = noise;
     this.about = machine.layout.scene;
     this.unit = this.about.dt * this.about.steps;
     this.rows = this.about.rows;
@@ -27,6 +29,7 @@ export class TaskRun {
   begin() {
     const { machine, scene } = this;
     machine.place(scene.seed);
+    this.noise?.place(scene.seed);
     this.body = this.about.stream ? 0 : machine.get("parcels.body");
     const modules = this.rows * this.columns;
     const row = machine.shape("bodies.rotor")[0] > 1 ? this.body : 0;
@@ -100,6 +103,7 @@ export class TaskRun {
     });
     if (turns.length) scene.commands.push([this.period, turns]);
     this.commanded = command;
+    this.noise?.drawAhead();
     if (machine.step() > 0)
       throw new PlainError(`The task ${machine.name} made a number that is not finite.`);
     this.period += 1;
@@ -135,11 +139,11 @@ export class TaskRun {
     const parcels = [];
     for (const [number, now] of this.now) {
       const before = this.before.get(number) ?? now;
-      const [x, y, theta, vx, vy, omega] = now.motion.map(
-        (value, k) => before.motion[k] + share * (value - before.motion[k]),
-      );
+      const between = (was, is) => is.map((value, k) => was[k] + share * (value - was[k]));
+      const [x, y, theta, vx, vy, omega] = between(before.motion, now.motion);
       const parcel = { x, y, theta, vx, vy, omega, ...now.look };
       if (forces) parcel.forces = this._forces(now.row);
+      if (now.sensed) parcel.sensed = between(before.sensed, now.sensed);
       parcels.push(parcel);
     }
     const seen = traces ? this.tracks.filter(({ number }) => this.now.has(number - 1)) : [];
@@ -193,23 +197,22 @@ export class TaskRun {
     return Float32Array.from(axis, (place) => Math.atan2(way[2 * place + 1], way[2 * place]));
   }
 
-  /** Collect motion and look of the parcels there are, by number. */
+  /** Collect motion and look of the parcels there are, by number, and where a camera has them. */
   _motions() {
     const { machine } = this;
-    const truth = machine.view("parcels.truth");
+    const [truth, sensed] = ["truth", "sensed"].map((name) => machine.view(`parcels.${name}`));
     const found = new Map();
-    if (!this.about.stream) {
-      found.set(0, { row: 0, motion: [...truth.subarray(0, 6)], look: this._look(0) });
-      return found;
-    }
-    const [present, numbers] = [machine.view("streams.present"), machine.view("streams.number")];
-    present.forEach((there, row) => {
-      if (!there) return;
-      found.set(Number(numbers[row]), {
+    const collect = (number, row) =>
+      found.set(number, {
         row,
         motion: [...truth.subarray(6 * row, 6 * row + 6)],
+        sensed: this.noise && [...sensed.subarray(6 * row, 6 * row + 3)],
         look: this._look(row),
       });
+    if (!this.about.stream) return collect(0, 0);
+    const [present, numbers] = [machine.view("streams.present"), machine.view("streams.number")];
+    present.forEach((there, row) => {
+      if (there) collect(Number(numbers[row]), row);
     });
     return found;
   }

@@ -1,0 +1,152 @@
+"""A camera in the page: it draws NumPy's noise, and what it senses is what Python's does."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym
+from surface_gym.agents import library
+from surface_gym.agents.export.web import write_agents
+from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.config import EnvConfig
+from surface_gym.registration import env_id
+from surface_gym.sensors import Camera
+from surface_gym.web.noise import read_state
+from surface_gym.web.scene import TaskScene
+from tests.web.conftest import Site, end_states, open_sort, run_script, wait_for
+
+assert surface_gym
+MANY = 40_000  # of which some ten lie in the tail
+STREAM_PERIODS = 200  # in which all rows of noise of a parcel are used up, and drawn anew
+
+
+@pytest.fixture
+def filmed(site: Site, play: Any) -> Any:
+    """Open the playground at a scene with a camera, in which agents may act."""
+
+    def opened(scene: TaskScene) -> Any:
+        site.add("sort", scene.task, f"{scene.task}-camera")
+        if scene.agent != "you":
+            write_agents(site.folder)
+        page = play(address=scene.url())
+        wait_for(page, f"playground.shown[0].name === '{scene.agent}'")
+        return page
+
+    return opened
+
+
+def test_numbers_are_those_that_numpy_draws(play):
+    page = play()
+    generator = np.random.default_rng(7)
+    state = read_state(generator)
+    found = page.evaluate(
+        """async ([state, many]) => {
+          const { Generator } = await import("./noise.js");
+          const tables = await (await fetch("ziggurat.json")).json();
+          const generator = new Generator(tables, state);
+          const normals = Array.from({ length: many }, () => generator.normal());
+          return [normals, Array.from({ length: 100 }, () => generator.uniform())];
+        }""",
+        [state, MANY],
+    )
+    normals = generator.standard_normal(MANY)
+    assert np.abs(normals).max() > 3.6541528853610088  # beyond the last layer
+    assert found == [normals.tolist(), generator.random(100).tolist()]
+
+
+@pytest.mark.parametrize("task", ["sort", "orient"])
+def test_an_episode_is_sensed_as_in_python(filmed, task):
+    page = filmed(TaskScene(task, seed=4, camera=True))
+    env = gym.make(env_id(task), sensors=Camera())
+    env.reset(seed=4)
+    batch = env.unwrapped.batch
+    random, over, apart = np.random.default_rng(0), False, 0.0
+    while not over:
+        action = np.full(env.action_space.shape, random.integers(4))
+        *_, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+        sensed = page.evaluate(
+            """(choice) => {
+              const { run } = playground.shown[0];
+              run.wanted.fill(choice);
+              run.advance();
+              return [...run.machine.view("parcels.sensed")];
+            }""",
+            int(action.flat[0]),
+        )
+        assert sensed == batch.parcels.sensed[0].tolist()
+        apart = max(apart, abs(sensed[0] - batch.parcels.truth[0, 0]))
+    assert page.evaluate("playground.shown[0].run.over")
+    assert apart > 1e-5
+
+
+def test_a_stream_is_sensed_as_in_python(filmed):
+    page = filmed(TaskScene("flow", seed=2, agent="event rule", camera=True))
+    env = gym.make(env_id("flow"), actions="parcels", sensors=Camera())
+    rule = StreamEventRule(EnvConfig("flow", actions="parcels", sensors=Camera()))
+    table, _ = env.reset(seed=2)
+    batch = env.unwrapped.batch
+    expected = []
+    for _ in range(STREAM_PERIODS):
+        table = env.step(rule.predict(table)[0])[0]
+        expected.append(batch.parcels.sensed[batch.streams.present[0]].ravel().tolist())
+    found = page.evaluate(
+        """(periods) => {
+          const { run } = playground.shown[0];
+          return Array.from({ length: periods }, () => {
+            run.advance();
+            const there = run.machine.view("streams.present");
+            const sensed = [...run.machine.view("parcels.sensed")];
+            return sensed.filter((_, k) => there[Math.floor(k / 6)]);
+          });
+        }""",
+        STREAM_PERIODS,
+    )
+    assert found == expected
+    assert sum(map(bool, expected)) > STREAM_PERIODS / 2
+
+
+def test_a_policy_acts_on_what_the_camera_sees(filmed):
+    page = filmed(TaskScene("sort", agent="sort-ppo", camera=True))
+    env = gym.make(env_id("sort"), actions="halves", sensors=Camera())
+    policy = library.load("sort-ppo")
+    for seed in (0, 1, 5):
+        observation, info = env.reset(seed=seed)
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(policy.predict(observation)[0])
+            over = terminated or truncated
+        page.evaluate(f"playground.reopen({{ seed: {seed}, agent: 'sort-ppo' }})")
+        wait_for(page, f"playground.scene.seed === {seed}")
+        ((time, *motion),) = end_states(page)
+        assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
+
+
+def test_the_switch_puts_a_camera_there_and_takes_it_away(play):
+    site_with_one = play("sort-camera", "slow")
+    site_with_one.context.close()
+    page = open_sort(play)
+    page.select_option("#agent", "all at 45°")
+    exact = end_states(page)
+    page.check("#camera")
+    wait_for(page, "playground.scene.camera")
+    assert end_states(page) == exact  # who acts looks at nothing
+    frame = "playground.shown[0].run.frame().parcels[0]"
+    (x, y, _), truth = page.evaluate(f"[{frame}.sensed, [{frame}.x, {frame}.y]]")
+    assert 0.0 < np.hypot(x - truth[0], y - truth[1]) < 0.02
+    ((rewards, clock, *_),) = run_script(page)
+    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
+    assert run == [float(rewards), float(clock)]
+    page.click("#again")
+    assert end_states(page) == exact  # the same noise again
+    page.uncheck("#camera")
+    wait_for(page, "!playground.scene.camera")
+    assert page.evaluate(f"{frame}.sensed === undefined")
+    page.select_option("#task", "slow")
+    wait_for(page, "playground.scene.task === 'slow'")
+    assert page.is_disabled("#camera")
+    page.evaluate("address => { location.hash = address }", TaskScene("slow", camera=True).url(""))
+    wait_for(page, "document.getElementById('message').textContent")
+    assert "has no camera for the task slow" in page.inner_text("#message")
