@@ -32,6 +32,7 @@ import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./pale
  * @property {string} [label]
  * @property {number} [opacity] of all of it, 0 to 1
  * @property {number} [asked] theta [rad] that it is to turn to
+ * @property {number[]} [sensed] x, y [m] and theta [rad] that sensors say
  * @property {number[][]} [forces] x, y [m] where it acts, and fx, fy [N] of each
  *
  * @typedef {object} Frame
@@ -496,7 +497,7 @@ export class Picture {
     context.fill();
     if (parcel.asked !== undefined)
       this._drawDashed(parcel, [parcel.x, parcel.y, parcel.asked], colours.goal);
-    if (parcel.sensed) this._drawDashed(parcel, parcel.sensed, colours.ink);
+    if (parcel.sensed) this._drawDashed(parcel, parcel.sensed, colours.sensed);
     const size = Math.min(this._letters(), 0.8 * front * this.scale);
     if (parcel.label && size > 6 * this.ratio) {
       this._writeBadge(parcel.label, ...at([0, 0]), colour, size);

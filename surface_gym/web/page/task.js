@@ -169,7 +169,7 @@ export class TaskRun {
       const [, , , vx, vy] = machine.view("parcels.truth");
       found.push(["speed", `${Math.hypot(vx, vy).toFixed(2)} m/s`]);
     }
-    found.push(["state", this.over ?? "running"]);
+    if (this.over) found.push(["ended", this.over]);
     return found;
   }
 
