@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
     tasks = f"{', '.join(PERIODS)}, or in a browser your own as path/to/file.py:Class"
     first = f"to begin with: {tasks}; by default an empty table, in a window sort"
     parser.add_argument("--task", help=first)
-    watched = "folder of a training run of one parcel, whose policy acts at first"
+    watched = "folder of a training run, whose policy acts at first"
     parser.add_argument("--run", type=Path, help=watched)
     served = f"to serve pages at; 0: any that is free; by default {PORT}"
     parser.add_argument("--port", type=int, default=PORT, help=served)

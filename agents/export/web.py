@@ -10,6 +10,7 @@ weights. It also writes what the page `home.html` shows.
 
 import argparse
 import json
+import shutil
 from collections.abc import Sequence
 from io import BytesIO
 from itertools import groupby
@@ -36,6 +37,7 @@ from surface_gym.web.starts import SEEDS
 
 from .. import library, local_policy, parcel_policy
 from ..base import Singles, find_axes
+from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
 from ..parcel_policy import ParcelPolicy
 from ..policy import load_tensors
@@ -50,6 +52,9 @@ from .home import write_home
 from .policy import NetworkDecision, network_decision, of_run, shipped
 
 ALGOS = ("ppo", "dqn")
+SLOPE_ALGOS = ("parcels", "local")
+RUN = "run"  # in place of a run's name, which an address might not hold
+CONTROL_PERIOD = EnvConfig("sort").control_period  # [s] of all tasks in the page
 SINGLE: dict[str, type[SlopeRule]] = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
 RULES_ON_SLOPES: dict[str, dict[str, type[SlopeRule]]] = {
     "singulate": SINGLE,
@@ -129,7 +134,7 @@ def write_run(
     """Write the agents of the package's folder, and the policy of a run, into a folder.
 
     Args:
-        run: folder of `train.py`, with a policy of a single parcel's halves.
+        run: folder of `train.py`, with a policy that acts on what the page shows.
         name: of the task's files; None: the run's task.
         task: as on the command line; a file in it is run.
         folder: where to write.
@@ -138,25 +143,44 @@ def write_run(
     Returns: name of the task's files, and of the policy.
     """
     own = task if task is not None and ":" in task else None
-    source = of_run(run, task=own)
-    card = source.policy.card
-    if not is_shown(card):
-        raise ValueError(
-            f"run must hold a policy of {' or '.join(ALGOS)} with actions halves that observes "
-            f"nothing beside the task's, got {card.algo}, {card.actions}, {list(card.observe)}"
-        )
-    if own is None and name not in (None, card.task):
-        raise ValueError(f"task must be that of the run, {card.task!r}, got {task!r}")
-    of_task = name or card.task
+    first = next(iter(policy_folders(run).values()))
+    policy = library.read(first, None if own is None else library.find_task(own))
+    _check_run(policy.card)
+    if own is None and name not in (None, policy.card.task):
+        raise ValueError(f"task must be that of the run, {policy.card.task!r}, got {task!r}")
+    of_task, agent = name or policy.card.task, run.resolve().name
     weights, agents = Weights(), {}
     if (package / AGENTS[1]).is_file():
         weights.add(np.frombuffer((package / AGENTS[0]).read_bytes(), dtype="<f4"))
         agents = json.loads((package / AGENTS[1]).read_text())
-    described = describe_policy(network_decision(source), weights)
-    agents.setdefault(of_task, {}).setdefault("policies", {})[source.name] = described
+    there = agents.setdefault(of_task, {})
+    if isinstance(policy, ParcelPolicy | LocalPolicy):
+        for module in package.glob("agent-*.wasm"):  # not to compile them again
+            shutil.copyfile(module, folder / module.name)
+        there["obeying"] = write_obeying(of_task, folder)
+        described = write_slope_policy(RUN, policy, first, folder)
+        there.setdefault("slopes", {})[agent] = described
+    else:
+        described = describe_policy(network_decision(of_run(run, task=own)), weights)
+        there.setdefault("policies", {})[agent] = described
     site = folder if (folder / SITE).is_file() else package
     _write_all(json.loads((site / SITE).read_text()), agents, weights, folder)
-    return of_task, source.name
+    return of_task, agent
+
+
+def _check_run(card: library.PolicyCard) -> None:
+    """Raise a ValueError unless a policy sees what the page shows, and decides as often."""
+    if not (is_shown(card) or card.algo in SLOPE_ALGOS):
+        raise ValueError(
+            f"run must hold a policy of {', '.join(SLOPE_ALGOS)}, or one of {' or '.join(ALGOS)} "
+            "with actions halves that observes nothing beside the task's, "
+            f"got {card.algo}, {card.actions}, {list(card.observe)}"
+        )
+    if card.control_period != CONTROL_PERIOD:
+        raise ValueError(
+            f"control_period must be {CONTROL_PERIOD:g} s, as in the page, "
+            f"got {card.control_period:g}"
+        )
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
@@ -248,31 +272,45 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
 def write_slope_agents(task: str, folder: Path) -> dict[str, Card]:
     """Write the rules and the shipped agents of a task on a slope; describe them by name."""
     config = EnvConfig(task, actions="parcels")
-    rules = RULES_ON_SLOPES[task]
-    found = {name: write_rule(name, make(config), config, folder) for name, make in rules.items()}
-    named = {make: found[name] for name, make in rules.items()}
+    found = {
+        name: write_rule(name, make(config), config, folder)
+        for name, make in RULES_ON_SLOPES[task].items()
+    }
     for name in library.names():
         policy = library.load(name)
-        if policy.card.task != task or not isinstance(policy, ParcelPolicy | LocalPolicy):
-            continue
-        first = library.SHELF / name / f"seed-{library.seeds(name)[0]}"
-        tensors = load_tensors(BytesIO(library.read_files(first).weights))
-        weights = Weights()
-        if isinstance(policy, ParcelPolicy):
-            rule = named[parcel_policy.RULES[task]]
-            card = describe_parcel_network(tensors, rule, weights)
-        else:
-            modules = EnvConfig(task, actions=policy.card.actions)
-            view = ModuleView(modules).arguments(
-                np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
-            )
-            card = {
-                **write_machine("module-view", task, view_modules, view, folder),
-                **describe_module_network(tensors, modules, weights),
-            }
-        _write(folder / f"agent-{name}.bin", weights.to_bytes())
-        found[name] = {**card, "weights": f"agent-{name}.bin"}
+        if policy.card.task == task and isinstance(policy, ParcelPolicy | LocalPolicy):
+            first = library.SHELF / name / f"seed-{library.seeds(name)[0]}"
+            found[name] = write_slope_policy(name, policy, first, folder)
     return found
+
+
+def write_slope_policy(
+    name: str, policy: ParcelPolicy | LocalPolicy, source: Path, folder: Path
+) -> Card:
+    """Write a trained policy on a slope.
+
+    Args:
+        name: of its file of weights.
+        policy: whose files are in `source`.
+        source: folder of its files.
+        folder: where to write.
+    """
+    task, weights = policy.card.task, Weights()
+    tensors = load_tensors(BytesIO(library.read_files(source).weights))
+    config = EnvConfig(task, actions=policy.card.actions)
+    if isinstance(policy, ParcelPolicy):
+        corrected = parcel_policy.RULES[task]
+        (called,) = (name for name, rule in RULES_ON_SLOPES[task].items() if rule is corrected)
+        rule = write_rule(called, corrected(config), config, folder)
+        card = describe_parcel_network(tensors, rule, weights)
+    else:
+        tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
+        view = write_machine(
+            "module-view", task, view_modules, ModuleView(config).arguments(tables), folder
+        )
+        card = {**view, **describe_module_network(tensors, config, weights)}
+    _write(folder / f"agent-{name}.bin", weights.to_bytes())
+    return {**card, "weights": f"agent-{name}.bin"}
 
 
 def write_agents(folder: Path) -> dict[str, dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from surface_gym.agents import library
 from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
+from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
@@ -77,18 +79,60 @@ def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
     assert site == {"tasks": ["sort", "flow", "merge"], "agents": True}
 
 
+@pytest.mark.parametrize("name", ["merge-parcels", "merge-local"])
+def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
+    folder, tmp_path, monkeypatch, name
+):
+    monkeypatch.setattr(web, "compile_module", write_nothing)
+    run, beside = tmp_path / "my run #1", tmp_path / "beside"
+    shutil.copytree(library.SHELF / name, run)
+    beside.mkdir()
+    assert web.write_run(run, None, "merge", beside, folder) == ("merge", "my run #1")
+    before, after = (json.loads((each / "agents.json").read_text()) for each in (folder, beside))
+    card = after["merge"]["slopes"].pop("my run #1")
+    assert after == before
+    shipped_card = before["merge"]["slopes"][name]
+    assert card == {**shipped_card, "weights": "agent-run.bin"}
+    weights = (folder / shipped_card["weights"]).read_bytes()
+    assert (beside / card["weights"]).read_bytes() == weights
+    assert (beside / "agents.bin").read_bytes() == (folder / "agents.bin").read_bytes()
+    for made in (f"{card['code']}.wasm", f"{card['machine']}.bin", f"{card['machine']}.json"):
+        assert (beside / made).read_bytes() == (folder / made).read_bytes()
+
+
+def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(web, "compile_module", write_nothing)
+    package, beside = tmp_path / "package", tmp_path / "beside"
+    for each in (package, beside):
+        each.mkdir()
+    shutil.copy(folder / "site.json", package)
+    web.write_run(library.SHELF / "merge-parcels", None, None, beside, package)
+    agents = json.loads((beside / "agents.json").read_text())
+    assert set(agents["merge"]) == {"obeying", "slopes"}
+    card = agents["merge"]["slopes"]["merge-parcels"]
+    for code in (agents["merge"]["obeying"]["code"], card["code"]):
+        assert (beside / f"{code}.wasm").is_file()
+
+
 @pytest.mark.parametrize(
     ("name", "task", "said"),
     [
         ("sort-ppo", "stop", "task must be that of the run, 'sort', got 'stop'"),
-        ("sort-modules", "sort", "run must hold a policy of ppo or dqn .*, got modules, modules"),
-        ("merge-local", "merge", "name must be that of an agent of single parcels"),
+        ("merge-local", "sequence", "task must be that of the run, 'merge', got 'sequence'"),
+        ("flow-schedule", "flow", "run must hold a policy of parcels, .*, got schedule, parcels"),
     ],
 )
 def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task, said):
     with pytest.raises(ValueError, match=said):
         web.write_run(library.SHELF / name, task, task, tmp_path, folder)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path):
+    policy = library.load("merge-parcels")
+    save_policy(policy._network, replace(policy.card, control_period=0.02), tmp_path / "run")
+    with pytest.raises(ValueError, match=r"control_period must be 0\.04 s.*, got 0\.02"):
+        web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 
 
 def test_a_layout_is_what_the_rule_chooses_at_the_seed_s_start(folder):
