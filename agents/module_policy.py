@@ -32,18 +32,19 @@ from .library import PolicyCard
 EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
 ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
 ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
+LEAST_ROWS = 2.0  # of a line amid supports
 MARGIN = 0.01  # [m] a module this near to the base may bear it
 
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
 # The side is mirrored away. The time would tie the policy to one length of lead-in.
-_SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
+SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
 _ROTORS = {feature.name for feature in group_features(("rotors",))}
 _PLACE_SIZE = 9  # features of a module's place
 
 
 def shared_size(observe: tuple[str, ...]) -> int:
     """Count the features that all modules of an environment share."""
-    return len(_SHARED) + len(group_features(observe))
+    return len(SHARED) + len(group_features(observe))
 
 
 def place_size(observe: tuple[str, ...]) -> int:
@@ -116,7 +117,7 @@ def outline_from_clearance(
 
 def _count_rows(line: BaseLine, pairs: Numbers) -> Numbers:
     """Count the rows (num_envs,) of a line under which `pairs` of rows fit; else the layout's."""
-    least = 2.0 if isinstance(line, Line) else line.zone_rows
+    least = LEAST_ROWS if isinstance(line, Line) else line.zone_rows
     return np.clip(2.0 * np.floor(pairs), least, line.zone_rows)
 
 
@@ -153,7 +154,7 @@ class ModuleView:
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
         columns = {feature.name: k for k, feature in enumerate(config.features)}
         of_groups = [columns[feature.name] for feature in group_features(config.observe)]
-        self._shared = np.array([*_SHARED, *of_groups])
+        self._shared = np.array([*SHARED, *of_groups])
         self._columns = columns
         exact = "parcel" in config.observe
         self._locate = self._locate_exactly if exact else self._locate_by_clearance

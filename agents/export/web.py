@@ -19,6 +19,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 
 from surface_gym.cli import typed
 from surface_gym.config import EnvConfig
@@ -35,10 +36,11 @@ from surface_gym.web.compiler import compile_module
 from surface_gym.web.image import make_image
 from surface_gym.web.starts import SEEDS
 
-from .. import library, local_policy, parcel_policy
-from ..base import Singles, find_axes
+from .. import library, local_policy, module_policy, parcel_policy
+from ..base import Singles, find_axes, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
+from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
 from ..policy import load_tensors
 from ..rules import RULES
@@ -49,9 +51,9 @@ from ..rules.slopes import SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
 from .home import write_home
-from .policy import NetworkDecision, network_decision, of_run, shipped
+from .policy import NetworkDecision, Source, network_decision, of_run, shipped
 
-ALGOS = ("ppo", "dqn")
+ALGOS = {"ppo": "halves", "dqn": "halves", "modules": "modules"}  # what each chooses for
 SLOPE_ALGOS = ("parcels", "local")
 RUN = "run"  # in place of a run's name, which an address might not hold
 CONTROL_PERIOD = EnvConfig("sort").control_period  # [s] of all tasks in the page
@@ -112,20 +114,49 @@ def describe_policy(decision: NetworkDecision, weights: Weights) -> Card:
     return card
 
 
+def describe_modules_policy(source: Source, weights: Weights) -> Card:
+    """Describe a policy of Sort's modules for `page/sorting.js`, and add its weights."""
+    config, tensors = source.config, source.weights
+    line, kind = config.chosen_line, config.action_kind
+    orientations = config.chosen_orientations
+    first = torch.cat([tensors["_alike.weight"], tensors["_apart.weight"]], dim=1)
+    return {
+        "kind": "modules",
+        "layers": [
+            weights.add_layer(first, tensors["_alike.bias"]),
+            *weights.add_layers(tensors, "_between"),
+            *weights.add_layers(tensors, "_logits"),
+        ],
+        "shared": module_policy.SHARED,
+        "columns": {feature.name: k for k, feature in enumerate(config.features)},
+        "mirror": mirrored_orientations(orientations).tolist(),
+        "rest": local_policy.find_rest(config),
+        "pitch": [line.pitch_x, line.pitch_y], "zone": [kind.rows, kind.columns],
+        "least": module_policy.LEAST_ROWS, "period": config.control_period,
+        "exact": module_policy.EXACT, "round": module_policy.ROUND, "margin": module_policy.MARGIN,
+    }  # fmt: skip
+
+
+def describe_source(source: Source, weights: Weights) -> Card:
+    """Describe a policy of single parcels, and add its weights."""
+    if isinstance(source.policy, ModulePolicy):
+        return describe_modules_policy(source, weights)
+    return describe_policy(network_decision(source), weights)
+
+
 def find_policies(weights: Weights) -> dict[str, dict[str, Card]]:
     """Describe the policies of single parcels by task and name, and add their weights."""
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
         card = library.load(name).card
         if is_shown(card):
-            described = describe_policy(network_decision(shipped(name)), weights)
-            found.setdefault(card.task, {})[name] = described
+            found.setdefault(card.task, {})[name] = describe_source(shipped(name), weights)
     return found
 
 
 def is_shown(card: library.PolicyCard) -> bool:
-    """Whether a policy is one of single parcels that sees what the page shows."""
-    return card.algo in ALGOS and not card.observe and card.actions == "halves"
+    """Whether a policy is one of single parcels that sees and does what the page can."""
+    return ALGOS.get(card.algo) == card.actions and not card.observe
 
 
 def write_run(
@@ -161,7 +192,7 @@ def write_run(
         described = write_slope_policy(RUN, policy, first, folder)
         there.setdefault("slopes", {})[agent] = described
     else:
-        described = describe_policy(network_decision(of_run(run, task=own)), weights)
+        described = describe_source(of_run(run, task=own), weights)
         there.setdefault("policies", {})[agent] = described
     site = folder if (folder / SITE).is_file() else package
     _write_all(json.loads((site / SITE).read_text()), agents, weights, folder)
@@ -172,8 +203,8 @@ def _check_run(card: library.PolicyCard) -> None:
     """Raise a ValueError unless a policy sees what the page shows, and decides as often."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
-            f"run must hold a policy of {', '.join(SLOPE_ALGOS)}, or one of {' or '.join(ALGOS)} "
-            "with actions halves that observes nothing beside the task's, "
+            f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves of one "
+            "parcel or on modules, that observes nothing beside the task's, "
             f"got {card.algo}, {card.actions}, {list(card.observe)}"
         )
     if card.control_period != CONTROL_PERIOD:

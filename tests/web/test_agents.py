@@ -32,6 +32,7 @@ RULES = [
     ("merge", "time slots", TimeSlots),
     ("sequence", "pass and park", PassAndPark),
 ]
+SIZE, SIDE = 6, 14  # columns of what is seen in Sort
 TIE = 1e-4  # of two shares that rounding may tell apart either way
 
 
@@ -75,9 +76,10 @@ def agents(site: Site, written: set[str], play: Any) -> Any:
 def test_policies_and_layouts_act_in_the_page_as_in_python(agents):
     page = agents(TaskScene("sort"))
     wait_for(page, "playground.agents.names('sort').includes('sort-dqn')")
-    for name in ("sort-ppo", "sort-dqn", "best fixed layout"):
+    for name in ("sort-ppo", "sort-dqn", "sort-modules", "best fixed layout"):
         is_policy = name.startswith("sort-")
-        env = gym.make("SmartSurface/Sort-v0", actions="halves" if is_policy else "modules")
+        actions = "halves" if name in ("sort-ppo", "sort-dqn") else "modules"
+        env = gym.make("SmartSurface/Sort-v0", actions=actions)
         agent = library.load(name) if is_policy else BestSorting(EnvConfig("sort"))
         for seed in (0, 1, 5):
             observation, info = env.reset(seed=seed)
@@ -220,6 +222,23 @@ def test_a_policy_of_modules_chooses_as_in_python(agents, task):
     moved = (actions != 3).sum()
     assert moved > 1000
     assert (actions != np.array(chosen)).sum() <= TIE * moved
+
+
+def test_a_policy_of_sort_s_modules_chooses_as_in_python_for_both_parcels_and_sides(agents):
+    policy, page = library.load("sort-modules"), agents(TaskScene("sort"))
+    wait_for(page, "playground.agents.names('sort').includes('sort-modules')")
+    decided, apart, starts = 0, 0, set()
+    for seed in range(12):
+        page.evaluate(f"playground.reopen({{ seed: {seed}, agent: 'sort-modules' }})")
+        tables, chosen = zip(*watch(page, "run.wanted"), strict=True)
+        seen = np.array(tables, dtype=np.float32)
+        actions, _ = policy.predict(seen)
+        starts.add((seen[0, SIZE], seen[0, SIDE]))
+        decided += int((actions != 3).sum())
+        apart += int((actions != np.array(chosen)).sum())
+    assert len(starts) == 4
+    assert decided > 2000
+    assert apart <= TIE * decided
 
 
 @pytest.mark.parametrize("task", ON_SLOPES)

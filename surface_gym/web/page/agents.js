@@ -6,6 +6,7 @@ import { Obeying } from "./obeying.js";
 import { ParcelAgent } from "./parcels.js";
 import { Policy } from "./policy.js";
 import { ParcelPolicy, SlopeRule } from "./slopes.js";
+import { SortingPolicy } from "./sorting.js";
 
 export const YOU = "you";
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
@@ -86,7 +87,10 @@ export class Agents {
     if (Object.hasOwn(slopes, name)) return this._onSlope(slopes[name], obeying, machine);
     if (Object.hasOwn(parcels, name))
       return new ParcelAgent(parcels[name], this.weights, await this._obeying(obeying, machine));
-    if (Object.hasOwn(policies, name)) return new Policy(policies[name], this.weights);
+    if (Object.hasOwn(policies, name)) {
+      const Kind = policies[name].kind === "modules" ? SortingPolicy : Policy;
+      return new Kind(policies[name], this.weights);
+    }
     if (Object.hasOwn(layouts, name)) return new Layout(layouts[name]);
     return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
   }

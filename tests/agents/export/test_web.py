@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from surface_gym.agents import library
 from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
+from surface_gym.agents.module_policy import SharedNetwork
 from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
@@ -43,7 +45,7 @@ def test_it_has_the_agents_of_the_site_s_tasks_that_see_what_the_page_shows(fold
     agents = json.loads((folder / "agents.json").read_text())
     assert list(agents) == ["sort", "flow", "merge"]
     assert set(agents["flow"]["parcels"]) == {"event rule", "sort-ppo"}
-    assert set(agents["sort"]["policies"]) == {"sort-ppo", "sort-dqn"}
+    assert set(agents["sort"]["policies"]) == {"sort-ppo", "sort-dqn", "sort-modules"}
     assert set(agents["sort"]["layouts"]) == {"fixed layout", "best fixed layout"}
     assert json.loads((folder / "home.json").read_text())["obeying"] == agents["flow"]["obeying"]
 
@@ -68,6 +70,27 @@ def test_the_weights_are_those_of_the_policy(folder, name):
     assert_holds(folder, name, network_decision(shipped(name)))
 
 
+def test_the_weights_of_a_policy_of_modules_give_its_logits(folder):
+    card = json.loads((folder / "agents.json").read_text())["sort"]["policies"]["sort-modules"]
+    weights = np.fromfile(folder / "agents.bin", "<f4")
+    network = library.load("sort-modules")._network
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, card["layers"][0][0]))
+    values = seen.astype(np.float32)
+    for k, (inputs, outputs, place) in enumerate(card["layers"]):
+        matrix = weights[place : place + inputs * outputs].reshape(outputs, inputs)
+        values = np.tanh(values) if k else values
+        values = values @ matrix.T + weights[place + matrix.size : place + matrix.size + outputs]
+    split = len(card["shared"])
+    shared, own = (torch.from_numpy(seen[:, part].astype(np.float32)) for part in
+                   (slice(split), slice(split, None)))  # fmt: skip
+    with torch.no_grad():
+        wanted = network(shared, torch.arange(5), own)
+    found = torch.from_numpy(values).log_softmax(dim=1)
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+    assert card["mirror"] == [0, 2, 1, 3]
+    assert card["rest"] == 3
+
+
 def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
     run, beside = tmp_path / "mine", tmp_path / "beside"
     shutil.copytree(library.SHELF / "sort-dqn", run)
@@ -77,6 +100,20 @@ def test_the_policy_of_a_run_joins_those_of_the_package(folder, tmp_path):
         assert_holds(beside, name, network_decision(shipped(mine)))
     site = json.loads((beside / "site.json").read_text())
     assert site == {"tasks": ["sort", "flow", "merge"], "agents": True}
+
+
+def test_a_run_of_sort_s_modules_has_the_card_of_the_one_that_ships(folder, tmp_path):
+    run = tmp_path / "mine"
+    shutil.copytree(library.SHELF / "sort-modules", run)
+    assert web.write_run(run, "sort", "sort", tmp_path, folder) == ("sort", "mine")
+    policies = json.loads((tmp_path / "agents.json").read_text())["sort"]["policies"]
+    numbers = np.fromfile(tmp_path / "agents.bin", "<f4")
+    mine, shipped_card = policies["mine"], policies["sort-modules"]
+    for one, other in zip(mine.pop("layers"), shipped_card.pop("layers"), strict=True):
+        assert one[:2] == other[:2]
+        size = (one[0] + 1) * one[1]
+        assert (numbers[one[2] :][:size] == numbers[other[2] :][:size]).all()
+    assert mine == shipped_card
 
 
 @pytest.mark.parametrize("name", ["merge-parcels", "merge-local"])
@@ -126,6 +163,13 @@ def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task
     with pytest.raises(ValueError, match=said):
         web.write_run(library.SHELF / name, task, task, tmp_path, folder)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
+    card = replace(library.load("sort-modules").card, observe=("parcel",), hidden=(8,))
+    save_policy(SharedNetwork(4, card.hidden, card.observe), card, tmp_path / "run")
+    with pytest.raises(ValueError, match=r"run must hold .*, got modules, modules, \['parcel'\]"):
+        web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 
 
 def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path):
