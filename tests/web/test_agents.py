@@ -1,5 +1,6 @@
 """Agents in the playground act as in Python: the same runs to the bit, or the same choices."""
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,9 +12,10 @@ import pytest
 import torch
 
 from surface_gym.agents import library
-from surface_gym.agents.export.web import write_agents
+from surface_gym.agents.export.web import write_agents, write_run
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.local_policy import LocalNetwork
+from surface_gym.agents.parcel_policy import ParcelNetwork
 from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.sequencing import PassAndPark
 from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
@@ -189,13 +191,10 @@ def watch(page: Any, chosen: str) -> list[tuple[list[float], list[int]]]:
     return seen
 
 
-@pytest.mark.parametrize("task", ON_SLOPES)
-def test_a_policy_of_parcels_chooses_as_in_python(agents, task):
-    config = EnvConfig(task, actions="parcels")
-    policy, state = library.load(f"{task}-parcels", config=config), None
+def assert_parcels_chosen(page: Any, policy: Any, config: EnvConfig) -> None:
+    """Assert that the page's policy of parcels chooses as one does in Python."""
+    state, compared = None, 0
     options = len(config.chosen_orientations)
-    compared = 0
-    page = agents(TaskScene(task, 2, f"{task}-parcels"))
     for numbers, chosen in watch(page, "run.agent.chosen"):
         table = np.array(numbers, dtype=np.float32).reshape(config.rows, -1)
         action, state = policy.predict(table, state)
@@ -211,17 +210,54 @@ def test_a_policy_of_parcels_chooses_as_in_python(agents, task):
     assert compared > 300
 
 
-@pytest.mark.parametrize("task", ON_SLOPES)
-def test_a_policy_of_modules_chooses_as_in_python(agents, task):
-    config = EnvConfig(task)
-    policy = library.load(f"{task}-drawn", config=config)
-    page = agents(TaskScene(task, 2, f"{task}-drawn"))
+def assert_modules_chosen(page: Any, policy: Any, config: EnvConfig) -> None:
+    """Assert that the page's policy of modules on a slope chooses as one does in Python."""
     tables, chosen = zip(*watch(page, "run.wanted"), strict=True)
     seen = np.array(tables, dtype=np.float32).reshape(len(tables), config.rows, -1)
     actions, _ = policy.predict(seen)
     moved = (actions != 3).sum()
     assert moved > 1000
     assert (actions != np.array(chosen)).sum() <= TIE * moved
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_a_policy_of_parcels_chooses_as_in_python(agents, task):
+    config = EnvConfig(task, actions="parcels")
+    page = agents(TaskScene(task, 2, f"{task}-parcels"))
+    assert_parcels_chosen(page, library.load(f"{task}-parcels", config=config), config)
+
+
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_a_policy_of_modules_chooses_as_in_python(agents, task):
+    page = agents(TaskScene(task, 2, f"{task}-drawn"))
+    config = EnvConfig(task)
+    assert_modules_chosen(page, library.load(f"{task}-drawn", config=config), config)
+
+
+@pytest.mark.parametrize("kind", ["parcels", "local"])
+def test_a_run_on_a_slope_acts_as_in_python(agents, site, tmp_path, kind):
+    page, run = agents(TaskScene("merge")), tmp_path / "my 2nd run, #7 (100%)"
+    assert_chosen, actions = {
+        "parcels": (assert_parcels_chosen, "parcels"),
+        "local": (assert_modules_chosen, "modules"),
+    }[kind]
+    network: torch.nn.Module = LocalNetwork(4, (8,))
+    config = EnvConfig("merge", actions=actions)
+    if kind == "parcels":
+        network = ParcelNetwork(len(config.features), 4, (8,))
+        torch.nn.init.normal_(network.actor[-1].weight)
+    card = PolicyCard(env_id("merge"), kind, actions, 0.04, (8,))
+    for seed in (3, 4):
+        save_policy(network, card, run / f"seed-{seed}")
+    beside = tmp_path / "beside"
+    beside.mkdir()
+    assert write_run(run, None, None, beside, site.folder) == ("merge", run.name)
+    shutil.copytree(beside, site.folder, dirs_exist_ok=True)
+    page.goto("about:blank")
+    page.goto(site.address + TaskScene("merge", 2, run.name).url())
+    wait_for(page, f"globalThis.playground?.shown[0]?.name === {json.dumps(run.name)}")
+    files = library.read_files(run / "seed-3")
+    assert_chosen(page, library.from_files(files, config=config), config)
 
 
 def test_a_policy_of_sort_s_modules_chooses_as_in_python_for_both_parcels_and_sides(agents):
