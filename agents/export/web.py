@@ -55,6 +55,15 @@ from .policy import NetworkDecision, Source, network_decision, of_run, shipped
 
 ALGOS = {"ppo": "halves", "dqn": "halves", "modules": "modules"}  # what each chooses for
 SLOPE_ALGOS = ("parcels", "local")
+# What finds whom modules obey reads, of what differs between the moments and seeds of a stream.
+OBEYING_READS = (
+    "parcels.sensed",
+    "parcels.body",
+    "streams.present",
+    "bodies.body",
+    "bodies.edges",
+    "bodies.corners",
+)
 RUN = "run"  # in place of a run's name, which an address might not hold
 CONTROL_PERIOD = EnvConfig("sort").control_period  # [s] of all tasks in the page
 SINGLE: dict[str, type[SlopeRule]] = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
@@ -250,7 +259,7 @@ def write_obeying(task: str, folder: Path) -> Card:
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
     module = compile_module(kernel, batch.arguments, folder / f"{name}.wasm")
-    return {"code": name, "signature": module.signature}
+    return {"code": name, "signature": module.signature, "reads": OBEYING_READS}
 
 
 def write_machine(name: str, task: str, kernel: Any, arguments: Any, folder: Path) -> Card:

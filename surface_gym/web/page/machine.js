@@ -183,16 +183,6 @@ export class Machine {
     return result;
   }
 
-  /** Copy all but scratch, to be restored. */
-  save() {
-    return new Uint8Array(this.exports.memory.buffer, this.layout.base, this.layout.bytes).slice();
-  }
-
-  /** Put back what was saved, arrays of the same sizes. */
-  restore(saved) {
-    new Uint8Array(this.exports.memory.buffer).set(saved, this.layout.base);
-  }
-
   _field(name) {
     const field = this.fields.get(name);
     if (!field) throw new PlainError(`${this.name} has no array or number ${name}.`);

@@ -4,19 +4,21 @@ import { Machine, PlainError } from "./machine.js";
 
 export class Obeying {
   /**
-   * @param {{code: string, signature: string}} card
+   * @param {{code: string, signature: string, reads: string[]}} card with the names of the arrays
+   *   that the function reads and an episode changes
    * @param {ArrayBuffer} code
    * @param {Machine} machine of the task, whose arguments the function takes
    */
   static async make(card, code, machine) {
     const { name, layout, block } = machine;
-    if (card.signature !== layout.signature)
+    if (card.signature !== layout.signature || !card.reads)
       throw new PlainError(`${card.code}.wasm and ${name}.json are not of one build.`);
-    return new Obeying(await Machine.make(card.code, layout, block, code));
+    return new Obeying(await Machine.make(card.code, layout, block, code), card.reads);
   }
 
-  constructor(machine) {
+  constructor(machine, reads) {
     this.machine = machine;
+    this.reads = reads;
   }
 
   /**
@@ -27,7 +29,7 @@ export class Obeying {
    */
   act(run, halves) {
     const { machine, about, columns } = run;
-    this.machine.restore(machine.save());
+    for (const name of this.reads) this.machine.view(name).set(machine.view(name));
     this.machine.step();
     const sensed = machine.view("parcels.sensed");
     this.machine.view("streams.owner").forEach((row, module) => {

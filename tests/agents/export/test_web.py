@@ -18,8 +18,15 @@ from surface_gym.agents.module_policy import SharedNetwork
 from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
-from surface_gym.env import SmartSurfaceEnv
+from surface_gym.env import SmartSurfaceEnv, make_batch
+from surface_gym.flow.batch import StreamBatch, stream_functions
+from surface_gym.flow.kernel import make_assigning_kernel
+from surface_gym.flow.state import NOBODY
+from surface_gym.registration import PERIODS
 from surface_gym.web.compiler import Module
+from surface_gym.web.image import name_arguments
+
+STREAMS = [task for task, periods in PERIODS.items() if periods is None]
 
 
 @pytest.fixture(scope="module")
@@ -200,6 +207,36 @@ def test_agents_on_a_slope_are_the_rules_and_those_that_ship_each_with_its_files
         layout = json.loads((folder / f"{card['machine']}.json").read_text())
         assert layout["bytes"] == (folder / f"{card['machine']}.bin").stat().st_size
         assert (folder / f"{card['code']}.wasm").is_file()
+
+
+@pytest.mark.parametrize("task", STREAMS)
+def test_modules_obey_the_same_where_all_is_of_another_run_but_what_is_copied(task):
+    run, other = (begin_stream(task, seed) for seed in (2, 5))
+    kernel = make_assigning_kernel(stream_functions(run.config))
+    rng, owned = np.random.default_rng(0), 0
+    for period in range(300):
+        turned = rng.random(run.surfaces.command.shape) < 0.05
+        run.step(np.where(turned, rng.integers(0, 3, turned.shape), 3))
+        if period % 30:
+            continue
+        copied = name_arguments(kernel, other.arguments)
+        for name, values in name_arguments(kernel, run.arguments).items():
+            if name in web.OBEYING_READS:
+                copied[name][:] = values
+        for each in (run, other):
+            kernel(*each.arguments)
+        assert (run.streams.owner == other.streams.owner).all()
+        owned += int((run.streams.owner != NOBODY).sum())
+    assert owned > 100
+
+
+def begin_stream(task: str, seed: int) -> StreamBatch:
+    """Begin a stream."""
+    batch = make_batch(EnvConfig(task), 1)
+    assert isinstance(batch, StreamBatch)
+    batch.seed(0, np.random.default_rng(seed))
+    batch.place_drawn(np.arange(1))
+    return batch
 
 
 def test_weights_of_an_agent_on_a_slope_are_those_of_its_layers_and_no_more(folder):
