@@ -1,0 +1,63 @@
+"""A task of one's own in the playground: the script that the page saves gives the same run."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surface_gym.agents.library import find_task
+from surface_gym.web.build import write_own
+from surface_gym.web.scene import TaskScene
+from tests.web.conftest import Site, copy_newer, wait_for
+
+REACH = Path(__file__).parents[2] / "examples" / "reach.py"
+
+
+@pytest.fixture(scope="module")
+def own(site: Site, modules: Path) -> str:
+    """The name of the task, which is beside those of the site."""
+    site.add("sort")
+    name = write_own(find_task(f"{REACH}:Reach"), site.folder, site.folder)
+    copy_newer(site.folder, modules)
+    return name
+
+
+def turn_some(page: Any) -> None:
+    """Turn some modules now and then, so that axes differ, until the run is over."""
+    page.evaluate(
+        """() => {
+          const { run } = playground.shown[0];
+          playground.pause();
+          for (let k = 0; !run.over; k++) {
+            const some = run.modules().filter((module) => module % 5 === k % 5);
+            if (k % 7 === 0) playground.turn(run, some, k % 2 ? 0.785 : -0.785);
+            run.advance();
+          }
+          playground.isStale = true;
+        }"""
+    )
+
+
+@pytest.mark.parametrize(("seed", "stuck"), [(0, []), (3, [[8, 9], [7, 12], [8, 12]])])
+def test_its_script_gives_the_same_end_in_another_process(own, visit, tmp_path, seed, stuck):
+    page = visit(TaskScene(own, seed, tasks=(own,)).url())
+    wait_for(page, f"globalThis.playground?.scene?.task === '{own}'")
+    page.evaluate(f"playground.reopen({{ stuck: {json.dumps(stuck)} }})")
+    turn_some(page)
+    with page.expect_download() as saved:
+        page.click("#python")
+    script = tmp_path / "scene.py"
+    saved.value.save_as(script)
+    done = subprocess.run(
+        [sys.executable, script.name], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    words = done.stdout.split()
+    over, *numbers = page.evaluate(
+        """(({ run }) => [run.over, run.rewards, run.time,
+             ...run.machine.view('parcels.truth')])(playground.shown[0])"""
+    )
+    assert numbers == [float(each) for each in words[:2] + words[-6:]]
+    assert over == " ".join(words[2:-6])
