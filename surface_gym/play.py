@@ -23,11 +23,13 @@ import os
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 
 from surface_gym.cli import typed
 from surface_gym.registration import PERIODS
@@ -100,11 +102,18 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
         port: to listen at; 0: any that is free.
         opens: whether a browser is opened.
     """
-    from surface_gym.web.build import AGENTS, PAGE, PackageModules, write_own
+    from surface_gym.web.build import AGENTS, PAGE, SITE, PackageModules, write_own
     from surface_gym.web.server import FIRST_PAGE, Server
 
-    modules = PackageModules()
-    folder, pages = modules.folder, Server((PAGE,), port, modules.prepare)
+    modules, own_run = PackageModules(), OwnRun()
+    folder = modules.folder
+
+    def prepare(file: str) -> None:
+        modules.prepare(file)
+        if file == SITE:  # which a page reads before its agents
+            own_run.join_once(folder / AGENTS[-1])
+
+    pages = Server((PAGE,), port, prepare)
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         server = stack.enter_context(pages)
         page = FIRST_PAGE
@@ -121,17 +130,35 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             if run is not None:
                 from surface_gym.agents.export import web
 
-                name, agent = web.write_run(run, name, task, beside, folder)
+                own_run.write = partial(web.write_run, run, name, task, beside, folder)
+                name, agent = own_run.write()
             assert name is not None  # there is a task or a run
             page = TaskScene(name, agent=agent, tasks=(name,)).url(FIRST_PAGE)
         server.add(folder)
-        if not (folder / AGENTS[-1]).is_file():
+        if (folder / AGENTS[-1]).is_file():
+            own_run.write = None
+        else:
             stack.enter_context(writing_agents(folder))
         address = server.address + page
         print(f"the playground is at {address}\nCtrl-C ends it", flush=True)
         if opens:
             webbrowser.open(address)
         server.serve_forever()
+
+
+class OwnRun:
+    """The policy of a run, which joins the package's agents when these are there."""
+
+    def __init__(self) -> None:
+        self.write: Callable[[], tuple[str, str]] | None = None  # None: there is none, or it has
+        self._lock = Lock()
+
+    def join_once(self, agents: Path) -> None:
+        """Write it again, among those of a file, if that has come meanwhile."""
+        with self._lock:
+            if self.write is not None and agents.is_file():
+                self.write()
+                self.write = None
 
 
 @contextmanager
