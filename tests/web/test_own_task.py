@@ -1,4 +1,4 @@
-"""A task of one's own in the playground: the script that the page saves gives the same run."""
+"""A custom task in the playground: the script that the page saves gives the same run."""
 
 import json
 import subprocess
