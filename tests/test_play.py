@@ -31,6 +31,7 @@ from surface_gym.game import (
 from surface_gym.registration import PERIODS
 from surface_gym.rendering import ink
 from surface_gym.state import RUNNING
+from surface_gym.web.build import TASKS
 from surface_gym.web.scene import unpack
 from surface_gym.web.server import Server
 
@@ -341,7 +342,7 @@ class TestInABrowser:
         monkeypatch.setattr("surface_gym.web.build.write_task", write_class)
         play.main(["--port", "0", "--task", "examples/reach.py:Reach"])
         assert json.loads(unpack(opened[0].partition("#")[2]))["task"] == "Reach"
-        assert json.loads(served[0][1])["tasks"] == [*PERIODS, "Reach"]
+        assert json.loads(served[0][1])["tasks"] == [*TASKS, "Reach"]
         assert served[1:] == [("table.json", "table"), ("Reach.json", "Reach")]
 
     @pytest.mark.parametrize(
@@ -429,7 +430,7 @@ class TestInABrowser:
 
 def fill(folder: Path) -> None:
     """Write what says that a folder has modules and agents of this version."""
-    site = {"version": sg.__version__, "tasks": list(PERIODS), "agents": True}
+    site = {"version": sg.__version__, "tasks": list(TASKS), "agents": True}
     (folder / "site.json").write_text(json.dumps(site))
     (folder / "agents.json").write_text("{}")
 
