@@ -52,6 +52,7 @@ from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
 from .home import write_home
 from .policy import NetworkDecision, Source, network_decision, of_run, shipped
+from .rules import describe_rules
 
 ALGOS = {"ppo": "halves", "dqn": "halves", "modules": "modules"}  # what each chooses for
 SLOPE_ALGOS = ("parcels", "local")
@@ -361,7 +362,11 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
     agents: dict[str, dict[str, Any]] = {}
     for task in site["tasks"]:
         if task in policies:
-            agents[task] = {"policies": policies[task], "layouts": find_layouts(task)}
+            agents[task] = {
+                "policies": policies[task],
+                "rules": describe_rules(task),
+                "layouts": find_layouts(task),
+            }
         elif task == FLOW_TASK:
             described = describe_parcel_rules(policies["sort"]["sort-ppo"])
             agents[task] = {"obeying": write_obeying(task, folder), "parcels": described}

@@ -26,7 +26,7 @@ from surface_gym.state import EnvState, SurfaceState
 from surface_gym.tasks.base import Feature
 
 WINDOW_SIDE = 5  # modules
-_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
+JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
 CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
@@ -58,7 +58,7 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
     # A window beyond the surface has none of its modules, however far off it is.
     up = bounded(up, -WINDOW_SIDE, rows + WINDOW_SIDE)
     along = bounded(along, -WINDOW_SIDE, columns + WINDOW_SIDE)
-    row = math.floor(up + _HALF) if mirror > 0.0 else math.ceil(up - _HALF)
+    row = math.floor(up + JUST_OVER_HALF) if mirror > 0.0 else math.ceil(up - JUST_OVER_HALF)
     column = math.floor(along + 0.5)
     return Corner(int(row) - WINDOW_SIDE // 2, int(column) - WINDOW_SIDE // 2)
 

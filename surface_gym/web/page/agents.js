@@ -5,6 +5,7 @@ import { ModulesPolicy } from "./modules.js";
 import { Obeying } from "./obeying.js";
 import { ParcelAgent } from "./parcels.js";
 import { Policy } from "./policy.js";
+import { makeRule } from "./rules.js";
 import { ParcelPolicy, SlopeRule } from "./slopes.js";
 import { SortingPolicy } from "./sorting.js";
 
@@ -64,12 +65,19 @@ export class Agents {
 
   /** List the names of a task's agents. */
   names(task) {
-    const { layouts = {}, policies = {}, parcels = {}, slopes = {} } = this.file[task] ?? {};
+    const {
+      layouts = {},
+      policies = {},
+      rules = {},
+      parcels = {},
+      slopes = {},
+    } = this.file[task] ?? {};
     return [
       YOU,
       ...Object.keys(slopes),
       ...Object.keys(parcels),
       ...Object.keys(policies),
+      ...Object.keys(rules),
       ...Object.keys(layouts),
       ...Object.keys(UNIFORM),
     ];
@@ -80,6 +88,7 @@ export class Agents {
     const {
       layouts = {},
       policies = {},
+      rules = {},
       parcels = {},
       slopes = {},
       obeying,
@@ -91,6 +100,7 @@ export class Agents {
       const Kind = policies[name].kind === "modules" ? SortingPolicy : Policy;
       return new Kind(policies[name], this.weights);
     }
+    if (Object.hasOwn(rules, name)) return makeRule(rules[name]);
     if (Object.hasOwn(layouts, name)) return new Layout(layouts[name]);
     return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
   }
