@@ -31,9 +31,10 @@ from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
+from surface_gym.sensors import Camera
 from surface_gym.web.build import AGENTS, SITE
 from surface_gym.web.compiler import compile_module
-from surface_gym.web.image import make_image
+from surface_gym.web.image import make_image, name_arguments
 from surface_gym.web.starts import SEEDS
 
 from .. import library, local_policy, module_policy, parcel_policy
@@ -273,17 +274,32 @@ def write_machine(name: str, task: str, kernel: Any, arguments: Any, folder: Pat
     return {"code": code, "machine": machine}
 
 
-def write_rule(name: str, rule: SlopeRule, config: EnvConfig, folder: Path) -> Card:
+def write_rule(name: str, make: type[SlopeRule], config: EnvConfig, folder: Path) -> Card:
     """Write a rule on a slope as it begins an episode."""
+    rule = make(config)
+    machine = write_machine(
+        name.replace(" ", "-"), config.task_name, rule.kernel, begin_rule(rule, config), folder
+    )
+    return {"kind": "rule", **machine, "choices": rule.choices.tolist()}
+
+
+def begin_rule(rule: SlopeRule, config: EnvConfig) -> tuple[Any, ...]:
+    """Return a rule's arguments as it begins an episode."""
     tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
     memory = make_memory(1, config.rows)
     forget(memory, np.ones(1, dtype=np.bool_))
     halves = np.zeros((1, config.rows, 2), dtype=np.int64)
-    arguments = rule.arguments(tables, memory, halves)
-    machine = write_machine(
-        name.replace(" ", "-"), config.task_name, rule.kernel, arguments, folder
+    return rule.arguments(tables, memory, halves)
+
+
+def find_camera_numbers(make: type[SlopeRule], config: EnvConfig) -> dict[str, float]:
+    """Find, by name, the numbers of a rule that are others where a camera senses the parcels."""
+    exact, camera = (
+        name_arguments(made.kernel, begin_rule(made, each))
+        for each in (config, EnvConfig(config.task, actions=config.actions, sensors=Camera()))
+        for made in (make(each),)
     )
-    return {"kind": "rule", **machine, "choices": rule.choices.tolist()}
+    return {name: camera[name] for name in exact if np.any(exact[name] != camera[name])}
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
@@ -314,7 +330,10 @@ def write_slope_agents(task: str, folder: Path) -> dict[str, Card]:
     """Write the rules and the shipped agents of a task on a slope; describe them by name."""
     config = EnvConfig(task, actions="parcels")
     found = {
-        name: write_rule(name, make(config), config, folder)
+        name: {
+            **write_rule(name, make, config, folder),
+            "camera": find_camera_numbers(make, config),
+        }
         for name, make in RULES_ON_SLOPES[task].items()
     }
     for name in library.names():
@@ -342,7 +361,7 @@ def write_slope_policy(
     if isinstance(policy, ParcelPolicy):
         corrected = parcel_policy.RULES[task]
         (called,) = (name for name, rule in RULES_ON_SLOPES[task].items() if rule is corrected)
-        rule = write_rule(called, corrected(config), config, folder)
+        rule = write_rule(called, corrected, config, folder)
         card = describe_parcel_network(tensors, rule, weights)
     else:
         tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)

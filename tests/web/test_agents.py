@@ -24,6 +24,7 @@ from surface_gym.agents.rules.streams import SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import ON_SLOPES, env_id
+from surface_gym.sensors import Camera
 from surface_gym.web.scene import TaskScene
 from tests.web.conftest import Site, end_states, open_sort, run_script, wait_for
 
@@ -66,7 +67,7 @@ def agents(site: Site, written: set[str], play: Any) -> Any:
     """Open the playground at a scene of a task, which has all agents there are."""
 
     def opened(scene: TaskScene) -> Any:
-        site.add("sort", scene.task)
+        site.add("sort", scene.task, *([f"{scene.task}-camera"] if scene.camera else []))
         if scene.task not in written:
             write_agents(site.folder)
             written.add(scene.task)
@@ -117,11 +118,11 @@ def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):
     assert axes[1].count(0) == 0
 
 
-def run_in_python(task: str, agent: Any, seed: int) -> list[float]:
+def run_in_python(task: str, agent: Any, seed: int, **arguments: Any) -> list[float]:
     """Run an agent that decides for each parcel; return the reward, the time, what was counted,
     and where the parcels are that are there.
     """
-    env = gym.make(env_id(task), actions="parcels")
+    env = gym.make(env_id(task), actions="parcels", **arguments)
     table, info = env.reset(seed=seed)
     rewards, state = 0.0, None
     for _ in range(PERIODS):
@@ -170,6 +171,12 @@ def test_a_rule_on_a_slope_runs_as_in_python_again_too(agents, task, name, rule)
     assert run_in_page(page) == wanted
     page.click("#again")
     assert run_in_page(page) == wanted
+
+
+def test_a_rule_on_a_slope_leaves_a_wider_gap_where_a_camera_errs(agents):
+    page = agents(TaskScene("merge", 2, "time slots", camera=True))
+    rule = TimeSlots(EnvConfig("merge", actions="parcels", sensors=Camera()))
+    assert run_in_page(page) == run_in_python("merge", rule, 2, sensors=Camera())
 
 
 def watch(page: Any, chosen: str) -> list[tuple[list[float], list[int]]]:

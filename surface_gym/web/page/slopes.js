@@ -7,6 +7,7 @@ import { linear, perceptron, relu } from "./policy.js";
 
 /**
  * @typedef {object} RuleCard
+ * @property {Object<string, number>} [camera] numbers of its machine that are others with a camera
  * @property {number[]} choices that a half's action stands for: roll, brake, to the left, to the right
  */
 
@@ -23,8 +24,11 @@ export class SlopeRule {
   }
 
   /** Forget what was in an episode before. */
-  begin() {
+  begin(run) {
     this.machine.reset();
+    if (!run.noise) return;
+    for (const [name, value] of Object.entries(this.card.camera ?? {}))
+      this.machine.set(name, value);
   }
 
   /** Choose for both halves of the parcel in each row, one after the other. */
@@ -67,8 +71,8 @@ export class ParcelPolicy extends SlopeRule {
     this.options = this.orientations ** 2; // of both halves together
   }
 
-  begin() {
-    super.begin();
+  begin(run) {
+    super.begin(run);
     const [, rows] = this.machine.shape("tables");
     this.due = new Float64Array(rows * this.options); // probabilities, less what was chosen
     this.since = new Float32Array(rows); // times since each entered, as seen last
