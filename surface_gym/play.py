@@ -102,7 +102,7 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
         port: to listen at; 0: any that is free.
         opens: whether a browser is opened.
     """
-    from surface_gym.web.build import AGENTS, PAGE, SITE, PackageModules, write_own
+    from surface_gym.web.build import AGENTS, PAGE, SITE, PackageModules
     from surface_gym.web.server import FIRST_PAGE, Server
 
     modules, own_run = PackageModules(), OwnRun()
@@ -126,7 +126,7 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             if task is not None and ":" in task:
                 from surface_gym.agents.library import find_task
 
-                name = write_own(find_task(task), beside, folder)
+                name = modules.add_own(find_task(task), beside)
             if run is not None:
                 from surface_gym.agents.export import web
 

@@ -333,7 +333,7 @@ class TestInABrowser:
         served: list[tuple[str, str]] = []
 
         def serve(server: Server) -> None:
-            for name in ("site.json", "table.json", "Reach.json"):
+            for name in ("site.json", "table.json", "Reach.json", "Reach-camera.json"):
                 file = server.find(f"/{name}")
                 assert file is not None
                 served.append((name, file.read_text()))
@@ -342,8 +342,9 @@ class TestInABrowser:
         monkeypatch.setattr("surface_gym.web.build.write_task", write_class)
         play.main(["--port", "0", "--task", "examples/reach.py:Reach"])
         assert json.loads(unpack(opened[0].partition("#")[2]))["task"] == "Reach"
-        assert json.loads(served[0][1])["tasks"] == [*TASKS, "Reach"]
-        assert served[1:] == [("table.json", "table"), ("Reach.json", "Reach")]
+        assert json.loads(served[0][1])["tasks"] == [*TASKS, "Reach", "Reach-camera"]
+        assert served[1:3] == [("table.json", "table"), ("Reach.json", "Reach")]
+        assert served[3] == ("Reach-camera.json", "Reach")  # compiled as it is asked for
 
     @pytest.mark.parametrize(
         ("arguments", "said"),

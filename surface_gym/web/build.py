@@ -129,23 +129,34 @@ class PackageModules:
             self.folder = Path.home() / ".cache" / "surface_gym" / "modules"
         self._lock = threading.Lock()
         self._checked: set[str] = set()
+        self._own: dict[str, tuple[Any, Path]] = {}  # a user's task and its folder, by file name
         if not self._are_current():
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (AGENTS[-1], *(f"{task}.json" for task in ALL)):
                 (self.folder / name).unlink(missing_ok=True)
             write_pages(self.folder, TASKS)
 
+    def add_own(self, own: Any, folder: Path) -> str:
+        """Write a user's task into a folder of its own, as if the package had it; name it.
+
+        With a camera it is compiled as a page first asks for it.
+        """
+        name = write_own(own, folder, self.folder)
+        self._own[name + CAMERA] = own, folder
+        return name
+
     def prepare(self, name: str) -> None:
         """Write the files of a task unless they are there, if a file's name is that of one."""
         task, _, kind = name.partition(".")
-        if task not in ALL or kind not in KINDS:  # such as table.js, a script
+        if task not in (*ALL, *self._own) or kind not in KINDS:  # such as table.js, a script
             return
+        own, folder = self._own.get(task, (None, self.folder))
         with self._lock:
             if task in self._checked:
                 return
-            if IN_CHECKOUT or not (self.folder / f"{task}.json").is_file():
+            if IN_CHECKOUT or not (folder / f"{task}.json").is_file():
                 print(f"{task}: compiling it takes up to a minute, if it is not there", flush=True)
-                print(write_task(task, self.folder), flush=True)
+                print(write_task(task, folder, own), flush=True)
             self._checked.add(task)
 
     def _are_current(self) -> bool:
@@ -162,7 +173,8 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())
     print(write_task(name, folder, own), flush=True)
-    (folder / SITE).write_text(json.dumps({**site, "tasks": [*site["tasks"], name]}) + "\n")
+    tasks = [*site["tasks"], name, name + CAMERA]
+    (folder / SITE).write_text(json.dumps({**site, "tasks": tasks}) + "\n")
     return name
 
 

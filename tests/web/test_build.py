@@ -5,6 +5,7 @@ import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,7 @@ def package(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-def write_name(task: str, folder: Path) -> str:
+def write_name(task: str, folder: Path, _: Any = None) -> str:
     file = folder / f"{task}.wasm"
     there = file.exists()
     for each in (file, file.with_suffix(".json")):
@@ -58,7 +59,7 @@ def test_the_package_gets_a_module_once_when_it_is_asked_for(package, capsys):
 
 @pytest.mark.usefixtures("package")
 def test_browsers_that_ask_at_once_wait_for_one_another(monkeypatch, capsys):
-    def write_slowly(task: str, folder: Path) -> str:
+    def write_slowly(task: str, folder: Path, _: Any) -> str:
         time.sleep(0.05)
         return write_name(task, folder)
 

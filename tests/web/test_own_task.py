@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from surface_gym.agents.library import find_task
-from surface_gym.web.build import write_own
+from surface_gym.web.build import CAMERA, write_own, write_task
 from surface_gym.web.scene import TaskScene
 from tests.web.conftest import Site, copy_newer, wait_for
 
@@ -20,7 +20,8 @@ REACH = Path(__file__).parents[2] / "examples" / "reach.py"
 def own(site: Site, modules: Path) -> str:
     """The name of the task, which is beside those of the site."""
     site.add("sort")
-    name = write_own(find_task(f"{REACH}:Reach"), site.folder, site.folder)
+    task = find_task(f"{REACH}:Reach")
+    name = write_own(task, site.folder, site.folder)
     copy_newer(site.folder, modules)
     return name
 
@@ -41,11 +42,16 @@ def turn_some(page: Any) -> None:
     )
 
 
-@pytest.mark.parametrize(("seed", "stuck"), [(0, []), (3, [[8, 9], [7, 12], [8, 12]])])
-def test_its_script_gives_the_same_end_in_another_process(own, visit, tmp_path, seed, stuck):
-    page = visit(TaskScene(own, seed, tasks=(own,)).url())
+@pytest.mark.parametrize(
+    "faults", [{}, {"stuck": [[8, 9], [7, 12], [8, 12]]}, {"camera": True}], ids=str
+)
+def test_its_script_gives_the_same_end_in_another_process(own, site, visit, tmp_path, faults):
+    if "camera" in faults:
+        write_task(own + CAMERA, site.folder, find_task(f"{REACH}:Reach"))
+    page = visit(TaskScene(own, 3, tasks=(own,)).url())
     wait_for(page, f"globalThis.playground?.scene?.task === '{own}'")
-    page.evaluate(f"playground.reopen({{ stuck: {json.dumps(stuck)} }})")
+    page.evaluate(f"playground.reopen({json.dumps(faults)})")
+    wait_for(page, f"playground.scene.camera === {json.dumps('camera' in faults)}")
     turn_some(page)
     with page.expect_download() as saved:
         page.click("#python")
