@@ -14,7 +14,10 @@ from surface_gym.files import replacing
 from surface_gym.recording import Recording
 
 MOST = 8  # recordings side by side
-SCRIPTS = ("palette.js", "draw.js", "recording.js", "player.js", "replay.js")
+SCRIPTS = (  # each after those that it needs
+    "palette.js", "view.js", "draw.js", "recording.js", "panel.js", "gestures.js", "player.js",
+    "replay.js",
+)  # fmt: skip
 _WIDTH, _CONTROLS = 48.0, 12.0  # [rem] of a notebook's pictures, and of what is below them
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./[a-z]+\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ", re.MULTILINE)

@@ -1,6 +1,7 @@
 /** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
 
 import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
+import { View } from "./view.js";
 
 /**
  * @typedef {object} Mark what is drawn under the modules and stays
@@ -44,13 +45,11 @@ import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./pale
  */
 
 const ANGLES = 180; // pictures of a module in half a turn
-const MOST_SCALE = 4000; // [device px/m]
 const PALE = 0.62; // share of the plate's colour in a module that does not obey
 const TRACE_STEP = 6; // [device px] between the points of a trace
-const MARGIN = 0.25; // [pitch] round the view
 
 /** A picture of a surface on a canvas; what stays is kept on layers between frames. */
-export class Picture {
+export class Picture extends View {
   /**
    * @param {HTMLCanvasElement} canvas as large as its style says, on any screen
    * @param {Surface} surface
@@ -58,7 +57,7 @@ export class Picture {
    *   `forceScale` [m/N] long
    */
   constructor(canvas, surface, { theme = "auto", forceScale = 0.005 } = {}) {
-    this.canvas = canvas;
+    super(canvas, surface);
     this.context = canvas.getContext("2d");
     this.ground = document.createElement("canvas"); // what stays
     this.modules = document.createElement("canvas"); // the same under the modules
@@ -67,39 +66,11 @@ export class Picture {
     /** Index of the module and of the parcel drawn with a ring; -1: none. */
     this.chosen = { module: -1, parcel: -1 };
     this.frame = null;
-    this.fitted = true;
-    this.setSurface(surface);
     this.setTheme(theme);
     this.observer = new ResizeObserver(() => {
       if (this.resize() && this.frame) this.draw(this.frame);
     });
     this.observer.observe(canvas);
-  }
-
-  /** Show another surface, all of it. */
-  setSurface(surface) {
-    this.surface = surface;
-    const { rows, columns, pitch, origin } = surface;
-    this.pitch = typeof pitch === "number" ? [pitch, pitch] : pitch;
-    const [px, py] = this.pitch;
-    this.edges = [
-      origin[0] - px / 2,
-      origin[1] - py / 2,
-      origin[0] + (columns - 0.5) * px,
-      origin[1] + (rows - 0.5) * py,
-    ];
-    const margin = MARGIN * Math.min(px, py);
-    const [left, low, right, high] = surface.view ?? this.edges;
-    this.view = [left - margin, low - margin, right + margin, high + margin];
-    this.drawn = new Int16Array(rows * columns).fill(-1);
-    this.resize();
-    this.fit();
-  }
-
-  /** Width over height of what `fit` shows. */
-  get aspect() {
-    const [left, low, right, high] = this.view;
-    return (right - left) / (high - low);
   }
 
   /** Draw in the colours of a theme from the next frame on. */
@@ -113,77 +84,6 @@ export class Picture {
   /** Free what watches the canvas. */
   dispose() {
     this.observer.disconnect();
-  }
-
-  /** Follow the canvas's size on the screen; return whether it changed. */
-  resize() {
-    this.ratio = window.devicePixelRatio || 1;
-    const width = Math.max(1, Math.round(this.canvas.clientWidth * this.ratio));
-    const height = Math.max(1, Math.round(this.canvas.clientHeight * this.ratio));
-    if (this.canvas.width === width && this.canvas.height === height && this.scale) return false;
-    for (const each of [this.canvas, this.ground, this.modules]) {
-      each.width = width;
-      each.height = height;
-    }
-    this.stale = true;
-    if (this.fitted) this.fit();
-    return true;
-  }
-
-  /** Show the whole surface. */
-  fit() {
-    const [left, low, right, high] = this.view;
-    this.scale = Math.min(this.canvas.width / (right - left), this.canvas.height / (high - low));
-    this.centre = [(left + right) / 2, (low + high) / 2];
-    this.leastScale = this.scale / 2;
-    this.fitted = true;
-    this.stale = true;
-  }
-
-  /** Zoom by a factor; the point of the surface at a place [CSS px] of the canvas stays there. */
-  zoom(factor, px = this.canvas.clientWidth / 2, py = this.canvas.clientHeight / 2) {
-    const [x, y] = this.toSurface(px, py);
-    this.scale = Math.min(Math.max(this.scale * factor, this.leastScale), MOST_SCALE);
-    const [toX, toY] = this.toSurface(px, py);
-    this._centreOn(this.centre[0] + x - toX, this.centre[1] + y - toY);
-  }
-
-  /** Move the picture with the pointer, by CSS pixels to the right and down. */
-  pan(dx, dy) {
-    const perPixel = this.ratio / this.scale;
-    this._centreOn(this.centre[0] - dx * perPixel, this.centre[1] + dy * perPixel);
-  }
-
-  _centreOn(x, y) {
-    const [left, low, right, high] = this.view;
-    this.centre = [Math.min(Math.max(x, left), right), Math.min(Math.max(y, low), high)];
-    this.fitted = false;
-    this.stale = true;
-  }
-
-  /** Convert a place [CSS px] on the canvas to x, y [m]. */
-  toSurface(px, py) {
-    return [
-      this.centre[0] + (px * this.ratio - this.canvas.width / 2) / this.scale,
-      this.centre[1] - (py * this.ratio - this.canvas.height / 2) / this.scale,
-    ];
-  }
-
-  /** Convert x, y [m] to a place [CSS px] on the canvas: the inverse of `toSurface`. */
-  toCanvas(x, y) {
-    const [across, down] = this._place(x, y);
-    return [across / this.ratio, down / this.ratio];
-  }
-
-  /** Find the module at a place [CSS px]: row times columns plus column; -1: none. */
-  moduleAt(px, py) {
-    const [x, y] = this.toSurface(px, py);
-    const { rows, columns, rotor } = this.surface;
-    const column = Math.floor((x - this.edges[0]) / this.pitch[0]);
-    const row = Math.floor((y - this.edges[1]) / this.pitch[1]);
-    if (column < 0 || column >= columns || row < 0 || row >= rows) return -1;
-    const index = row * columns + column;
-    return rotor && !rotor[index] ? -1 : index;
   }
 
   /** Find the uppermost parcel of the last frame at a place [CSS px]: its index; -1: none. */
@@ -219,23 +119,6 @@ export class Picture {
     if (this.chosen.module >= 0) this._drawRing(this.chosen.module);
   }
 
-  /** Convert x, y [m] to device pixels. */
-  _place(x, y) {
-    return [
-      this.canvas.width / 2 + (x - this.centre[0]) * this.scale,
-      this.canvas.height / 2 - (y - this.centre[1]) * this.scale,
-    ];
-  }
-
-  /** Compute the size [device px] of a module's picture. */
-  get _cell() {
-    return Math.max(1, Math.floor(Math.min(...this.pitch) * this.scale));
-  }
-
-  _stroke() {
-    return this.ratio * (1 + Math.min(this._cell / this.ratio, 60) / 30);
-  }
-
   _colour(colour, otherwise) {
     if (typeof colour === "number") return exitColour(colour);
     return this.colours[colour] ?? colour ?? otherwise;
@@ -252,6 +135,10 @@ export class Picture {
 
   /** Paint what stays: plate, supports and marks. */
   _paintGround() {
+    for (const layer of [this.ground, this.modules]) {
+      layer.width = this.canvas.width;
+      layer.height = this.canvas.height;
+    }
     const context = this.ground.getContext("2d");
     const { colours, surface } = this;
     context.fillStyle = colours.paper;
@@ -268,7 +155,7 @@ export class Picture {
     if (surface.rotor) this._paintSupports(context);
     for (const mark of marks) if (mark.kind !== "zone") this._paintMark(context, mark);
     this.modules.getContext("2d").drawImage(this.ground, 0, 0);
-    this.drawn.fill(-1);
+    this.drawn = new Int16Array(surface.rows * surface.columns).fill(-1);
     if (this.spriteSize !== this._cell) this.sprites.clear();
     this.spriteSize = this._cell;
     this.stale = false;
@@ -325,10 +212,6 @@ export class Picture {
       if (isArea) this._write(context, mark.label, x, y, colours.ink, this._room(mark.points));
       else this._write(context, mark.label, x, y - 0.8 * this._letters(), colour, Infinity);
     }
-  }
-
-  _letters() {
-    return this.ratio * Math.min(Math.max(11, (0.95 * this._cell) / this.ratio), 26);
   }
 
   /** Compute the width [device px] of an area. */

@@ -1,45 +1,27 @@
-/** A player of recordings, one or several in step: picture, controls and numbers. */
+/** A player of recordings, one or several in step: pictures and controls. */
 
 import { Picture } from "./draw.js";
+import { listenTo, ZOOM } from "./gestures.js";
 import { paintPage } from "./palette.js";
+import { make, Panel } from "./panel.js";
 
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const WIDE = 1.9; // width over height of pictures that go below one another
-const ZOOM = 1.3; // of a key or a button
 const REFRESH = 100; // [ms] between readings while it plays
 const LONGEST_FORCE = 2.5; // [pitch] the arrow of the greatest friction
-const KEYS = [
-  ["Space", "play or pause"],
-  ["← →", "a frame back or on; with Shift ten"],
-  ["Home End", "to the start or the end"],
-  ["< >", "slower, faster"],
-  ["+ − 0", "zoom in, zoom out, all of it"],
-  ["Ctrl + wheel, pinch", "zoom where you point; drag to move"],
-  ["T F", "traces, forces"],
-  ["N", "next parcel"],
-  ["M", "a module; arrows then go to its neighbours, Escape leaves"],
-];
 
-/** Make an element with attributes and children. */
-function make(kind, attributes = {}, ...children) {
-  const element = document.createElement(kind);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  element.append(...children);
-  return element;
-}
-
-function degrees(angle) {
-  return `${((angle * 180) / Math.PI)
-    .toFixed(1)
-    .replace(/^-0\.0$/, "0.0")
-    .replace("-", "−")}°`;
-}
-
-/** Write an axis between −90 and 90 degrees: half a turn is the same axis. */
-function axisText(angle) {
-  const half = angle - Math.PI * Math.round(angle / Math.PI - 1e-6);
-  return degrees(half);
-}
+/**
+ * @typedef {object} Run as a player shows it
+ * @property {string} name
+ * @property {import("./recording.js").Recording} recording
+ * @property {HTMLCanvasElement} canvas
+ * @property {Picture} picture
+ * @property {HTMLElement} end where its outcome is written
+ * @property {{x: number, y: number}|null} hover [px] where the pointer is over it
+ * @property {{parcel: number, module: number}} kept what is chosen to be read; -1: none
+ * @property {import("./draw.js").Frame} [frame] that is shown
+ * @property {number} [under] the module under the pointer; -1: none
+ */
 
 export class Player {
   /**
@@ -65,8 +47,11 @@ export class Player {
     this.runs = runs.map((run) => this._addRun(run));
     this.room.classList.toggle("several", runs.length > 1);
     this._addControls();
-    this._addReadings();
-    this._listen();
+    this.panel = new Panel(root, this.runs);
+    listenTo(this);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
+      this.setTheme(this.theme ?? "auto"),
+    );
     this.setTime(0);
   }
 
@@ -90,13 +75,13 @@ export class Player {
   pause() {
     this.playing = false;
     this._labelPlay();
-    this._show(true);
+    this.show(true);
   }
 
   /** Show a time [s]. */
   setTime(time) {
     this.time = Math.min(Math.max(time, 0), this.duration);
-    this._show();
+    this.show();
   }
 
   /** Go on by frames of the longest run, back where negative. */
@@ -113,20 +98,27 @@ export class Player {
     this.controls.speed.value = String(speed);
   }
 
+  /** Go on by that many speeds to choose from, to slower ones where negative. */
+  stepSpeed(count) {
+    const index = SPEEDS.indexOf(this.speed) + count;
+    this.setSpeed(SPEEDS[Math.min(Math.max(index, 0), SPEEDS.length - 1)]);
+  }
+
+  /** Zoom all runs by a factor, or one about a place [px] of it; 0: show all of them. */
   zoom(factor, run = null, x = undefined, y = undefined) {
     for (const each of run ? [run] : this.runs) {
       if (factor === 0) each.picture.fit();
       else each.picture.zoom(factor, x, y);
       each.canvas.style.touchAction = each.picture.fitted ? "pan-y" : "none";
     }
-    this._show();
+    this.show();
   }
 
   setTheme(theme) {
     this.theme = theme;
     paintPage(document.documentElement, theme);
     for (const { picture } of this.runs) picture.setTheme(theme);
-    this._show();
+    this.show();
   }
 
   _addRun({ name, recording }) {
@@ -197,8 +189,8 @@ export class Player {
         "1",
         (value) => this.setSpeed(Number(value)),
       ),
-      traces: toggle("Traces", this.traces, (isOn) => this._toggle("traces", isOn)),
-      forces: toggle("Forces", this.forces, (isOn) => this._toggle("forces", isOn)),
+      traces: toggle("Traces", this.traces, (isOn) => this.toggle("traces", isOn)),
+      forces: toggle("Forces", this.forces, (isOn) => this.toggle("forces", isOn)),
     };
     const { play, clock, speed, traces, forces } = this.controls;
     if (!this.hasForces) {
@@ -239,30 +231,11 @@ export class Player {
     );
   }
 
-  _addReadings() {
-    this.reading = make("p", { class: "reading", id: "reading", "aria-live": "polite" });
-    this.table = make("table");
-    const numbers = make(
-      "details",
-      {},
-      make("summary", {}, "Numbers"),
-      make("div", { class: "scroll" }, this.table),
-    );
-    numbers.addEventListener("toggle", () => this._show(true));
-    this.numbers = numbers;
-    const keys = make("dl");
-    for (const [key, meaning] of KEYS) keys.append(make("dt", {}, key), make("dd", {}, meaning));
-    this.root.append(
-      this.reading,
-      numbers,
-      make("details", { class: "keys" }, make("summary", {}, "Keys"), keys),
-    );
-  }
-
-  _toggle(name, isOn) {
+  /** Show traces or forces, or no longer. */
+  toggle(name, isOn) {
     this[name] = isOn;
     this.controls[name].firstChild.checked = isOn;
-    this._show();
+    this.show();
   }
 
   _labelPlay() {
@@ -271,10 +244,11 @@ export class Player {
     play.textContent = label;
     play.setAttribute("aria-label", label);
     play.title = `${label} (Space)`;
-    this.reading.setAttribute("aria-live", this.playing ? "off" : "polite");
+    this.panel.setLive(!this.playing);
   }
 
-  _show(isRead = !this.playing) {
+  /** Draw the time that is shown; readings follow now and then, or at once where `isRead`. */
+  show(isRead = !this.playing) {
     for (const run of this.runs) {
       const frame = run.recording.frameAt(Math.min(this.time, run.recording.duration), this);
       run.frame = frame;
@@ -307,234 +281,6 @@ export class Player {
       "aria-valuetext",
       `${this.time.toFixed(2)} of ${this.duration.toFixed(2)} seconds`,
     );
-    this._readOut();
-  }
-
-  /** Write what is under the pointer or chosen, how runs end, and the numbers. */
-  _readOut() {
-    const lines = [];
-    for (const run of this.runs) {
-      const { recording, frame, picture } = run;
-      const isOver = this.time >= recording.duration - 1e-9;
-      run.end.textContent = isOver ? recording.head.outcome : "";
-      const many = frame.parcels.length === 1 ? "one parcel" : `${frame.parcels.length} parcels`;
-      run.canvas.setAttribute(
-        "aria-label",
-        `${run.name}: ${many} on a surface of ${recording.surface.rows} by ${recording.surface.columns}`,
-      );
-      const parts = [];
-      const { parcel } = picture.chosen;
-      const module = run.under >= 0 ? run.under : picture.chosen.module;
-      if (parcel >= 0) parts.push(this._parcelText(run, frame.parcels[parcel]));
-      if (module >= 0) parts.push(this._moduleText(run, module));
-      if (parts.length)
-        lines.push((this.runs.length > 1 ? `${run.name}: ` : "") + parts.join("; "));
-    }
-    const text =
-      lines.join("\n") || "Point at a parcel or a module, or press N or M, to read its numbers.";
-    if (this.reading.textContent !== text) this.reading.textContent = text;
-    if (this.numbers.open) this._fillTable();
-  }
-
-  _parcelText({ recording, frame }, parcel) {
-    const name = recording.parcels.length > 1 ? `parcel ${parcel.number + 1}` : "parcel";
-    const label = parcel.label ? ` (${parcel.label})` : "";
-    const speed = Math.hypot(parcel.vx, parcel.vy);
-    const motion = `${speed.toFixed(2)} m/s towards ${degrees(Math.atan2(parcel.vy, parcel.vx))}, turning ${degrees(parcel.omega)}/s`;
-    const pose = `at x ${parcel.x.toFixed(3)} m, y ${parcel.y.toFixed(3)} m, ${degrees(parcel.theta)}`;
-    let forces = "";
-    if (recording.hasForces) {
-      const [normal, fx, fy] = recording.loadAt(frame.index);
-      forces = `; carried with ${normal.toFixed(1)} N, friction ${Math.hypot(fx, fy).toFixed(1)} N towards ${degrees(Math.atan2(fy, fx))}`;
-    }
-    return `${name}${label} ${motion}, ${pose}${forces}`;
-  }
-
-  _moduleText({ recording }, module) {
-    const { columns, obeys } = recording.surface;
-    const axis = axisText(recording.axes[module]);
-    const fixed = obeys[module] ? "" : ", fixed";
-    return `module in row ${Math.floor(module / columns)}, column ${module % columns}: axis ${axis}${fixed}`;
-  }
-
-  _fillTable() {
-    const names = [
-      ...new Set(this.runs.flatMap((run) => run.recording.metrics.map(([name]) => name))),
-    ];
-    const head = make(
-      "tr",
-      {},
-      make("th", { scope: "col" }, ""),
-      ...this.runs.map((run) => make("th", { scope: "col" }, run.name)),
-    );
-    const rows = names.map((name) => {
-      const cells = this.runs.map(({ recording, frame }) => {
-        const value = recording.metrics.find(([each]) => each === name)?.[1][frame.index];
-        return make("td", {}, Number.isFinite(value) ? String(Number(value.toPrecision(4))) : "–");
-      });
-      return make("tr", {}, make("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells);
-    });
-    this.table.replaceChildren(head, ...rows);
-  }
-
-  _listen() {
-    for (const run of this.runs) this._listenTo(run);
-    document.addEventListener("keydown", (event) => this._onKey(event));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
-      this.setTheme(this.theme ?? "auto"),
-    );
-  }
-
-  /** Follow pointers over a run: hover, tap to choose, drag to move, pinch or wheel to zoom. */
-  _listenTo(run) {
-    const { canvas, picture } = run;
-    const pointers = new Map();
-    let moved = 0;
-    const at = (event) => {
-      const box = canvas.getBoundingClientRect();
-      return { x: event.clientX - box.left, y: event.clientY - box.top };
-    };
-    const spread = () => {
-      const [one, other] = [...pointers.values()];
-      return Math.hypot(one.x - other.x, one.y - other.y);
-    };
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      pointers.set(event.pointerId, at(event));
-      moved = 0;
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      const now = at(event);
-      const before = pointers.get(event.pointerId);
-      run.hover = event.pointerType === "touch" ? null : now;
-      if (before && pointers.size === 1) {
-        moved += Math.hypot(now.x - before.x, now.y - before.y);
-        if (!picture.fitted) picture.pan(now.x - before.x, now.y - before.y);
-      }
-      if (before && pointers.size === 2) {
-        const wide = spread();
-        pointers.set(event.pointerId, now);
-        const [one, other] = [...pointers.values()];
-        if (wide > 0) this.zoom(spread() / wide, run, (one.x + other.x) / 2, (one.y + other.y) / 2);
-        moved = Infinity;
-      }
-      if (before) pointers.set(event.pointerId, now);
-      this._show(true);
-    });
-    const leave = (event) => {
-      pointers.delete(event.pointerId);
-      if (event.type === "pointerup" && moved < 5) this._choose(run, at(event));
-    };
-    canvas.addEventListener("pointerup", leave);
-    canvas.addEventListener("pointercancel", leave);
-    canvas.addEventListener("pointerleave", () => {
-      run.hover = null;
-      this._show(true);
-    });
-    canvas.addEventListener(
-      "wheel",
-      (event) => {
-        if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls
-        event.preventDefault();
-        const { x, y } = at(event);
-        this.zoom(Math.exp(-0.002 * event.deltaY), run, x, y);
-      },
-      { passive: false },
-    );
-    canvas.addEventListener("focus", () => {
-      this.focused = run;
-    });
-  }
-
-  /** Choose what is at a place of a run, to be read until another is. */
-  _choose(run, { x, y }) {
-    const parcel = run.picture.parcelAt(x, y);
-    run.kept = {
-      parcel: parcel < 0 ? -1 : run.frame.parcels[parcel].number,
-      module: parcel < 0 ? run.picture.moduleAt(x, y) : -1,
-    };
-    this._show(true);
-  }
-
-  _onKey(event) {
-    const { target, key } = event;
-    if (event.altKey || event.ctrlKey || event.metaKey) return;
-    const isOwn = target.closest("button, select, input, summary");
-    if (
-      isOwn &&
-      (key === " " || key === "Enter" || key.startsWith("Arrow") || key === "Home" || key === "End")
-    )
-      return;
-    const run = this.focused ?? this.runs[0];
-    const many = event.shiftKey ? 10 : 1;
-    const actions = {
-      " ": () => (this.playing ? this.pause() : this.play()),
-      ArrowLeft: () => this.stepFrames(-many),
-      ArrowRight: () => this.stepFrames(many),
-      Home: () => this.setTime(0),
-      End: () => this.setTime(this.duration),
-      "<": () => this.setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(this.speed) - 1)]),
-      ">": () => this.setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(this.speed) + 1)]),
-      "+": () => this.zoom(ZOOM),
-      "=": () => this.zoom(ZOOM),
-      "-": () => this.zoom(1 / ZOOM),
-      0: () => this.zoom(0),
-      t: () => this._toggle("traces", !this.traces),
-      f: () => this.hasForces && this._toggle("forces", !this.forces),
-      n: () => this._nextParcel(run),
-      m: () => this._keepModule(run, 0, 0),
-      Escape: () => {
-        for (const each of this.runs) each.kept = { parcel: -1, module: -1 };
-        this._show(true);
-      },
-    };
-    if (run.kept.module >= 0) {
-      actions.ArrowLeft = () => this._keepModule(run, 0, -1);
-      actions.ArrowRight = () => this._keepModule(run, 0, 1);
-      actions.ArrowUp = () => this._keepModule(run, 1, 0);
-      actions.ArrowDown = () => this._keepModule(run, -1, 0);
-    }
-    const action = actions[key.length === 1 ? key.toLowerCase() : key];
-    if (!action) return;
-    event.preventDefault();
-    action();
-  }
-
-  _nextParcel(run) {
-    const { parcels } = run.frame;
-    if (!parcels.length) return;
-    const at = parcels.findIndex((each) => each.number === run.kept.parcel);
-    run.kept = { parcel: parcels[(at + 1) % parcels.length].number, module: -1 };
-    this._show(true);
-  }
-
-  /** Go to the next module up and to the right; the first is the nearest to the middle. */
-  _keepModule(run, up, right) {
-    const { rows, columns, rotor } = run.recording.surface;
-    const [middleRow, middleColumn] = [Math.floor(rows / 2), Math.floor(columns / 2)];
-    let found = -1;
-    if (run.kept.module >= 0 && (up || right)) {
-      let row = Math.floor(run.kept.module / columns) + up;
-      let column = (run.kept.module % columns) + right;
-      while (
-        row >= 0 &&
-        row < rows &&
-        column >= 0 &&
-        column < columns &&
-        !rotor[row * columns + column]
-      ) {
-        row += up;
-        column += right;
-      }
-      if (row >= 0 && row < rows && column >= 0 && column < columns) found = row * columns + column;
-    } else {
-      let least = Infinity;
-      rotor.forEach((isRotor, k) => {
-        const away = Math.hypot(Math.floor(k / columns) - middleRow, (k % columns) - middleColumn);
-        if (isRotor && away < least) [least, found] = [away, k];
-      });
-    }
-    if (found >= 0) run.kept = { parcel: -1, module: found };
-    this._show(true);
+    this.panel.write(this.time);
   }
 }

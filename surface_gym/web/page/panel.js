@@ -1,0 +1,135 @@
+/** What a player writes below its pictures: what is pointed at, the numbers, and its keys. */
+
+const KEYS = [
+  ["Space", "play or pause"],
+  ["← →", "a frame back or on; with Shift ten"],
+  ["Home End", "to the start or the end"],
+  ["< >", "slower, faster"],
+  ["+ − 0", "zoom in, zoom out, all of it"],
+  ["Ctrl + wheel, pinch", "zoom where you point; drag to move"],
+  ["T F", "traces, forces"],
+  ["N", "next parcel"],
+  ["M", "a module; arrows then go to its neighbours, Escape leaves"],
+];
+
+/** Make an element with attributes and children. */
+export function make(kind, attributes = {}, ...children) {
+  const element = document.createElement(kind);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+function degrees(angle) {
+  return `${((angle * 180) / Math.PI)
+    .toFixed(1)
+    .replace(/^-0\.0$/, "0.0")
+    .replace("-", "−")}°`;
+}
+
+/** Write an axis between −90 and 90 degrees: half a turn is the same axis. */
+function axisText(angle) {
+  const half = angle - Math.PI * Math.round(angle / Math.PI - 1e-6);
+  return degrees(half);
+}
+
+/** The readings of a player's runs. */
+export class Panel {
+  /**
+   * @param {HTMLElement} root to add them to
+   * @param {import("./player.js").Run[]} runs
+   */
+  constructor(root, runs) {
+    this.runs = runs;
+    this.reading = make("p", { class: "reading", id: "reading", "aria-live": "polite" });
+    this.table = make("table");
+    this.numbers = make(
+      "details",
+      {},
+      make("summary", {}, "Numbers"),
+      make("div", { class: "scroll" }, this.table),
+    );
+    this.numbers.addEventListener("toggle", () => this._fillTable());
+    const keys = make("dl");
+    for (const [key, meaning] of KEYS) keys.append(make("dt", {}, key), make("dd", {}, meaning));
+    root.append(
+      this.reading,
+      this.numbers,
+      make("details", { class: "keys" }, make("summary", {}, "Keys"), keys),
+    );
+  }
+
+  /** Let those who hear the page hear what is pointed at, or not while it changes all the time. */
+  setLive(isLive) {
+    this.reading.setAttribute("aria-live", isLive ? "polite" : "off");
+  }
+
+  /** Write what is under the pointer or chosen at a time [s], how runs end, and the numbers. */
+  write(time) {
+    const lines = [];
+    for (const run of this.runs) {
+      const { recording, frame, picture } = run;
+      const isOver = time >= recording.duration - 1e-9;
+      run.end.textContent = isOver ? recording.head.outcome : "";
+      const many = frame.parcels.length === 1 ? "one parcel" : `${frame.parcels.length} parcels`;
+      run.canvas.setAttribute(
+        "aria-label",
+        `${run.name}: ${many} on a surface of ${recording.surface.rows} by ${recording.surface.columns}`,
+      );
+      const parts = [];
+      const { parcel } = picture.chosen;
+      const module = run.under >= 0 ? run.under : picture.chosen.module;
+      if (parcel >= 0) parts.push(this._parcelText(run, frame.parcels[parcel]));
+      if (module >= 0) parts.push(this._moduleText(run, module));
+      if (parts.length)
+        lines.push((this.runs.length > 1 ? `${run.name}: ` : "") + parts.join("; "));
+    }
+    const text =
+      lines.join("\n") || "Point at a parcel or a module, or press N or M, to read its numbers.";
+    if (this.reading.textContent !== text) this.reading.textContent = text;
+    this._fillTable();
+  }
+
+  _parcelText({ recording, frame }, parcel) {
+    const name = recording.parcels.length > 1 ? `parcel ${parcel.number + 1}` : "parcel";
+    const label = parcel.label ? ` (${parcel.label})` : "";
+    const speed = Math.hypot(parcel.vx, parcel.vy);
+    const motion = `${speed.toFixed(2)} m/s towards ${degrees(Math.atan2(parcel.vy, parcel.vx))}, turning ${degrees(parcel.omega)}/s`;
+    const pose = `at x ${parcel.x.toFixed(3)} m, y ${parcel.y.toFixed(3)} m, ${degrees(parcel.theta)}`;
+    let forces = "";
+    if (recording.hasForces) {
+      const [normal, fx, fy] = recording.loadAt(frame.index);
+      forces = `; carried with ${normal.toFixed(1)} N, friction ${Math.hypot(fx, fy).toFixed(1)} N towards ${degrees(Math.atan2(fy, fx))}`;
+    }
+    return `${name}${label} ${motion}, ${pose}${forces}`;
+  }
+
+  _moduleText({ recording }, module) {
+    const { columns, obeys } = recording.surface;
+    const axis = axisText(recording.axes[module]);
+    const fixed = obeys[module] ? "" : ", fixed";
+    return `module in row ${Math.floor(module / columns)}, column ${module % columns}: axis ${axis}${fixed}`;
+  }
+
+  /** Fill the table of numbers, where it is open. */
+  _fillTable() {
+    if (!this.numbers.open) return;
+    const names = [
+      ...new Set(this.runs.flatMap((run) => run.recording.metrics.map(([name]) => name))),
+    ];
+    const head = make(
+      "tr",
+      {},
+      make("th", { scope: "col" }, ""),
+      ...this.runs.map((run) => make("th", { scope: "col" }, run.name)),
+    );
+    const rows = names.map((name) => {
+      const cells = this.runs.map(({ recording, frame }) => {
+        const value = recording.metrics.find(([each]) => each === name)?.[1][frame.index];
+        return make("td", {}, Number.isFinite(value) ? String(Number(value.toPrecision(4))) : "–");
+      });
+      return make("tr", {}, make("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells);
+    });
+    this.table.replaceChildren(head, ...rows);
+  }
+}
