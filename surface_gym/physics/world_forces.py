@@ -1,0 +1,162 @@
+"""The forces of one step of all parcels on a surface: from elements below, and between sides."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.physics import collision, signed_distance as sd, step, types as ph
+from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
+from surface_gym.physics.contact_solver import step_world
+from surface_gym.physics.friction import friction_gradient
+from surface_gym.physics.jit import compiled, inlined
+from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
+
+
+class WorldForces(NamedTuple):
+    """Room for the forces of a step of P parcels."""
+
+    alone: Array  # (P, STATE_SIZE) where each parcel's step alone leads
+    first: Integers  # (P + 1,) the row of each parcel's first contact below
+    element: Integers  # (most contacts, 2) row and column
+    below: Array  # (most contacts, 3) [N] normal force, and friction on the parcel in x and y
+    pair: Integers  # (most pairs, 2) rows of parcels that push each other
+    push: Array  # (most pairs, 4) [m] place, and [N] force on the second, in x and y
+
+
+def make_world_forces(parcels: int) -> WorldForces:
+    """Make room for a number of parcels."""
+    contacts, pairs = parcels * ph.CAPACITY, parcels * (parcels - 1) // 2
+    return WorldForces(
+        alone=np.zeros((parcels, ph.STATE_SIZE)),
+        first=np.zeros(parcels + 1, dtype=np.int64),
+        element=np.zeros((contacts, 2), dtype=np.int64),
+        below=np.zeros((contacts, 3)),
+        pair=np.zeros((pairs, 2), dtype=np.int64),
+        push=np.zeros((pairs, 4)),
+    )
+
+
+@compiled
+def observe_world(
+    grid: Grid,
+    world: World,
+    material: ContactMaterial,
+    scratch: WorldScratch,
+    dt: float,
+    forces: WorldForces,
+) -> int:
+    """Do one step as `step_world` does, and write its forces, means over the step.
+
+    Of sides that rebound in the step the force is the whole blow's, but for the friction between
+    them in it.
+
+    Returns:
+        Number of pairs that push each other.
+    """
+    rows = world.present.shape[0]
+    for k in range(rows):
+        forces.first[k + 1] = forces.first[k]
+        if world.present[k]:
+            for j in range(ph.STATE_SIZE):
+                forces.alone[k, j] = world.state[k, j]
+            body = collision.read_body(world.bodies, world.body[k])
+            under = Scratch(scratch.tables[k], scratch.marks[k])
+            report, contacts = step.step_implicit(grid, body, forces.alone[k], under, dt)
+            if report < step.OFF_SURFACE:
+                _write_elements(under, forces.element[forces.first[k] :])
+                forces.first[k + 1] += contacts.total
+                rows_below = forces.below[forces.first[k] : forces.first[k + 1]]
+                mass = world.bodies.body[world.body[k], ph.MASS]
+                for i in range(contacts.total):
+                    rows_below[i, 0] = mass * under.table[ph.NORMAL + i]
+                    rows_below[i, 1] = rows_below[i, 2] = 0.0
+                _add_friction(under, contacts, forces.alone[k], mass / dt, rows_below)
+    scratch.ends[:, 2] = -1  # so that the points of this step are told from others
+    pushed = step_world(grid, world, material, scratch, dt)
+    for k in range(rows):
+        if _is_among(scratch, pushed, k):
+            _share_friction(world, scratch, k, dt, forces)
+    for e in range(pushed):
+        _write_push(scratch, e, dt, forces)
+    return pushed
+
+
+@inlined
+def _write_elements(scratch: Scratch, element: Integers) -> None:
+    i = 0
+    for span in range(scratch.marks[ph.SPANS]):
+        for column in range(
+            scratch.marks[ph.SPAN_FIRST + span], scratch.marks[ph.SPAN_LAST + span] + 1
+        ):
+            element[i, 0] = scratch.marks[ph.SPAN_ROW + span]
+            element[i, 1] = column
+            i += 1
+
+
+@inlined
+def _add_friction(
+    scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
+) -> None:
+    """Add the friction at the velocity of a state, with the loads in the scratch, times a scale."""
+    friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
+    for i in range(contacts.total):
+        below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]
+        below[i, 2] -= scale * scratch.table[ph.FORCE_Y + i]
+
+
+@inlined
+def _is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
+    """Return whether a parcel is one of a pair that pushed each other."""
+    for e in range(pushed):
+        if scratch.pair[e, 0] == k or scratch.pair[e, 1] == k:
+            return True
+    return False
+
+
+@inlined
+def _share_friction(
+    world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
+) -> None:
+    """Let friction be that of the step alone until the parcel touches, then that of the push."""
+    below = forces.below[forces.first[k] : forces.first[k + 1]]
+    for i in range(below.shape[0]):
+        below[i, 1] *= scratch.since[k] / dt
+        below[i, 2] *= scratch.since[k] / dt
+    mass = world.bodies.body[world.body[k], ph.MASS]
+    under = Scratch(scratch.tables[k], scratch.marks[k])
+    contacts = Contacts(below.shape[0], scratch.marks[k, ph.SUPPORTS])
+    _add_friction(under, contacts, world.state[k], mass / dt, below)
+
+
+@inlined
+def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -> None:
+    """Write what the e-th pair does to each other, where the mean of its points' impulses is."""
+    i, j = scratch.pair[e, 0], scratch.pair[e, 1]
+    motion = sd.sweep_between(scratch.before[i], forces.alone[i])
+    x = motion.x + scratch.since[i] * motion.vx
+    y = motion.y + scratch.since[i] * motion.vy
+    points, normal, side, nx, ny = 0, 0.0, 0.0, 0.0, 0.0
+    for weighted in (True, False):  # by their impulses; where a blow left none, evenly
+        total = arm_x = arm_y = 0.0
+        for c in range(scratch.ends.shape[0]):
+            if scratch.ends[c, 2] < 0:
+                break
+            if scratch.ends[c, 0] == i and scratch.ends[c, 1] == j:
+                point = scratch.point[c]
+                weight = point[ph.NORMAL_IMPULSE] if weighted else 1.0
+                total += weight
+                arm_x += weight * point[ph.FIRST_X]
+                arm_y += weight * point[ph.FIRST_Y]
+                if weighted:
+                    points += 1
+                    side += point[ph.TANGENT_IMPULSE]
+                    nx, ny = point[ph.NORMAL_X], point[ph.NORMAL_Y]
+        if total > 0.0:
+            break
+    normal = scratch.impulse[e]
+    forces.pair[e, 0] = i
+    forces.pair[e, 1] = j
+    forces.push[e, 0] = x + arm_x / total
+    forces.push[e, 1] = y + arm_y / total
+    forces.push[e, 2] = (normal * nx - side * ny) / dt
+    forces.push[e, 3] = (normal * ny + side * nx) / dt
