@@ -6,8 +6,9 @@ import numpy as np
 
 from surface_gym.physics import collision, signed_distance as sd, step, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
-from surface_gym.physics.contact_solver import step_world
+from surface_gym.physics.contact_solver import PUSHED, step_world
 from surface_gym.physics.friction import friction_gradient
+from surface_gym.physics.island import STIFFNESS
 from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
@@ -107,10 +108,10 @@ def _add_friction(
 @inlined
 def _is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
     """Return whether a parcel is one of a pair that pushed each other."""
+    found = False
     for e in range(pushed):
-        if scratch.pair[e, 0] == k or scratch.pair[e, 1] == k:
-            return True
-    return False
+        found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k
+    return found
 
 
 @inlined
@@ -135,7 +136,7 @@ def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx
     y = motion.y + scratch.since[i] * motion.vy
-    points, normal, side, nx, ny = 0, 0.0, 0.0, 0.0, 0.0
+    side = nx = ny = 0.0
     for weighted in (True, False):  # by their impulses; where a blow left none, evenly
         total = arm_x = arm_y = 0.0
         for c in range(scratch.ends.shape[0]):
@@ -148,8 +149,8 @@ def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -
                 arm_x += weight * point[ph.FIRST_X]
                 arm_y += weight * point[ph.FIRST_Y]
                 if weighted:
-                    points += 1
-                    side += point[ph.TANGENT_IMPULSE]
+                    if weight > PUSHED * point[ph.NORMAL_STIFFNESS] / STIFFNESS:
+                        side += point[ph.TANGENT_IMPULSE]
                     nx, ny = point[ph.NORMAL_X], point[ph.NORMAL_Y]
         if total > 0.0:
             break
