@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
-from surface_gym import checks, state as st
+from surface_gym import checks
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.state import NOBODY
-from surface_gym.physics import rollout, types as ph
 from surface_gym.physics.types import Array
+from surface_gym.recorded_forces import FrameForces, ParcelForces, StreamForces, join_frames
 from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes
 from surface_gym.surface import Surface
 
@@ -139,10 +139,11 @@ class _Recorder:
         self._parcels: dict[int, _Rows] = {}  # by number of arrival
         self._time: list[float] = []
         self._axes: list[Array] = []
-        self._contacts: list[Array] = []  # (contacts, 4) a frame
+        kind = StreamForces if self._is_stream else ParcelForces
+        self._force_source = kind(batch, env_index)
+        self._forces: list[FrameForces] = []  # with indices of the parcels recorded for rows
         self._delivered: list[tuple[int, ...]] = []
         self._metrics: list[dict[str, float]] = []
-        self._scratch = ph.make_scratch()
 
     def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
         """Record a frame: the start, or where a control period has led."""
@@ -161,7 +162,7 @@ class _Recorder:
             self._scene = self._renderer.scene(self._index)
             self._parcels[0] = _Rows(self._scene.parcels[0], 0)
         self._parcels[0].truth.append(self._batch.parcels.truth[self._index].copy())
-        self._contacts.append(self._compute_contacts())
+        self._forces.append(self._force_source.compute())
 
     def _record_stream(self) -> None:
         batch, i, streams = self._batch, self._index, self._batch.streams
@@ -179,44 +180,19 @@ class _Recorder:
             rows = self._parcels.get(int(numbers[slot]))  # None: it came and left between frames
             if rows is not None:
                 rows.truth.append(batch.parcels.truth[first + slot].copy())
+        index = {number: k for k, number in enumerate(self._parcels)}
+        places = np.array([index.get(int(number), NOBODY) for number in streams.number[i]])
+        self._forces.append(self._force_source.compute().renumbered(places))
         taken = streams.taken[i, : streams.arrivals[i]]
         right = streams.right[i, : streams.arrivals[i]]
         exits = len(batch.config.exits)
         self._delivered.append(tuple(np.bincount(taken[right], minlength=exits).tolist()))
-
-    def _compute_contacts(self) -> Array:
-        """Compute the contacts (contacts, 4) of the only parcel in the step from here."""
-        batch, i = self._batch, self._index
-        body_row, params = int(batch.parcels.body[i]), batch.params
-        grid = st.read_grid.py_func(
-            batch.surfaces, batch.bodies, i, body_row, params.elements, params.friction
-        )
-        body = st.read_body.py_func(batch.bodies, body_row)
-        states = np.stack([batch.parcels.state[i]] * 2)
-        lengths = np.array([0.0, params.timing.dt])
-        steps = rollout.RecordedSteps(states, lengths, 0.5 * lengths, np.zeros(3, dtype=np.int64))
-        count = np.zeros(2, dtype=np.int64)
-        rollout.count_contacts(grid, body, steps, self._scratch, count)
-        total = int(count[1])
-        if total == 0:
-            return np.zeros((0, 4))
-        steps.first[2] = total
-        observed = rollout.ContactForces(
-            states.copy(), np.zeros((total, 2), dtype=np.int64), np.zeros(total),
-            np.zeros((total, 2)),
-        )  # fmt: skip
-        rollout.support_loads(grid, body, steps, self._scratch, observed)
-        rollout.repeat_implicit(grid, body, steps, self._scratch, observed)
-        mass = batch.parcel(i).mass
-        element = observed.element @ (grid.axis.shape[1], 1)
-        return np.column_stack([element, mass * observed.normal, mass * observed.force])
 
     def recording(self) -> Recording:
         """Collect what was recorded."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
         names = dict.fromkeys(name for each in self._metrics for name in each)
-        counts = [0, *map(len, self._contacts)]
         return Recording(
             title=scene.title,
             control_period=self._batch.config.control_period,
@@ -231,8 +207,7 @@ class _Recorder:
             marks=make_marks(scene),
             parcels=tuple(rows.recorded() for rows in self._parcels.values()),
             heading=getattr(scene.goal, "angle", None),
-            first_contact=np.cumsum(counts) if self._contacts else np.zeros(0, dtype=np.int64),
-            contacts=np.concatenate([np.zeros((0, 4)), *self._contacts]),
+            **join_frames(self._forces),
             delivered=np.array(self._delivered, dtype=np.float64).reshape(
                 len(self._delivered), -1 if self._delivered else 0
             ),

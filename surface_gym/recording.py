@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, files
+from surface_gym.packing import Reader, pack
 from surface_gym.physics.types import Array, Booleans, Integers
 
-FORMAT, VERSION = "surface_gym recording", 1
+FORMAT, VERSION = "surface_gym recording", 2
+WITHOUT_BEARERS = 1  # the version of files with forces on one parcel alone
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
 MOST_BYTES = 2**30  # of a recording in memory: days of a stream
@@ -30,6 +32,12 @@ ANGLES = 256  # different axes in a recording, at most
 TIME = (1e-5,)  # [s]
 MOTION = (5e-5, 5e-5, 1e-4, 5e-4, 5e-4, 1e-3)  # [m, m, rad, m/s, m/s, rad/s]
 CONTACT = (1.0, 0.02, 0.02, 0.02)  # [module, N, N, N]
+BEARER = (1.0,)  # [parcel]
+PUSH = (1.0, 1.0, 1e-3, 1e-3, 0.02, 0.02)  # [parcel, parcel, m, m, N, N]
+
+
+def _no_indices() -> Integers:
+    return np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +104,17 @@ class Recording:
     parcels: tuple[RecordedParcel, ...] = ()
     heading: float | None = None  # [rad] that the parcel is asked to turn to
     # (T + 1,) the first contact of each frame, or empty: forces are not known
-    first_contact: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    first_contact: Integers = field(default_factory=_no_indices)
     # (contacts, 4) row times columns plus column of the element, and normal force, and friction on
     # the parcel in x and y [N]
     contacts: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    bearer: Integers = field(
+        default_factory=_no_indices
+    )  # (contacts,) its parcel; empty: the first
+    first_push: Integers = field(default_factory=_no_indices)  # (T + 1,) as first_contact, or empty
+    # (pushes, 6) two parcels that push each other, [m] where, in x and y, and [N] force on the
+    # second of them in x and y
+    pushes: Array = field(default_factory=lambda: np.zeros((0, 6)))
     # (T, exits) parcels that rightly left by each exit mark
     delivered: Array = field(default_factory=lambda: np.zeros((0, 0)))
     metrics: dict[str, Array] = field(default_factory=dict)  # (T,) by name; nan: not known
@@ -133,6 +148,7 @@ class Recording:
             _set(self, heading=checks.number("heading", self.heading))
         self._check_parcels()
         self._check_contacts()
+        self._check_pushes()
         _set(self, delivered=checks.array("delivered", self.delivered, (None, None)))
         exits = sum(mark.kind == "exit" for mark in self.marks)
         if self.delivered.size and self.delivered.shape != (count, exits):
@@ -174,22 +190,44 @@ class Recording:
 
     def _check_contacts(self) -> None:
         contacts = checks.array("contacts", self.contacts, (None, 4))
-        first = np.array(self.first_contact, dtype=np.int64)
-        if len(first) and (
-            len(first) != len(self.time) + 1
-            or first[0] != 0
-            or first[-1] != len(contacts)
-            or (np.diff(first) < 0).any()
-        ):
-            raise ValueError(
-                "first_contact must rise from 0 to the number of contacts, one more than frames"
-            )
-        if not len(first) and len(contacts):
-            raise ValueError("first_contact must say which frames contacts belong to, got none")
         element = contacts[:, 0]
         if len(element) and not (element.min() >= 0 and element.max() < self.rotor.size):
             raise ValueError(f"contacts must be on the {self.rotor.size} elements")
-        _set(self, contacts=contacts, first_contact=first)
+        bearer = np.array(self.bearer, dtype=np.int64)
+        if not bearer.size:
+            bearer = np.zeros(len(contacts), dtype=np.int64)
+        if len(bearer) != len(contacts):
+            raise ValueError(
+                f"bearer must have a parcel for each of {len(contacts)} contacts, got {len(bearer)}"
+            )
+        self._check_parcel("bearer", bearer)
+        _set(self, contacts=contacts, bearer=bearer)
+        self._check_first("first_contact", "contacts")
+
+    def _check_pushes(self) -> None:
+        pushes = checks.array("pushes", self.pushes, (None, 6))
+        self._check_parcel("pushes", pushes[:, :2])
+        _set(self, pushes=pushes)
+        self._check_first("first_push", "pushes")
+
+    def _check_parcel(self, name: str, index: Array | Integers) -> None:
+        count = len(self.parcels)
+        if index.size and not (index.min() >= 0 and index.max() < count):
+            raise ValueError(f"{name} must be of the {count} parcels")
+
+    def _check_first(self, name: str, of: str) -> None:
+        """Check which row of a table is each frame's first."""
+        first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
+        if len(first) and (
+            len(first) != len(self.time) + 1
+            or first[0] != 0
+            or first[-1] != total
+            or (np.diff(first) < 0).any()
+        ):
+            raise ValueError(f"{name} must rise from 0 to the number of {of}, one more than frames")
+        if not len(first) and total:
+            raise ValueError(f"{name} must say which frames {of} belong to, got none")
+        _set(self, **{name: first})
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -220,11 +258,14 @@ class Recording:
         """Encode the recording as the bytes of its file, which a page reads too."""
         motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
         tables = [
-            _pack("time", self.time[:, np.newaxis], TIME),
-            _pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
-            _pack("first_contact", np.diff(self.first_contact)[:, np.newaxis], (1.0,)),
-            _pack("contacts", self.contacts, CONTACT),
-            _pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
+            pack("time", self.time[:, np.newaxis], TIME),
+            pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
+            pack("first_contact", np.diff(self.first_contact)[:, np.newaxis], (1.0,)),
+            pack("bearer", self.bearer[:, np.newaxis], BEARER),
+            pack("contacts", self.contacts, CONTACT),
+            pack("first_push", np.diff(self.first_push)[:, np.newaxis], (1.0,)),
+            pack("pushes", self.pushes, PUSH),
+            pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
         ]
         turned = np.diff(self.axis.reshape(len(self), -1), axis=0, prepend=np.uint8(0))
         metrics = np.array([*self.metrics.values()], dtype="<f4")
@@ -257,8 +298,16 @@ class Recording:
             "frames": len(self),
             "counted": len(self.first_contact) > 0,
             "contacts": len(self.contacts),
+            "counted_pushes": len(self.first_push) > 0,
+            "pushes": len(self.pushes),
             "exits": self.delivered.shape[1],
-            "units": {"time": TIME, "motion": MOTION, "contact": CONTACT},
+            "units": {
+                "time": TIME,
+                "motion": MOTION,
+                "bearer": BEARER,
+                "contact": CONTACT,
+                "push": PUSH,
+            },
         }
         text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
         grids = [self.rotor.tobytes(), obeys.tobytes(), turned.tobytes()]
@@ -307,50 +356,9 @@ def _checked_file(path: str | PathLike[str]) -> Path:
     return file
 
 
-def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
-    """Round a table (rows, columns), and keep what its second differences down a column are.
-
-    They are made positive, and their bytes lie apart: the first of all numbers, then the second ...
-    """
-    counts = np.rint(values / np.array(units))
-    if counts.size and np.abs(counts).max() >= 2**31:
-        raise ValueError(f"{name} must be less than {2**31} units of {units} to be saved")
-    change = np.diff(counts.astype(np.int64), n=2, axis=0, prepend=np.zeros((2, len(units))))
-    change = change.astype(np.int64)
-    folded = ((change << 1) ^ (change >> 63)).T.astype("<u8").reshape(-1, 1)
-    planes: bytes = folded.view(np.uint8)[:, :5].T.tobytes()
-    return planes
-
-
-def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
-    """Compute the table (rows, columns) whose bytes `_pack` returned."""
-    padded = np.zeros((planes.size // 5, 8), dtype=np.uint8)
-    padded[:, :5] = planes.reshape(5, -1).T
-    folded = padded.view("<u8").astype(np.int64).reshape(len(units), -1).T
-    change = (folded >> 1) ^ -(folded & 1)
-    return np.cumsum(np.cumsum(change, axis=0), axis=0) * np.array(units)
-
-
-class _Reader:
-    """Bytes of a recording, taken one part after the other."""
-
-    def __init__(self, content: bytes) -> None:
-        self._left = memoryview(content)
-
-    def take(self, size: int) -> NDArray[np.uint8]:
-        if not 0 <= size <= len(self._left):
-            raise ValueError(f"it must hold {size} bytes more, got {len(self._left)}")
-        part, self._left = self._left[:size], self._left[size:]
-        return np.frombuffer(part, dtype=np.uint8)
-
-    def table(self, rows: int, units: tuple[float, ...]) -> Array:
-        if rows == 0 or not units:
-            return np.zeros((rows, len(units)))
-        return _unpack(self.take(5 * rows * len(units)), units)
-
-    def check_end(self) -> None:
-        if len(self._left):
-            raise ValueError(f"it must end, got {len(self._left)} bytes more")
+def _firsts(counts: Array) -> Integers:
+    """Sum counts (T,) to the first row of each frame (T + 1,)."""
+    return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
 def _decode(packed: bytes) -> Recording:
@@ -360,17 +368,19 @@ def _decode(packed: bytes) -> Recording:
         raise ValueError(f"it must unpack to at most {MOST_BYTES} bytes, got more")
     if not unpacker.eof:
         raise ValueError("it is cut short")
-    reader = _Reader(content)
+    reader = Reader(content)
     size = int.from_bytes(reader.take(4).tobytes(), "little")
     if size > MOST_HEADER:
         raise ValueError(f"its header must have at most {MOST_HEADER} bytes, got {size}")
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
-    checks.one_of("version", head["version"], (VERSION,))
+    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION))
+    if version == WITHOUT_BEARERS:
+        head |= {"pushes": 0, "counted_pushes": False}
     count = {
         name: checks.integer(name, head[name], least=0, most=sys.maxsize)
-        for name in ("rows", "columns", "frames", "contacts", "exits")
+        for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
     }
     shape, frames = (count["rows"], count["columns"]), count["frames"]
     grid = shape[0] * shape[1]
@@ -380,8 +390,12 @@ def _decode(packed: bytes) -> Recording:
     time = reader.table(frames, TIME)[:, 0]
     rows = [checks.integer("rows", each["rows"], least=1) for each in head["parcels"]]
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
-    counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0].astype(np.int64)
+    counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0]
+    bearers = 0 if version == WITHOUT_BEARERS else count["contacts"]
+    bearer = reader.table(bearers, BEARER)[:, 0].astype(np.int64)
     contacts = reader.table(count["contacts"], CONTACT)
+    counted_pushes = reader.table(frames if head["counted_pushes"] else 0, (1.0,))
+    pushes = reader.table(count["pushes"], PUSH)
     delivered = reader.table(frames if count["exits"] else 0, (1.0,) * count["exits"])
     names = head["metrics"]
     values = reader.take(4 * frames * len(names)).view("<f4").reshape(len(names), frames)
@@ -402,8 +416,11 @@ def _decode(packed: bytes) -> Recording:
             )
             for each, row in zip(head["parcels"], motion, strict=True)
         ),
-        first_contact=np.append(0, np.cumsum(counted)) if head["counted"] else counted,
+        first_contact=_firsts(counted) if head["counted"] else _no_indices(),
         contacts=contacts,
+        bearer=bearer,
+        first_push=_firsts(counted_pushes[:, 0]) if head["counted_pushes"] else _no_indices(),
+        pushes=pushes,
         delivered=delivered,
         metrics=dict(zip(names, values.astype(np.float64), strict=True)),
         **{

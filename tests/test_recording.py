@@ -193,7 +193,7 @@ def damaged(found):
         "other": zlib.compress(content.replace(b"surface_gym recording", b"surface_gym regording")),
         "large": zlib.compress(content.replace(b'"frames":3', b'"frames":9')),
         "header": zlib.compress(b"\xff" * 100),
-        "newer": zlib.compress(content.replace(b'"version":1', b'"version":7')),
+        "newer": zlib.compress(content.replace(b'"version":2', b'"version":7')),
     }[found]
 
 
