@@ -116,6 +116,23 @@ def test_a_file_gives_the_same_again(tmp_path, sorted_parcel):
     assert (tmp_path / "run.replay").read_bytes() == (tmp_path / "again.replay").read_bytes()
 
 
+def test_a_file_without_bearers_is_read_too(sorted_parcel):
+    """As those that were written before forces of streams were recorded."""
+    found, _, _ = sorted_parcel
+    content = zlib.decompress(found.encode())
+    count = len(found.contacts)
+    after = (  # contacts, and what follows
+        5 * 4 * count + 5 * len(found) + 4 * len(found) * len(found.metrics)
+    )
+    old = content[: -after - 5 * count] + content[-after:]
+    pushes = 5 * len(found)
+    end = len(old) - 4 * len(found) * len(found.metrics)
+    old = old[: end - pushes] + old[end:]
+    again = Recording.decode(zlib.compress(old.replace(b'"version":2', b'"version":1')))
+    assert_close(found, again)
+    assert (again.bearer == 0).all()
+
+
 def test_an_empty_recording_is_one():
     alone = recording(frames=1, parcels=())
     assert_close(alone, Recording.decode(alone.encode()))
@@ -153,6 +170,9 @@ BAD = {
     "obeys": (np.ones((1, 1), dtype=bool), "obeys must have rotor's shape"),
     "contacts": (np.zeros((1, 4)), "first_contact must say"),
     "first_contact": (np.array([0, 1, 2, 3]), "first_contact must rise"),
+    "bearer": (np.zeros(2, dtype=np.int64), "bearer must have a parcel for each of 0 contacts"),
+    "pushes": (np.ones((1, 6)), "pushes must be of the 1 parcels"),
+    "first_push": (np.array([0, 1, 1, 1]), "first_push must rise from 0 to the number of pushes"),
     "delivered": (np.zeros((3, 2)), "delivered must have a row a frame"),
     "metrics": ({"reward": np.zeros(2)}, r"metrics\['reward'\] must have 3 rows"),
     "outcome": (3, "outcome must be a text"),
