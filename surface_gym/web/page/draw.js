@@ -1,5 +1,6 @@
 /** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
 
+import { traceArrows } from "./arrows.js";
 import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
 import { View } from "./view.js";
 
@@ -53,16 +54,21 @@ export class Picture extends View {
   /**
    * @param {HTMLCanvasElement} canvas as large as its style says, on any screen
    * @param {Surface} surface
-   * @param {{theme?: "light"|"dark"|"auto", forceScale?: number}} [options] forces are drawn
-   *   `forceScale` [m/N] long
+   * @param {{theme?: "light"|"dark"|"auto", forceScale?: number, longestForce?: number}} [options]
+   *   forces are drawn `forceScale` [m/N] long, and at most `longestForce` [m]
    */
-  constructor(canvas, surface, { theme = "auto", forceScale = 0.005 } = {}) {
+  constructor(
+    canvas,
+    surface,
+    { theme = "auto", forceScale = 0.005, longestForce = Infinity } = {},
+  ) {
     super(canvas, surface);
     this.context = canvas.getContext("2d");
     this.ground = document.createElement("canvas"); // what stays
     this.modules = document.createElement("canvas"); // the same under the modules
     this.sprites = new Map();
     this.forceScale = forceScale;
+    this.longestForce = longestForce;
     /** Index of the module and of the parcel drawn with a ring; -1: none. */
     this.chosen = { module: -1, parcel: -1 };
     this.frame = null;
@@ -415,21 +421,11 @@ export class Picture extends View {
     if (forces.length === 0) return;
     const { context } = this;
     context.lineJoin = "round";
-    context.beginPath();
-    for (const [x, y, fx, fy] of forces) {
-      const length = this.forceScale * Math.hypot(fx, fy);
-      if (length === 0) continue;
-      const tipX = x + this.forceScale * fx;
-      const tipY = y + this.forceScale * fy;
-      const tip = this._place(tipX, tipY);
-      context.moveTo(...this._place(x, y));
-      context.lineTo(...tip);
-      const head = Math.min(0.3 * length, 0.35 * this.pitch[0]) / length;
-      const [hx, hy] = [head * (tipX - x), head * (tipY - y)];
-      context.moveTo(...this._place(tipX - hx - 0.6 * hy, tipY - hy + 0.6 * hx));
-      context.lineTo(...tip);
-      context.lineTo(...this._place(tipX - hx + 0.6 * hy, tipY - hy - 0.6 * hx));
-    }
+    traceArrows(context, forces, (x, y) => this._place(x, y), {
+      scale: this.forceScale,
+      longest: this.longestForce,
+      head: 0.35 * this.pitch[0],
+    });
     context.strokeStyle = this.colours.paper;
     context.lineWidth = 1.9 * this._stroke();
     context.stroke();

@@ -33,6 +33,10 @@ function axisText(angle) {
   return degrees(half);
 }
 
+function forceText([fx, fy]) {
+  return `${Math.hypot(fx, fy).toFixed(1)} N towards ${degrees(Math.atan2(fy, fx))}`;
+}
+
 /** The readings of a player's runs. */
 export class Panel {
   /**
@@ -96,12 +100,15 @@ export class Panel {
     const speed = Math.hypot(parcel.vx, parcel.vy);
     const motion = `${speed.toFixed(2)} m/s towards ${degrees(Math.atan2(parcel.vy, parcel.vx))}, turning ${degrees(parcel.omega)}/s`;
     const pose = `at x ${parcel.x.toFixed(3)} m, y ${parcel.y.toFixed(3)} m, ${degrees(parcel.theta)}`;
-    let forces = "";
-    if (recording.hasForces) {
-      const [normal, fx, fy] = recording.loadAt(frame.index);
-      forces = `; carried with ${normal.toFixed(1)} N, friction ${Math.hypot(fx, fy).toFixed(1)} N towards ${degrees(Math.atan2(fy, fx))}`;
-    }
-    return `${name}${label} ${motion}, ${pose}${forces}`;
+    return `${name}${label} ${motion}, ${pose}${this._forcesText(recording, frame, parcel)}`;
+  }
+
+  _forcesText(recording, frame, parcel) {
+    if (!recording.hasForces) return "";
+    const { normal, friction, push } = recording.loadAt(frame.index, parcel.number ?? 0);
+    const pushed = Math.hypot(...push) > 0 ? `, pushed with ${forceText(push)}` : "";
+    if (normal === 0) return pushed;
+    return `; carried with ${normal.toFixed(1)} N, friction ${forceText(friction)}${pushed}`;
   }
 
   _moduleText({ recording }, module) {

@@ -9,6 +9,7 @@ const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const WIDE = 1.9; // width over height of pictures that go below one another
 const REFRESH = 100; // [ms] between readings while it plays
 const LONGEST_FORCE = 2.5; // [pitch] the arrow of the greatest friction
+const LONGEST_PUSH = 2; // [-] of it, any other arrow
 
 /**
  * @typedef {object} Run as a player shows it
@@ -126,12 +127,11 @@ export class Player {
     const end = make("span", { class: "end" });
     const caption = make("figcaption", {}, make("strong", {}, name), end);
     this.room.append(make("figure", {}, caption, canvas));
-    const most = Math.max(
-      ...[0, ...recording.contacts[2].map((fx, k) => Math.hypot(fx, recording.contacts[3][k]))],
-    );
-    const pitch = recording.surface.pitch[0];
+    const most = recording.mostFriction;
+    const longest = LONGEST_FORCE * recording.surface.pitch[0];
     const picture = new Picture(canvas, recording.surface, {
-      forceScale: most ? (LONGEST_FORCE * pitch) / most : 0,
+      forceScale: most ? longest / most : 0,
+      longestForce: LONGEST_PUSH * longest,
     });
     canvas.style.aspectRatio = String(picture.aspect);
     this.room.classList.toggle("wide", picture.aspect > WIDE);

@@ -51,10 +51,11 @@ export class Recording {
       first += each.rows;
       return found;
     });
-    const [counts] = table(head.counted ? frames : 0, [1]);
-    this.firstContact = [0];
-    for (const count of counts) this.firstContact.push(this.firstContact.at(-1) + count);
+    this.firstContact = starts(table(head.counted ? frames : 0, [1])[0]);
+    [this.bearer] = table(head.contacts, units.bearer);
     this.contacts = table(head.contacts, units.contact);
+    this.firstPush = starts(table(head.counted_pushes ? frames : 0, [1])[0]);
+    this.pushes = table(head.pushes, units.push);
     this.delivered = table(head.exits ? frames : 0, new Array(head.exits).fill(1));
     const numbers = new Float32Array(content.slice(place).buffer);
     this.metrics = head.metrics.map((name, k) => [
@@ -116,28 +117,53 @@ export class Recording {
       frame.parcels.push(this._parcelAt(parcel, row, share, time));
       if (traces) frame.traces.push(this._traceTo(parcel, row, frame.parcels.at(-1)));
     }
-    if (forces && frame.parcels.length) frame.parcels[0].forces = this.forcesAt(index);
+    if (forces) {
+      for (const parcel of frame.parcels) parcel.forces = [];
+      const room = new Map(frame.parcels.map((parcel) => [parcel.number, parcel.forces]));
+      for (const [number, ...force] of this.forcesAt(index)) room.get(number)?.push(force);
+    }
     if (this.delivered.length) frame.counts = this.delivered.map((column) => String(column[index]));
     return frame;
   }
 
-  /** Collect x, y [m] and friction on the parcel [N] of each contact of a frame. */
+  /** Greatest friction [N] at a contact. */
+  get mostFriction() {
+    const [, , fx, fy] = this.contacts;
+    return fx.reduce((most, x, k) => Math.max(most, Math.hypot(x, fy[k])), 0);
+  }
+
+  /** Collect the forces of a frame: the parcel it acts on, x, y [m], and the force [N]. */
   forcesAt(index) {
     const [elements, , fx, fy] = this.contacts;
     const { columns, pitch, origin } = this.surface;
     const found = [];
     for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
       const [row, column] = [Math.floor(elements[k] / columns), elements[k] % columns];
-      found.push([origin[0] + column * pitch[0], origin[1] + row * pitch[1], fx[k], fy[k]]);
+      const [x, y] = [origin[0] + column * pitch[0], origin[1] + row * pitch[1]];
+      found.push([this.bearer[k], x, y, fx[k], fy[k]]);
+    }
+    for (let k = this.firstPush[index]; k < this.firstPush[index + 1]; k++) {
+      const [first, second, x, y, px, py] = this.pushes.map((column) => column[k]);
+      found.push([first, x, y, -px, -py], [second, x, y, px, py]);
     }
     return found;
   }
 
-  /** Sum the normal forces and the friction (x, y) [N] on the parcel in a frame. */
-  loadAt(index) {
+  /** Sum the normal forces [N], and the friction and the pushes (x, y) on a parcel in a frame. */
+  loadAt(index, number) {
+    const load = { normal: 0, friction: [0, 0], push: [0, 0] };
     const [, normal, fx, fy] = this.contacts;
-    const [from, to] = [this.firstContact[index], this.firstContact[index + 1]];
-    return [normal, fx, fy].map((column) => sum(column.subarray(from, to)));
+    for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
+      if (this.bearer[k] !== number) continue;
+      load.normal += normal[k];
+      load.friction = [load.friction[0] + fx[k], load.friction[1] + fy[k]];
+    }
+    const [first, second, , , px, py] = this.pushes;
+    for (let k = this.firstPush[index]; k < this.firstPush[index + 1]; k++) {
+      const sign = (second[k] === number) - (first[k] === number);
+      load.push = [load.push[0] + sign * px[k], load.push[1] + sign * py[k]];
+    }
+    return load;
   }
 
   _parcelAt(parcel, row, share, time) {
@@ -170,11 +196,18 @@ export class Recording {
   }
 }
 
+/** Sum counts of frames to where each one's rows begin; of no counts that is nowhere. */
+function starts(counts) {
+  const found = [0];
+  for (const count of counts) found.push(found.at(-1) + count);
+  return found;
+}
+
 function sum(values) {
   return values.reduce((total, value) => total + value, 0);
 }
 
-/** Compute a table's columns from their bytes: what `_pack` in recording.py wrote. */
+/** Compute a table's columns from their bytes: what `pack` in packing.py wrote. */
 function unpack(planes, units) {
   const count = planes.length / 5;
   const rows = count / (units.length || 1);
