@@ -47,6 +47,7 @@ import { View } from "./view.js";
 
 const ANGLES = 180; // pictures of a module in half a turn
 const PALE = 0.62; // share of the plate's colour in a module that does not obey
+const LEAST_FORCE = 2; // [CSS px] of an arrow: a shorter one would be a dot
 const TRACE_STEP = 6; // [device px] between the points of a trace
 
 /** A picture of a surface on a canvas; what stays is kept on layers between frames. */
@@ -424,6 +425,7 @@ export class Picture extends View {
     traceArrows(context, forces, (x, y) => this._place(x, y), {
       scale: this.forceScale,
       longest: this.longestForce,
+      least: (LEAST_FORCE * this.ratio) / this.scale,
       head: 0.35 * this.pitch[0],
     });
     context.strokeStyle = this.colours.paper;

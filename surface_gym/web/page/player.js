@@ -8,8 +8,8 @@ import { make, Panel } from "./panel.js";
 const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const WIDE = 1.9; // width over height of pictures that go below one another
 const REFRESH = 100; // [ms] between readings while it plays
-const LONGEST_FORCE = 2.5; // [pitch] the arrow of the greatest friction
-const LONGEST_PUSH = 2; // [-] of it, any other arrow
+const LONG_FORCE = 2; // [pitch] the arrow of a large friction
+const LONGEST = 2; // times it, an arrow at most
 
 /**
  * @typedef {object} Run as a player shows it
@@ -127,11 +127,11 @@ export class Player {
     const end = make("span", { class: "end" });
     const caption = make("figcaption", {}, make("strong", {}, name), end);
     this.room.append(make("figure", {}, caption, canvas));
-    const most = recording.mostFriction;
-    const longest = LONGEST_FORCE * recording.surface.pitch[0];
+    const large = recording.findLargeFriction();
+    const long = LONG_FORCE * recording.surface.pitch[0];
     const picture = new Picture(canvas, recording.surface, {
-      forceScale: most ? longest / most : 0,
-      longestForce: LONGEST_PUSH * longest,
+      forceScale: large ? long / large : 0,
+      longestForce: LONGEST * long,
     });
     canvas.style.aspectRatio = String(picture.aspect);
     this.room.classList.toggle("wide", picture.aspect > WIDE);

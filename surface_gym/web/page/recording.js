@@ -1,6 +1,7 @@
 /** Reading a recording, as `surface_gym/recording.py` encodes it, and its frames. */
 
 const GLIDE = 0.5; // [s] for which a parcel that has left is shown
+const LARGE = 0.99; // of contacts have less friction than a large one
 const TRAIL = 1.2; // [s] shown of the way of a stream's parcel
 
 /** Decode a recording from base64. @returns {Promise<Recording>} */
@@ -126,10 +127,11 @@ export class Recording {
     return frame;
   }
 
-  /** Greatest friction [N] at a contact. */
-  get mostFriction() {
+  /** Find the friction [N] at a contact that few others exceed; 0 where there are none. */
+  findLargeFriction() {
     const [, , fx, fy] = this.contacts;
-    return fx.reduce((most, x, k) => Math.max(most, Math.hypot(x, fy[k])), 0);
+    const sorted = fx.map((x, k) => Math.hypot(x, fy[k])).sort();
+    return sorted[Math.floor(LARGE * sorted.length)] ?? 0;
   }
 
   /** Collect the forces of a frame: the parcel it acts on, x, y [m], and the force [N]. */
