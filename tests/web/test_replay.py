@@ -13,6 +13,7 @@ from surface_gym.player import Replay, replay
 from surface_gym.recorder import record_trajectory
 from surface_gym.recording import Mark, RecordedParcel, Recording
 from surface_gym.rendering import ink
+from tests.docs.reading import DOCS
 from tests.web.conftest import NARROW, WIDE, new_page
 
 PAGE = files("surface_gym.web") / "page"
@@ -237,7 +238,7 @@ def test_pointing_reads_a_module_and_a_parcel(show, trajectory):
 
 def test_forces_and_traces_are_switched(show, trajectory):
     shown = show(replay(trajectory))
-    shown.scrub(40)
+    shown.scrub(20)  # where it slides
     seen = {shown.picture()}
     for name in ("Forces", "Traces"):
         shown.control("checkbox", name).click()
@@ -296,27 +297,57 @@ def test_runs_are_side_by_side_in_step(show, trajectory):
     assert row.locator("td").all_inner_texts() == ["2", "\N{EN DASH}", "1"]
 
 
+LIGHT, DARK = "rgb(255, 255, 255)", "rgb(18, 22, 27)"
+
+
+def assert_turns(frame, colour: str) -> None:
+    """Wait until a page or a frame has a background of this colour."""
+    from playwright.sync_api import expect
+
+    expect(frame.locator("body")).to_have_css("background-color", colour)
+
+
 def test_light_and_dark_are_the_systems_or_chosen(show):
-    script = "getComputedStyle(document.body).backgroundColor"
-    light, dark = "rgb(255, 255, 255)", "rgb(18, 22, 27)"
     shown = show(replay(stream()), color_scheme="dark")
-
-    def turns(colour):
-        for _ in range(200):
-            if shown.page.evaluate(script) == colour:
-                break
-            shown.page.wait_for_timeout(50)
-        assert shown.page.evaluate(script) == colour
-
-    turns(dark)
+    assert_turns(shown.page, DARK)
     seen = shown.picture()
     shown.control("combobox", "Theme").select_option("light")
-    turns(light)
+    assert_turns(shown.page, LIGHT)
     assert shown.picture() != seen
     shown.control("combobox", "Theme").select_option("auto")
-    turns(dark)
+    assert_turns(shown.page, DARK)
     shown.page.emulate_media(color_scheme="light")
-    turns(light)
+    assert_turns(shown.page, LIGHT)
+
+
+def test_the_address_says_light_or_dark(show):
+    shown = show(replay(stream()), color_scheme="light")
+    assert_turns(shown.page, LIGHT)
+    for name, colour in (("dark", DARK), ("light", LIGHT), ("dark", DARK), ("neither", LIGHT)):
+        shown.page.goto(f"{shown.page.url.partition('#')[0]}#{name}")
+        assert_turns(shown.page, colour)
+
+
+def test_in_a_page_it_follows_the_pages_theme(browser, tmp_path):
+    """By the site's own script, as the site's switch changes the attribute."""
+    script = (DOCS / "assets" / "theme.js").read_text()
+    (tmp_path / "site.html").write_text(
+        f"<!doctype html><body data-md-color-scheme=slate>{replay(stream())._repr_html_()}"
+        f"<script type=module>{script}</script>"
+    )
+    page = browser.new_page(color_scheme="light")
+    page.goto((tmp_path / "site.html").as_uri())
+    frame = page.frame_locator("iframe")
+    assert_turns(frame, DARK)
+    page.evaluate("document.body.dataset.mdColorScheme = 'default'")
+    assert_turns(frame, LIGHT)
+    frame.get_by_role("combobox", name="Theme").select_option("dark")
+    assert_turns(frame, DARK)
+    page.evaluate("document.body.dataset.mdColorScheme = 'slate'")
+    page.evaluate("document.body.dataset.mdColorScheme = 'default'")
+    frame.get_by_role("combobox", name="Theme").select_option("auto")
+    assert_turns(frame, LIGHT)
+    page.close()
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW])

@@ -28,8 +28,9 @@ export class Player {
   /**
    * @param {HTMLElement} root to fill
    * @param {{name: string, recording: import("./recording.js").Recording}[]} runs
+   * @param {import("./theme.js").AskedTheme} asked
    */
-  constructor(root, runs) {
+  constructor(root, runs, asked) {
     this.root = root;
     this.time = 0;
     this.speed = 1;
@@ -41,7 +42,9 @@ export class Player {
     this.traces = true;
     this.forces = false;
     this.read = 0;
-    paintPage(document.documentElement, "auto");
+    this.theme = "auto";
+    this.asked = asked;
+    paintPage(document.documentElement, asked.name);
     root.replaceChildren();
     this.room = make("div", { class: "runs" });
     root.append(this.room);
@@ -50,10 +53,8 @@ export class Player {
     this._addControls();
     this.panel = new Panel(root, this.runs);
     listenTo(this);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
-      this.setTheme(this.theme ?? "auto"),
-    );
     this.setTime(0);
+    asked.follow(() => this.setTheme(this.theme));
   }
 
   /** Play from here, or from the start where it has ended. */
@@ -115,10 +116,12 @@ export class Player {
     this.show();
   }
 
+  /** Take a theme that the reader chose; "auto" is what the page is asked to have. */
   setTheme(theme) {
     this.theme = theme;
-    paintPage(document.documentElement, theme);
-    for (const { picture } of this.runs) picture.setTheme(theme);
+    const name = theme === "auto" ? this.asked.name : theme;
+    paintPage(document.documentElement, name);
+    for (const { picture } of this.runs) picture.setTheme(name);
     this.show();
   }
 
