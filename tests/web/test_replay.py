@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from importlib.resources import files
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -52,6 +53,22 @@ def trajectory() -> Recording:
     box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
     run = sg.simulate(sg.layouts.sorting(), box, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
     return record_trajectory(run)
+
+
+@pytest.fixture(scope="module")
+def merging() -> Recording:
+    """Parcels that push each other, on modules turned towards each other."""
+    env = sg.RecordReplay(gym.make("SmartSurface/Merge-v0"))
+    env.reset(seed=1)
+    degrees = np.degrees(env.unwrapped.batch.params.acting.orientations).round().tolist()
+    _, rows, _, columns = env.unwrapped.batch.bodies.zone[0].tolist()
+    halves = np.where(np.arange(rows) < rows / 2, degrees.index(-45.0), degrees.index(0.0))
+    for _ in range(150):
+        *_, terminated, truncated, _ = env.step(np.repeat(halves, columns))
+        if terminated or truncated:
+            break
+    assert len(env.recording.pushes) > 0
+    return env.recording
 
 
 class Opened:
@@ -234,6 +251,42 @@ def test_pointing_reads_a_module_and_a_parcel(show, trajectory):
     assert shown.reading == f"module in row {row}, column {column}: axis {axis:.1f}°"
     shown.page.mouse.move(*shown.place(0.05, 0.05))  # a support
     assert "Point at a parcel" in shown.reading
+
+
+def test_pointing_reads_the_forces_on_each_parcel_of_a_stream(show, merging):
+    """Two that push each other and one beside them, by the sums of what is recorded."""
+    shown = show(replay(merging))
+    pushes = np.hypot(merging.pushes[:, 4], merging.pushes[:, 5])
+    frame = int(np.searchsorted(merging.first_push, int(pushes.argmax()), side="right")) - 1
+    shown.scrub(frame)
+    contacts = slice(*merging.first_contact[frame : frame + 2])
+    read = 0
+    for number, parcel in enumerate(merging.parcels):
+        row = frame - parcel.first
+        if not 0 <= row < len(parcel.pose) - 1:
+            continue
+        shown.page.mouse.move(*shown.place(*parcel.pose[row, :2]))
+        assert f"parcel {number + 1} " in shown.reading
+        assert f"{np.hypot(*parcel.velocity[row, :2]):.2f} m/s" in shown.reading
+        _, normal, fx, fy = merging.contacts[contacts][merging.bearer[contacts] == number].T
+        carried = float(re.search(r"carried with ([\d.]+) N", shown.reading)[1])
+        friction = float(re.search(r"friction ([\d.]+) N", shown.reading)[1])
+        assert carried == pytest.approx(normal.sum(), abs=0.2)  # a sum of rounded ones
+        assert friction == pytest.approx(np.hypot(fx.sum(), fy.sum()), abs=0.2)
+        pushed = np.zeros(2)
+        for first, second, _, _, *push in merging.pushes[
+            slice(*merging.first_push[frame : frame + 2])
+        ]:
+            pushed += np.array(push) * (int(second == number) - int(first == number))
+        found = re.search(r"pushed with ([\d.]+) N", shown.reading)
+        assert (found is not None) == bool(pushed.any())
+        if found:
+            assert float(found[1]) == pytest.approx(np.hypot(*pushed), abs=0.2)
+        read += 1
+    assert read >= 2
+    before = shown.picture()
+    shown.control("checkbox", "Forces").click()
+    assert shown.picture() != before
 
 
 def test_forces_and_traces_are_switched(show, trajectory):
