@@ -15,8 +15,8 @@ from surface_gym.recording import Recording
 
 MOST = 8  # recordings side by side
 SCRIPTS = (  # each after those that it needs
-    "palette.js", "theme.js", "arrows.js", "view.js", "draw.js", "recording.js", "panel.js",
-    "gestures.js", "player.js", "replay.js",
+    "palette.js", "theme.js", "labels.js", "arrows.js", "view.js", "draw.js", "recording.js",
+    "panel.js", "gestures.js", "player.js", "replay.js",
 )  # fmt: skip
 _WIDTH, _CONTROLS = 48.0, 12.0  # [rem] of a notebook's pictures, and of what is below them
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./[a-z]+\.js";\n', re.MULTILINE)

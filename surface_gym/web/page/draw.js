@@ -1,6 +1,7 @@
 /** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
 
 import { traceArrows } from "./arrows.js";
+import { badgeSize, boxAbout, placeBadge, writeBadge, writeText } from "./labels.js";
 import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
 import { View } from "./view.js";
 
@@ -216,58 +217,41 @@ export class Picture extends View {
     if (mark.label && mark.kind !== "exit") {
       const at = isArea ? middle(mark.points) : mark.points[mark.points.length - 1];
       const [x, y] = this._place(...at);
-      if (isArea) this._write(context, mark.label, x, y, colours.ink, this._room(mark.points));
-      else this._write(context, mark.label, x, y - 0.8 * this._letters(), colour, Infinity);
+      const size = this._letters();
+      const look = { colour: isArea ? colours.ink : colour, rim: colours.paper, size };
+      const room = isArea ? this._room(mark.points) : Infinity;
+      writeText(context, mark.label, x, isArea ? y : y - 0.8 * size, { ...look, room });
     }
   }
 
   /** Compute the width [device px] of an area. */
   _room(points) {
-    const across = points.map((point) => point[0]);
-    return (Math.max(...across) - Math.min(...across)) * this.scale;
+    const [left, , right] = boundsOf(points);
+    return (right - left) * this.scale;
   }
 
-  /** Write text with a rim, in smaller letters where it has no room [device px]. */
-  _write(context, text, x, y, colour, room) {
-    const whole = this._letters();
-    context.font = `600 ${whole}px system-ui, sans-serif`;
-    const size = whole * Math.min(1, (0.94 * room) / context.measureText(text).width);
-    context.font = `600 ${size}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.lineWidth = 0.25 * size;
-    context.strokeStyle = this.colours.paper;
-    context.strokeText(text, x, y);
-    context.fillStyle = colour;
-    context.fillText(text, x, y);
-  }
-
-  /** Write text on a patch of its colour, within the canvas. */
-  _writeBadge(text, x, y, colour, size) {
-    const { context } = this;
-    context.font = `600 ${size}px system-ui, sans-serif`;
-    const width = context.measureText(text).width + 0.7 * size;
-    const at = Math.min(Math.max(x, width / 2), this.canvas.width - width / 2);
-    context.fillStyle = colour;
-    context.beginPath();
-    context.roundRect(at - width / 2, y - 0.65 * size, width, 1.3 * size, 0.3 * size);
-    context.fill();
-    context.fillStyle = textOn(colour);
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.fillText(text, at, y + 0.05 * size);
-  }
-
+  /** Write the labels of exits and what has left there, clear of modules where there is room. */
   _writeExits(counts) {
+    const size = this._letters();
+    const canvas = [this.canvas.width, this.canvas.height];
+    const seen = [this._box(this.rotorEdges)];
     let k = 0;
     for (const mark of this.surface.marks ?? []) {
       if (mark.kind !== "exit") continue;
       const count = counts?.[k++];
       const text = [mark.label, count].filter((part) => part).join(" ");
       if (!text) continue;
+      const extent = badgeSize(this.context, text, size);
+      const place = placeBadge(this._box(boundsOf(mark.points)), extent, size, canvas, seen);
+      seen.push(boxAbout(place, extent));
       const colour = this._colour(mark.colour, this.colours.goal);
-      this._writeBadge(text, ...this._place(...middle(mark.points)), colour, this._letters());
+      writeBadge(this.context, text, place, colour, size);
     }
+  }
+
+  /** Convert least x and y and greatest x and y [m] to a box [device px]. */
+  _box([left, low, right, high]) {
+    return [...this._place(left, high), ...this._place(right, low)];
   }
 
   /** Draw again the modules whose axes have changed, on their layer. */
@@ -390,7 +374,7 @@ export class Picture extends View {
     if (parcel.sensed) this._drawDashed(parcel, parcel.sensed, colours.sensed);
     const size = Math.min(this._letters(), 0.8 * front * this.scale);
     if (parcel.label && size > 6 * this.ratio) {
-      this._writeBadge(parcel.label, ...at([0, 0]), colour, size);
+      writeBadge(context, parcel.label, at([0, 0]), colour, size);
     }
     context.globalAlpha = 1;
   }
@@ -448,10 +432,16 @@ export class Picture extends View {
   }
 }
 
+/** Find the least x and y and the greatest of some points. */
+function boundsOf(points) {
+  const [across, up] = [0, 1].map((k) => points.map((point) => point[k]));
+  return [Math.min(...across), Math.min(...up), Math.max(...across), Math.max(...up)];
+}
+
 /** Compute the middle of the box round some points. */
 function middle(points) {
-  const spans = [0, 1].map((k) => points.map((point) => point[k]));
-  return spans.map((span) => (Math.min(...span) + Math.max(...span)) / 2);
+  const [left, low, right, high] = boundsOf(points);
+  return [(left + right) / 2, (low + high) / 2];
 }
 
 /** Return whether a point in a parcel's own frame lies within its base. */

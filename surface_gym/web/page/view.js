@@ -24,11 +24,29 @@ export class View {
       origin[0] + (columns - 0.5) * px,
       origin[1] + (rows - 0.5) * py,
     ];
+    this.rotorEdges = this._findRotorEdges();
     const margin = MARGIN * Math.min(px, py);
     const [left, low, right, high] = surface.view ?? this.edges;
     this.view = [left - margin, low - margin, right + margin, high + margin];
     this.resize();
     this.fit();
+  }
+
+  /** Find the least x and y and the greatest [m] of all modules, or of the surface without any. */
+  _findRotorEdges() {
+    const { columns, rotor } = this.surface;
+    const [left, low] = this.edges;
+    const [px, py] = this.pitch;
+    const found = [Infinity, Infinity, -Infinity, -Infinity];
+    rotor?.forEach((isRotor, k) => {
+      if (!isRotor) return;
+      const [x, y] = [left + (k % columns) * px, low + Math.floor(k / columns) * py];
+      found[0] = Math.min(found[0], x);
+      found[1] = Math.min(found[1], y);
+      found[2] = Math.max(found[2], x + px);
+      found[3] = Math.max(found[3], y + py);
+    });
+    return Number.isFinite(found[0]) ? found : this.edges;
   }
 
   /** Width over height of what `fit` shows. */
