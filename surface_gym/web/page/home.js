@@ -268,8 +268,16 @@ function followTheme(home) {
   follow();
 }
 
+/** Give each line its readings, before their numbers are known. */
+function addReadings() {
+  for (const figure of document.querySelectorAll("figure")) {
+    figure.append(find("readings").content.cloneNode(true));
+  }
+}
+
 async function begin() {
   paintPage(document.documentElement, "auto");
+  addReadings();
   try {
     const home = new Home(await loadLines());
     globalThis.home = home; // for those who want to look into it
