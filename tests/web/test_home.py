@@ -151,6 +151,38 @@ def test_it_fits_the_screen_moves_by_itself_and_pauses(show, size):
     wait_for(page, f"home.lines[0].run.time < {at[0]}")
 
 
+@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
+def test_labels_of_exits_cover_no_module(show, size):
+    """Where the modules are the picture is the same without any label."""
+    page = show(size=size)
+    same = page.evaluate(
+        """() => {
+          const { picture, run } = home.lines[0];
+          const frame = { ...run.frame({ share: 0 }), parcels: [] };
+          const { origin, columns, rotor } = picture.surface;
+          const [px, py] = picture.pitch;
+          const modules = [...rotor.keys()].filter((k) => rotor[k]);
+          const across = modules.map((k) => origin[0] + (k % columns) * px);
+          const up = modules.map((k) => origin[1] + Math.floor(k / columns) * py);
+          const [left, top] = picture.toCanvas(
+            Math.min(...across) - px / 2, Math.max(...up) + py / 2);
+          const [right, bottom] = picture.toCanvas(
+            Math.max(...across) + px / 2, Math.min(...up) - py / 2);
+          const see = () => {
+            picture.draw(frame);
+            const { context, ratio } = picture;
+            const box = [left, top, right - left, bottom - top].map((each) => each * ratio);
+            return context.getImageData(...box).data.join();
+          };
+          const whole = () => picture.canvas.toDataURL();
+          const [labelled, all] = [see(), whole()];
+          for (const mark of picture.surface.marks) mark.label = "";
+          return [see() === labelled, whole() === all];
+        }"""
+    )
+    assert same == [True, False]
+
+
 def test_it_waits_for_its_reader_where_motion_is_reduced(show):
     page = show()
     page.wait_for_timeout(300)

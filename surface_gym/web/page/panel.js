@@ -118,12 +118,12 @@ export class Panel {
     return `module in row ${Math.floor(module / columns)}, column ${module % columns}: axis ${axis}${fixed}`;
   }
 
-  /** Fill the table of numbers, where it is open. */
+  /** Fill the table of numbers, where it is open, but for those that stay zero in all runs. */
   _fillTable() {
     if (!this.numbers.open) return;
-    const names = [
-      ...new Set(this.runs.flatMap((run) => run.recording.metrics.map(([name]) => name))),
-    ];
+    const known = this.runs.flatMap((run) => run.recording.metrics);
+    const telling = known.filter(([, values]) => values.some(Boolean));
+    const names = [...new Set((telling.length ? telling : known).map(([name]) => name))];
     const head = make(
       "tr",
       {},

@@ -24,6 +24,22 @@ const LONGEST = 2; // times it, an arrow at most
  * @property {number} [under] the module under the pointer; -1: none
  */
 
+/** Let pictures of surfaces that lie alike show the same part, all that any of them shows. */
+function shareView(surfaces) {
+  const [first] = surfaces;
+  const lieAlike = surfaces.every(
+    (each) =>
+      each.view &&
+      each.rows === first.rows &&
+      each.columns === first.columns &&
+      [0, 1].every((k) => each.pitch[k] === first.pitch[k] && each.origin[k] === first.origin[k]),
+  );
+  if (!lieAlike) return;
+  const [lefts, lows, rights, highs] = [0, 1, 2, 3].map((k) => surfaces.map(({ view }) => view[k]));
+  const view = [Math.min(...lefts), Math.min(...lows), Math.max(...rights), Math.max(...highs)];
+  for (const each of surfaces) each.view = view;
+}
+
 export class Player {
   /**
    * @param {HTMLElement} root to fill
@@ -48,6 +64,7 @@ export class Player {
     root.replaceChildren();
     this.room = make("div", { class: "runs" });
     root.append(this.room);
+    shareView(runs.map((run) => run.recording.surface));
     this.runs = runs.map((run) => this._addRun(run));
     this.room.classList.toggle("several", runs.length > 1);
     this._addControls();
