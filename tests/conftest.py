@@ -1,5 +1,6 @@
 """Configuration of every test."""
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -22,6 +23,16 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     yield
     sys.modules["pygame"].display.quit()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _frozen() -> None:
+    """Let the garbage collector pass over what is there before a file's tests.
+
+    Tests and libraries are millions of objects, which each collection would look at again.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_configure(config: pytest.Config) -> None:
