@@ -2,12 +2,14 @@
 
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
 
+from tests.flags import compare_faster
 from tests.order import NIGHTLY, SMOKE, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
@@ -36,6 +38,11 @@ def _frozen() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    compare_faster()
+    # A shell has what it runs in the background ignore Ctrl-C, and processes of tests with it,
+    # which would wait for one for ever.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "smoke: enough for a first look, in a minute")
     config.addinivalue_line("markers", "nightly: long proofs, left out unless -m asks for them")
 
