@@ -61,6 +61,18 @@ OF_SLOPES = tuple(
         "test_an_agent_is_loaded_as_it_is_chosen_and_its_script_gives_the_same_run",
     )
 )
+# A policy that learns on each slope, and its results: Merge is tried each time.
+LEARNING_ON_SLOPES = (
+    "tests/agents/learning/test_local.py::test_a_policy_is_left_that_acts_in_its_task",
+    "tests/agents/learning/test_parcels.py::test_a_policy_is_left_that_acts_in_its_task",
+    "tests/agents/evaluation/test_material_flow_report.py::"
+    "test_a_card_has_each_seed_beside_the_rules",
+)
+# Infos of each task in two processes of Gymnasium's; of Sort, Flow and Merge each time.
+OF_INFOS = (
+    "tests/learners/test_learners.py::test_a_library_stacks_infos_in_its_own_way"
+    "[gymnasium-by_gymnasium-SmartSurface/"
+)
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
@@ -81,7 +93,12 @@ NIGHTLY = (
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'camera'",
     "tests/web/test_rules.py::test_a_rule_sees_by_a_camera_as_in_python",
     *(f"{test}[{task}" for test in OF_STREAMS for task in ("singulate", "merge", "sequence")),
-    *(f"{test}[{task}" for test in OF_SLOPES for task in ("singulate", "sequence")),
+    *(
+        f"{test}[{task}"
+        for test in (*OF_SLOPES, *LEARNING_ON_SLOPES)
+        for task in ("singulate", "sequence")
+    ),
+    *(f"{OF_INFOS}{task}" for task in ("Slow", "Stop", "Track", "Orient", "Singulate", "Sequence")),
 )
 
 

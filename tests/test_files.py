@@ -8,6 +8,7 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,13 @@ ROWS = [
 ]
 STATE = {"steps": 64, "weights": torch.arange(6.0), "recent": [1.0, 2.0]}
 LOW = replace(sg.layouts.box("S"), com_height=0.0)  # which never tips
-RUN = sg.simulate(sg.layouts.sorting(), LOW, (0.5, 1.0, 0.0), (1.0, 0.0, 0.0), duration=0.05)
+
+
+@cache
+def short_run() -> Trajectory:
+    """A run, made when a test needs it: tests of other files are collected without compiling."""
+    start = (0.5, 1.0, 0.0), (1.0, 0.0, 0.0)
+    return sg.simulate(sg.layouts.sorting(), LOW, *start, duration=0.05)
 
 
 @dataclass(frozen=True)
@@ -106,7 +113,7 @@ KINDS = [
     *(
         Kind(
             name,
-            lambda at, name=name: RUN.save(at / name),
+            lambda at, name=name: short_run().save(at / name),
             lambda at, name=name: _trajectory(at, name),
             name == "run.npz",
         )
@@ -200,8 +207,9 @@ def pack(method: int = zipfile.ZIP_DEFLATED, **others: bytes) -> bytes:
     """The arrays of the run, some of them in other bytes."""
     kept = io.BytesIO()
     with zipfile.ZipFile(kept, "w", method) as archive:
-        parts: dict[str, Any] = {name: getattr(RUN, name) for name in ("time", "pose", "velocity")}
-        for name, values in {**parts, "tipping": RUN.tipping, "end": RUN.end, **others}.items():
+        run = short_run()
+        parts: dict[str, Any] = {name: getattr(run, name) for name in ("time", "pose", "velocity")}
+        for name, values in {**parts, "tipping": run.tipping, "end": run.end, **others}.items():
             content = io.BytesIO()
             np.save(content, np.asarray(values))
             archive.writestr(
@@ -262,7 +270,7 @@ def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "pose.npy" not in read
     monkeypatch.setattr("surface_gym.trajectory.ROWS", 5)
     with pytest.raises(ValueError, match="time must be of at most 40 bytes to be saved"):
-        RUN.save(tmp_path / "long.npz")
+        short_run().save(tmp_path / "long.npz")
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,8 @@ class TestMeasurements:
         rolling = mf.play(config, mf.ROLL_ON.make(config, 0))
         assert not mf.find_jams(rolling).any()
 
-    def test_results_are_kept_and_written(self, tmp_path) -> None:
+    def test_results_are_kept_and_written(self, tmp_path, monkeypatch) -> None:
+        monkeypatch.setattr(mf, "SECONDS", 4.0)
         tasks = ["merge"]
         found = mf.compute_material_flow(tasks, 1, tmp_path)
         again = mf.compute_material_flow(tasks, 1, tmp_path)

@@ -29,6 +29,7 @@ from surface_gym.agents.evaluation.tables import task_table
 from surface_gym.agents.evaluation.video import Player, write_comparison
 from surface_gym.agents.library import SHELF
 from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.agents.scheduling import scheduler
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
 from surface_gym.config import EnvConfig
@@ -209,6 +210,8 @@ def test_every_seed_of_a_run_is_measured_beside_the_scheduler(tmp_path, monkeypa
     )
     for name, value in (("REPLICATIONS", 2), ("WARM_UP", 4.0), ("SECONDS", 12.0)):
         monkeypatch.setattr(capacity, name, value)
+    monkeypatch.setattr(scheduler, "TRIED", 4)
+    monkeypatch.setattr(scheduler, "TRIAL", 10.0)
     for seed in (0, 1):
         copytree(SHELF / "flow-schedule" / f"seed-{seed}", tmp_path / f"seed-{seed}")
     seen: list[streams.StreamResults] = []
