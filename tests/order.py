@@ -22,6 +22,15 @@ FIRST = (
     "tests/web/test_tasks.py",
     "tests/web/test_playground.py",
     "tests/web/test_agents.py",
+    "tests/test_play.py",
+    "tests/web/test_home.py",
+    "tests/agents/runtime/test_simulator.py",
+    "tests/learners/",
+    "tests/agents/tuning/",
+    "tests/agents/planning/",
+    "tests/paper/test_claims.py",
+    "tests/test_docs.py",
+    "tests/test_wheel.py",
 )
 
 # Of each part those that fail first when it breaks, and one environment of each class.
