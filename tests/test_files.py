@@ -234,24 +234,29 @@ def other_method(content: bytes, method: int) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("given", "message"),
     [
-        (pack(zipfile.ZIP_LZMA), "'time.npy' must be compressed by stored or deflate, got me.* 14"),
-        (other_method(pack(), 99), "must be compressed by stored or deflate, got method 99"),
-        (pack(pose=header("(100000000000, 3)")), r"pose must fill its 160 bytes, got \(1000000"),
-        (pack(pose=header("(-5, 3)")), "pose must fill its 160 bytes"),
-        (pack(pose=header("(2, 3.0)")), "pose is damaged: shape is not valid"),
-        (pack(pose=header("(20,)", "|O")), "pose must hold numbers or text, got object"),
-        (pack(pose=header("(9, 9)", "|S0")), "pose must hold numbers or text"),
-        (pack(pose=header("(10,)", "<c16")), "pose must hold numbers or text, got complex128"),
-        (pack(pose=b"soon"), "pose is damaged: "),
-        (pack(time=header("(20,)")), "time must begin at 0 and rise"),
-        (pack(**{f"more{k}": b"" for k in range(1001)}), "must hold at most 1000 members, got m"),
+        ({"method": zipfile.ZIP_LZMA}, "'time.npy' must be compressed by stored or deflate, .* 14"),
+        ({"pose": header("(100000000000, 3)")}, r"pose must fill its 160 bytes, got \(1000000"),
+        ({"pose": header("(-5, 3)")}, "pose must fill its 160 bytes"),
+        ({"pose": header("(2, 3.0)")}, "pose is damaged: shape is not valid"),
+        ({"pose": header("(20,)", "|O")}, "pose must hold numbers or text, got object"),
+        ({"pose": header("(9, 9)", "|S0")}, "pose must hold numbers or text"),
+        ({"pose": header("(10,)", "<c16")}, "pose must hold numbers or text, got complex128"),
+        ({"pose": b"soon"}, "pose is damaged: "),
+        ({"time": header("(20,)")}, "time must begin at 0 and rise"),
+        ({f"more{k}": b"" for k in range(1001)}, "must hold at most 1000 members, got m"),
     ],
 )  # fmt: skip
-def test_an_archive_that_claims_too_much_is_refused(tmp_path, content, message) -> None:
-    (tmp_path / "run.npz").write_bytes(content)
+def test_an_archive_that_claims_too_much_is_refused(tmp_path, given, message) -> None:
+    (tmp_path / "run.npz").write_bytes(pack(**given))
     with pytest.raises(ValueError, match=rf"run\.npz': .*{message}"):
+        Trajectory.load(tmp_path / "run.npz")
+
+
+def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run.npz").write_bytes(other_method(pack(), 99))
+    with pytest.raises(ValueError, match="must be compressed by stored or deflate, got method 99"):
         Trajectory.load(tmp_path / "run.npz")
 
 

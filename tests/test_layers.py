@@ -3,6 +3,7 @@
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -78,7 +79,10 @@ def imported(module: str, loading: bool = False) -> set[str]:
     return found - {"", "surface_gym", "surface_gym.agents", module}
 
 
-IMPORTS = {module: imported(module) for module in FILES}
+@cache
+def imports() -> dict[str, set[str]]:
+    """What each module imports."""
+    return {module: imported(module) for module in FILES}
 
 
 def room_of(module: str) -> str:
@@ -88,10 +92,11 @@ def room_of(module: str) -> str:
     return module if package in ("surface_gym", "surface_gym.agents") else package
 
 
+@cache
 def edges() -> dict[str, set[str]]:
     """The rooms that each room imports."""
     found: dict[str, set[str]] = defaultdict(set)
-    for module, others in IMPORTS.items():
+    for module, others in imports().items():
         found[room_of(module)] |= {room_of(each) for each in others} - {room_of(module)}
     return dict(found)
 

@@ -14,10 +14,13 @@ DOCS = Path(__file__).parent.parent / "docs" / "environments"
 pages = SimpleNamespace(**runpy.run_path(str(DOCS.with_name("pages.py"))))
 
 
-@pytest.mark.parametrize("name", pages.pages())
+WRITTEN = pages.pages()
+
+
+@pytest.mark.parametrize("name", WRITTEN)
 def test_pages_are_those_the_docstrings_give(name):
     """If not: `python docs/pages.py docs/environments`."""
-    assert (DOCS / name).read_text() == pages.pages()[name]
+    assert (DOCS / name).read_text() == WRITTEN[name]
 
 
 def test_a_page_lists_every_feature_term_option_and_argument():
@@ -40,7 +43,7 @@ def test_every_environment_has_a_page():
 
 @pytest.mark.parametrize("task", [*pages.TASKS, *pages.STREAMS])
 def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
-    top, _, rest = pages.pages()[f"{task}.md"].partition("\n### ")
+    top, _, rest = WRITTEN[f"{task}.md"].partition("\n### ")
     env = gym.make(pages.env_id(task))
     shown = ["webp", "| Action space |", f"{env.action_space.nvec.size} numbers of 0 to 3"]
     shown += ["| Observation space |", str(env.observation_space.shape), "import gymnasium"]

@@ -1,6 +1,7 @@
 """Words that the package does not use, since the field has others: see CONTRIBUTING.md."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -60,11 +61,14 @@ def texts() -> list[Path]:
     )
 
 
-LINES = [
-    (f"{file.relative_to(ROOT)}:{number}", line)
-    for file in texts()
-    for number, line in enumerate(file.read_text().splitlines(), start=1)
-]
+@cache
+def lines() -> list[tuple[str, str]]:
+    """Place and text of every line."""
+    return [
+        (f"{file.relative_to(ROOT)}:{number}", line)
+        for file in texts()
+        for number, line in enumerate(file.read_text().splitlines(), start=1)
+    ]
 
 
 @pytest.mark.parametrize("word", GONE)
@@ -73,7 +77,7 @@ def test_a_word_is_gone(word):
     pattern = re.compile(word)
     found = [
         f"{place}: {line.strip()}"
-        for place, line in LINES
+        for place, line in lines()
         if pattern.search(re.sub(f"{RENAMED}|{allowed}" if allowed else RENAMED, "", line))
     ]
     assert not found, f"{len(found)} lines, say {instead or 'the new name'}:\n" + "\n".join(found)
