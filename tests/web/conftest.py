@@ -8,11 +8,13 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from surface_gym.physics.jit import locked
 from surface_gym.web.server import Server
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -73,14 +75,16 @@ class Site:
         """Build what is not there yet."""
         from surface_gym.web.build import SITE, TABLE, write_pages, write_task
 
-        if self._kept is not None:
-            copy_newer(self._kept, self.folder)
-        for task in (TABLE, *tasks):
-            if task not in self._tasks:
+        new = [each for each in dict.fromkeys((TABLE, *tasks)) if each not in self._tasks]
+        # One process at a time compiles; those that wait find what it has compiled.
+        with locked(self._kept / "lock") if new and self._kept is not None else nullcontext():
+            if self._kept is not None:
+                copy_newer(self._kept, self.folder)
+            for task in new:
                 write_task(task, self.folder)
                 self._tasks.append(task)
-        if self._kept is not None:
-            copy_newer(self.folder, self._kept)
+            if self._kept is not None:
+                copy_newer(self.folder, self._kept)
         write_pages(self.folder, [task for task in self._tasks if task != TABLE])
         assert json.loads((self.folder / SITE).read_text())["tasks"] == self._tasks[1:]
         return self
