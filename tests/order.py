@@ -108,6 +108,25 @@ NIGHTLY = (
         for test in (*OF_SLOPES, *LEARNING_ON_SLOPES)
         for task in ("singulate", "sequence")
     ),
+    # The slowest rule of several whose layouts are found by search.
+    *(
+        f"tests/agents/rules/test_rules.py::{test}[orient: best fixed layout"
+        for test in (
+            "test_an_environment_alone_is_as_among_many",
+            "test_mirrored_starts_end_in_mirror_images",
+        )
+    ),
+    # All that varies of a task, where Sort and Orient are tried each time.
+    *(
+        f"{test}[SmartSurface/{task}-v0"
+        for test in (
+            "tests/test_vector_env.py::TestBesideSingles::test_also_where_everything_varies",
+            "tests/test_vector_env.py::TestBatchSize::"
+            "test_neither_it_nor_the_number_of_threads_matters",
+            "tests/test_env.py::TestTwins::test_go_on_alike",
+        )
+        for task in ("Slow", "Stop", "Track")
+    ),
     # Kernels of their own, where others are tried of the same kind of action or sensor.
     "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
     "[SmartSurface/Track-v0-modules",
