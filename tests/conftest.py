@@ -9,7 +9,6 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-from tests.flags import compare_faster
 from tests.order import NIGHTLY, SMOKE, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
@@ -38,7 +37,6 @@ def _frozen() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    compare_faster()
     # A shell has what it runs in the background ignore Ctrl-C, and processes of tests with it,
     # which would wait for one for ever.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
