@@ -72,7 +72,7 @@ def observe_world(
                     rows_below[i, 0] = mass * under.table[ph.NORMAL + i]
                     rows_below[i, 1] = rows_below[i, 2] = 0.0
                 _add_friction(under, contacts, forces.alone[k], mass / dt, rows_below)
-    scratch.ends[:, 2] = -1  # so that the points of this step are told from others
+    scratch.ends[:, 2] = -1  # marks where the points of this step end
     pushed = step_world(grid, world, material, scratch, dt)
     for k in range(rows):
         if _is_among(scratch, pushed, k):

@@ -122,8 +122,8 @@ export class Panel {
   _fillTable() {
     if (!this.numbers.open) return;
     const known = this.runs.flatMap((run) => run.recording.metrics);
-    const telling = known.filter(([, values]) => values.some(Boolean));
-    const names = [...new Set((telling.length ? telling : known).map(([name]) => name))];
+    const moving = known.filter(([, values]) => values.some(Boolean));
+    const names = [...new Set((moving.length ? moving : known).map(([name]) => name))];
     const head = make(
       "tr",
       {},
