@@ -1,6 +1,7 @@
 """Replays: what makes one, what is refused, and what the page holds."""
 
 import re
+from importlib.resources import files
 
 import gymnasium as gym
 import numpy as np
@@ -38,7 +39,19 @@ def test_the_page_asks_no_other_host_and_names_cannot_break_it():
     assert text.count("default-src 'none'") == 1
     assert not re.search(r"^(import|export) ", text, re.MULTILINE)
     assert all(name in text for name in ("class Picture", "class Recording", "class Player"))
-    assert len(SCRIPTS) == 5
+
+
+def test_each_script_comes_after_those_that_it_needs():
+    """All of them lie in one scope, in which no name may be there twice."""
+    page = files("surface_gym.web") / "page"
+    before, names = set(), []
+    for script in SCRIPTS:
+        text = (page / script).read_text("utf-8")
+        assert set(re.findall(r'^import .* from "\./(.+)";$', text, re.MULTILINE)) <= before
+        before.add(script)
+        declared = r"^(?:export )?(?:async )?(?:const|let|class|function) (\w+)"
+        names += re.findall(declared, text, re.MULTILINE)
+    assert len(names) == len(set(names))
 
 
 def test_a_minute_of_a_stream_of_24_parcels_is_small():
@@ -56,8 +69,22 @@ def test_a_minute_of_a_stream_of_24_parcels_is_small():
         for k in range(24)
     )
     axis = np.repeat(rng.integers(2, size=(count // 4 + 1, 12, 60), dtype=np.uint8), 4, axis=0)
+    # Each stands on ten modules, and slides on some of them; each frame, two push each other.
+    element = rng.integers(720, size=(1, 24, 1)) + np.arange(10)
+    element = np.minimum(element + np.arange(count)[:, None, None] // 10, 719)
+    load = 9.81 + 2.0 * np.sin(time)[:, None, None] + 0.1 * rng.standard_normal(element.shape)
+    slides = rng.random((1, 24, 10)) < 0.3
+    contacts = np.stack([element, load, 0.36 * load * slides, 0.01 * load], axis=-1)
+    pushes = np.zeros((count, 6))
+    pushes[:, 1] = 1.0
+    pushes[:, 2:] = rng.standard_normal((count, 4))
     found = recording(
         frames=count,
+        first_contact=240 * np.arange(count + 1),
+        contacts=contacts.reshape(-1, 4),
+        bearer=np.tile(np.repeat(np.arange(24), 10), count),
+        first_push=np.arange(count + 1),
+        pushes=pushes,
         rotor=np.ones((12, 60), dtype=bool),
         axis=axis[:count],
         parcels=parcels,
