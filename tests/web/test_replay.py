@@ -217,6 +217,19 @@ def test_the_keyboard_reads_parcels_and_modules(show):
     assert shown.time == 1.16
 
 
+def test_keys_zoom_about_the_parcel_that_is_chosen(show):
+    shown = show(replay(stream()))
+    place = shown.place(0.3, 0.2)  # of the first, in the first frame
+    shown.page.mouse.click(*place)
+    shown.page.mouse.move(5, 5)
+    for _ in range(6):
+        shown.page.keyboard.press("+")
+    shown.page.keyboard.press("Escape")
+    assert "Point at a parcel" in shown.reading
+    shown.page.mouse.move(*place)
+    assert shown.reading.startswith("parcel 1 (A)")
+
+
 def test_tab_reaches_every_control_and_each_has_a_name(show):
     shown = show(replay(stream()))
     script = """() => {

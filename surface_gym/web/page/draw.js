@@ -1,7 +1,7 @@
 /** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
 
 import { traceArrows } from "./arrows.js";
-import { badgeSize, boxAbout, placeBadge, writeBadge, writeText } from "./labels.js";
+import { badgeSize, boxAbout, overlap, placeBadge, writeBadge, writeText } from "./labels.js";
 import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
 import { View } from "./view.js";
 
@@ -240,9 +240,10 @@ export class Picture extends View {
       if (mark.kind !== "exit") continue;
       const count = counts?.[k++];
       const text = [mark.label, count].filter((part) => part).join(" ");
-      if (!text) continue;
+      const area = this._box(boundsOf(mark.points));
+      if (!text || !overlap(area, [0, 0, ...canvas])) continue; // an exit that is not in sight
       const extent = badgeSize(this.context, text, size);
-      const place = placeBadge(this._box(boundsOf(mark.points)), extent, size, canvas, seen);
+      const place = placeBadge(area, extent, size, canvas, seen);
       seen.push(boxAbout(place, extent));
       const colour = this._colour(mark.colour, this.colours.goal);
       writeBadge(this.context, text, place, colour, size);

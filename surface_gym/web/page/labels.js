@@ -51,7 +51,8 @@ export function boxAbout([x, y], [width, height]) {
   return [x - width / 2, y - height / 2, x + width / 2, y + height / 2];
 }
 
-function overlap(one, other) {
+/** Return whether two boxes overlap. */
+export function overlap(one, other) {
   return one[0] < other[2] && other[0] < one[2] && one[1] < other[3] && other[1] < one[3];
 }
 

@@ -40,6 +40,12 @@ function shareView(surfaces) {
   for (const each of surfaces) each.view = view;
 }
 
+/** Find where [px] the chosen parcel of a run is, if there is one. */
+function placeOfKept({ frame, kept, picture }) {
+  const parcel = frame.parcels.find((each) => each.number === kept.parcel);
+  return parcel ? picture.toCanvas(parcel.x, parcel.y) : [];
+}
+
 export class Player {
   /**
    * @param {HTMLElement} root to fill
@@ -123,11 +129,14 @@ export class Player {
     this.setSpeed(SPEEDS[Math.min(Math.max(index, 0), SPEEDS.length - 1)]);
   }
 
-  /** Zoom all runs by a factor, or one about a place [px] of it; 0: show all of them. */
+  /**
+   * Zoom all runs by a factor, each about the parcel chosen in it or else its middle, or one about a
+   * place [px] of it; 0: show all of them.
+   */
   zoom(factor, run = null, x = undefined, y = undefined) {
     for (const each of run ? [run] : this.runs) {
       if (factor === 0) each.picture.fit();
-      else each.picture.zoom(factor, x, y);
+      else each.picture.zoom(factor, ...(x === undefined ? placeOfKept(each) : [x, y]));
       each.canvas.style.touchAction = each.picture.fitted ? "pan-y" : "none";
     }
     this.show();
