@@ -26,7 +26,8 @@ def scene(page):
 
 
 def place(page, x, y):
-    """Return where [px] a point [m] of the first picture is in the window."""
+    """Return where [px] a point [m] of the first picture is in the window, once all is laid out."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     box = page.locator("canvas").first.bounding_box()
     px, py = page.evaluate(f"playground.shown[0].picture.toCanvas({x}, {y})")
     return box["x"] + px, box["y"] + py
