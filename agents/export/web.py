@@ -23,6 +23,7 @@ import torch
 
 from surface_gym.cli import typed
 from surface_gym.config import EnvConfig
+from surface_gym.core.actions import GROUPS
 from surface_gym.env import make_batch
 from surface_gym.files import replacing
 from surface_gym.flow import take_away as ta
@@ -52,10 +53,12 @@ from ..rules.slopes import SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
 from ..rules.streams import PAST_START, SIDE
 from .home import write_home
-from .policy import NetworkDecision, Source, network_decision, of_run, shipped
+from .policy import Source, network_decision, of_run, shipped
 from .rules import describe_rules
 
-ALGOS = {"ppo": "halves", "dqn": "halves", "modules": "modules"}  # what each chooses for
+ALGOS = {  # what each chooses for
+    "ppo": ("halves", "quadrants"), "dqn": ("halves", "quadrants"), "modules": ("modules",),
+}  # fmt: skip
 SLOPE_ALGOS = ("parcels", "local")
 # What finds whom modules obey reads, of what differs between the moments and seeds of a stream.
 OBEYING_READS = (
@@ -112,16 +115,22 @@ class Weights:
         return b"".join(each.tobytes() for each in self._arrays)
 
 
-def describe_policy(decision: NetworkDecision, weights: Weights) -> Card:
+def describe_policy(source: Source, weights: Weights) -> Card:
     """Describe a policy for `page/policy.js`, and add its weights."""
+    decision, config = network_decision(source), source.config
     card = {
         "layers": [weights.add_layer(each.weights, each.bias) for each in decision.network.layers],
         "activation": decision.network.activation,
-        "choices": len(decision.angles),
+        "options": decision.options.tolist(),
     }
+    shown = EnvConfig(config.task, observe=tuple(GROUPS)).features
+    columns = [shown.index(feature) for feature in config.features]
+    if columns != list(range(len(columns))):
+        card["columns"] = columns
     if decision.symmetry is not None:
         card["side"] = decision.symmetry.side
         card["mirror"] = decision.symmetry.images.tolist()
+        card["parts"] = decision.symmetry.parts.tolist()
     return card
 
 
@@ -152,22 +161,37 @@ def describe_source(source: Source, weights: Weights) -> Card:
     """Describe a policy of single parcels, and add its weights."""
     if isinstance(source.policy, ModulePolicy):
         return describe_modules_policy(source, weights)
-    return describe_policy(network_decision(source), weights)
+    return describe_policy(source, weights)
 
 
-def find_policies(weights: Weights) -> dict[str, dict[str, Card]]:
-    """Describe the policies of single parcels by task and name, and add their weights."""
+def write_policies(
+    tasks: Sequence[str], weights: Weights, folder: Path
+) -> dict[str, dict[str, Card]]:
+    """Describe the policies of single parcels by task and name, and add their weights.
+
+    Those of a site's tasks that observe groups of features have larger networks, each in a file of
+    its own.
+    """
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
         card = library.load(name).card
-        if is_shown(card):
-            found.setdefault(card.task, {})[name] = describe_source(shipped(name), weights)
+        if not is_shown(card) or (card.observe and card.task not in tasks):
+            continue
+        own = Weights() if card.observe else weights
+        described = describe_source(shipped(name), own)
+        if card.observe:
+            described["weights"] = f"agent-{name}.bin"
+            _write(folder / described["weights"], own.to_bytes())
+        found.setdefault(card.task, {})[name] = described
     return found
 
 
 def is_shown(card: library.PolicyCard) -> bool:
-    """Whether a policy is one of single parcels that sees and does what the page can."""
-    return ALGOS.get(card.algo) == card.actions and not card.observe
+    """Whether a policy is one of single parcels that does what the page can.
+
+    It may observe all groups of features; modules in Sort see none of them.
+    """
+    return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
 
 def write_run(
@@ -214,8 +238,8 @@ def _check_run(card: library.PolicyCard) -> None:
     """Raise a ValueError unless a policy sees what the page shows, and decides as often."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
-            f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves of one "
-            "parcel or on modules, that observes nothing beside the task's, "
+            f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
+            "quadrants, or on modules that observe the task's own features alone, "
             f"got {card.algo}, {card.actions}, {list(card.observe)}"
         )
     if card.control_period != CONTROL_PERIOD:
@@ -377,7 +401,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
     """Write the agents of the tasks that a site has; return them by task."""
     site = json.loads((folder / SITE).read_text())
     weights = Weights()
-    policies = find_policies(weights)
+    policies = write_policies(site["tasks"], weights, folder)
     agents: dict[str, dict[str, Any]] = {}
     for task in site["tasks"]:
         if task in policies:

@@ -1,9 +1,9 @@
 """The command that writes environments as WebAssembly: `surface-gym web FOLDER`.
 
-Each task, with the arguments it has by default, becomes four files: the module `sort.wasm`, its
-memory `sort.bin` with one environment of it placed by seed 0, `sort.json`, which says what lies
-where in it, and `sort.starts`, the starts of more seeds. Beside them lies the playground: pages,
-scripts, and an empty table.
+Each task, with the arguments it has by default and all groups of features in the observation of one
+parcel, becomes four files: the module `sort.wasm`, its memory `sort.bin` with one environment of it
+placed by seed 0, `sort.json`, which says what lies where in it, and `sort.starts`, the starts of
+more seeds. Beside them lies the playground: pages, scripts, and an empty table.
 """
 
 import argparse
@@ -40,8 +40,10 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
         folder: where to write.
         own: a task of the user's.
     """
-    from surface_gym.config import EnvConfig
+    from surface_gym.config import ENV_TASKS, EnvConfig
+    from surface_gym.core.actions import GROUPS
     from surface_gym.env import make_batch
+    from surface_gym.flow.task import StreamTask
     from surface_gym.sensors import Camera, Exact
     from surface_gym.web.compiler import compile_module
     from surface_gym.web.image import make_image
@@ -53,7 +55,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
         kernel, arguments = step_table, table_arguments()
     else:
         sensors = Camera() if task.endswith(CAMERA) else Exact()
-        config = EnvConfig(own or task.removesuffix(CAMERA), sensors=sensors)
+        asked = own or ENV_TASKS[task.removesuffix(CAMERA)]()
+        observe = () if isinstance(asked, StreamTask) else tuple(GROUPS)  # for any policy's eyes
+        config = EnvConfig(asked, sensors=sensors, observe=observe)
         batch = make_batch(config, 1, compiles=False)
         starts = collect_starts(batch)
         kernel, arguments = batch.make_kernel(), batch.arguments

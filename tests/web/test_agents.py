@@ -97,6 +97,28 @@ def test_policies_and_layouts_act_in_the_page_as_in_python(agents):
             assert page.evaluate("playground.shown[0].run.over") == info["outcome"].name
 
 
+LABS = [name for name in library.names() if library.load(name).card.observe]
+
+
+@pytest.mark.parametrize("name", LABS)
+def test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_python(agents, name):
+    policy = library.load(name)
+    card = policy.card
+    page = agents(TaskScene(card.task, agent=name))
+    env = gym.make(card.env_id, actions=card.actions, observe=card.observe)
+    for seed in (0, 3):
+        observation, info = env.reset(seed=seed)
+        over = False
+        while not over:
+            action, _ = policy.predict(observation, deterministic=True)
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+        page.evaluate(f"playground.reopen({{ seed: {seed} }})")
+        wait_for(page, f"playground.scene.seed === {seed}")
+        ((time, *motion),) = end_states(page)
+        assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
+
+
 def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):
     page = open_sort(play)
     page.select_option("#agent", "all at 45°")

@@ -97,8 +97,11 @@ export class Agents {
     if (Object.hasOwn(parcels, name))
       return new ParcelAgent(parcels[name], this.weights, await this._obeying(obeying, machine));
     if (Object.hasOwn(policies, name)) {
-      const Kind = policies[name].kind === "modules" ? SortingPolicy : Policy;
-      return new Kind(policies[name], this.weights);
+      const card = policies[name];
+      const Kind = card.kind === "modules" ? SortingPolicy : Policy;
+      if (!card.weights) return new Kind(card, this.weights);
+      const own = await get(`${this.folder}${card.weights}`, "arrayBuffer");
+      return new Kind(card, new Float32Array(own));
     }
     if (Object.hasOwn(rules, name)) return makeRule(rules[name]);
     if (Object.hasOwn(layouts, name)) return new Layout(layouts[name]);

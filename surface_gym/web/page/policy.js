@@ -7,7 +7,9 @@
  * @typedef {object} Card of a policy
  * @property {Layer[]} layers
  * @property {"tanh"|"relu"} activation between layers
- * @property {number} choices orientations, of the modules ahead of the parcel and of those behind it
+ * @property {number[]} [columns] of the page's observation that it sees; by default the first
+ * @property {number[][]} options orientations that a group of outputs chooses from, of some parts
+ * @property {number[]} [parts] the mirror image of each part
  * @property {number} [side] place in the observation of the side that a mirrored start is asked for
  * @property {number[]} [mirror] choices, where that side is right
  */
@@ -43,26 +45,33 @@ export class Policy {
     this.weights = weights;
   }
 
-  /** Choose orientations for the modules ahead of the parcel and behind it. */
+  /** Choose an orientation for each part: halves, or quadrants, ahead first, then left first. */
   choose(observation) {
-    const { layers, activation, choices, side, mirror } = this.card;
+    const { layers, activation, columns, options, parts, side, mirror } = this.card;
     const between = activation === "tanh" ? Math.tanh : relu;
-    const scores = perceptron(this.weights, layers, observation, between);
-    const best = scores.indexOf(Math.max(...scores));
-    const halves = [Math.floor(best / choices), best % choices];
+    const seen = columns ? columns.map((column) => observation[column]) : observation;
+    const scores = perceptron(this.weights, layers, seen, between);
+    const found = [];
+    for (let first = 0; first < scores.length; first += options.length) {
+      const group = scores.subarray(first, first + options.length);
+      found.push(...options[group.indexOf(Math.max(...group))]);
+    }
     return side !== undefined && observation[side] < 0
-      ? halves.map((choice) => mirror[choice])
-      : halves;
+      ? parts.map((part) => mirror[found[part]])
+      : found;
   }
 
   /** Write what is chosen for each module. @param {import("./task.js").TaskRun} run */
   act(run) {
     const { machine, about, columns } = run;
-    const [ahead, behind] = this.choose(machine.view("parcels.observation"));
-    const x = machine.view("parcels.sensed")[0];
+    const choices = this.choose(machine.view("parcels.observation"));
+    const [sensedX, sensedY] = machine.view("parcels.sensed");
     for (const module of run.modules()) {
-      const isBehind = about.origin[0] + about.pitch[0] * (module % columns) < x;
-      run.wanted[run.partOf(module)] = isBehind ? behind : ahead;
+      const x = about.origin[0] + about.pitch[0] * (module % columns);
+      const y = about.origin[1] + about.pitch[1] * Math.floor(module / columns);
+      const place = choices.length > 2 ? [x < sensedX, y < sensedY] : [x < sensedX];
+      const part = place.reduce((sum, isBeyond) => 2 * sum + (isBeyond ? 1 : 0), 0);
+      run.wanted[run.partOf(module)] = choices[part];
     }
   }
 }
