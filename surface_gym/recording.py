@@ -108,9 +108,8 @@ class Recording:
     # (contacts, 4) row times columns plus column of the element, and normal force, and friction on
     # the parcel in x and y [N]
     contacts: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    bearer: Integers = field(
-        default_factory=_no_indices
-    )  # (contacts,) its parcel; empty: the first
+    # (contacts,) the parcel of each contact; empty: the first
+    bearer: Integers = field(default_factory=_no_indices)
     first_push: Integers = field(default_factory=_no_indices)  # (T + 1,) as first_contact, or empty
     # (pushes, 6) two parcels that push each other, [m] where, in x and y, and [N] force on the
     # second of them in x and y

@@ -23,7 +23,6 @@ import torch
 
 from surface_gym.cli import typed
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS
 from surface_gym.env import make_batch
 from surface_gym.files import replacing
 from surface_gym.flow import take_away as ta
@@ -33,7 +32,7 @@ from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import OWN, PRESENT, WAITS
 from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.sensors import Camera
-from surface_gym.web.build import AGENTS, SITE
+from surface_gym.web.build import AGENTS, SITE, make_config
 from surface_gym.web.compiler import compile_module
 from surface_gym.web.image import make_image, name_arguments
 from surface_gym.web.starts import SEEDS
@@ -123,7 +122,7 @@ def describe_policy(source: Source, weights: Weights) -> Card:
         "activation": decision.network.activation,
         "options": decision.options.tolist(),
     }
-    shown = EnvConfig(config.task, observe=tuple(GROUPS)).features
+    shown = make_config(config.task).features
     columns = [shown.index(feature) for feature in config.features]
     if columns != list(range(len(columns))):
         card["columns"] = columns
@@ -148,7 +147,7 @@ def describe_modules_policy(source: Source, weights: Weights) -> Card:
             *weights.add_layers(tensors, "_logits"),
         ],
         "shared": module_policy.SHARED,
-        "columns": {feature.name: k for k, feature in enumerate(config.features)},
+        "features": [feature.name for feature in config.features],
         "mirror": mirrored_orientations(orientations).tolist(),
         "rest": local_policy.find_rest(config),
         "pitch": [line.pitch_x, line.pitch_y], "zone": [kind.rows, kind.columns],

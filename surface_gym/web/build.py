@@ -14,11 +14,14 @@ import shutil
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surface_gym import __version__
 from surface_gym.cli import IN_CHECKOUT, typed
 from surface_gym.registration import PERIODS
+
+if TYPE_CHECKING:
+    from surface_gym.config import EnvConfig
 
 PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
@@ -32,6 +35,24 @@ AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` 
 EACH_AGENT = "agent-*.*"  # and what a page loads of one that is chosen
 
 
+def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
+    """Configure a task's environment as pages have it: of one parcel, all groups are observed.
+
+    Args:
+        task: its name, or a task with parameters of its own.
+        has_camera: whether a camera senses the parcels; otherwise sensors are exact.
+    """
+    from surface_gym.config import EnvConfig
+    from surface_gym.core.actions import GROUPS
+    from surface_gym.flow.task import StreamTask
+    from surface_gym.sensors import Camera, Exact
+
+    config = EnvConfig(task, sensors=Camera() if has_camera else Exact())
+    if isinstance(config.task, StreamTask):
+        return config
+    return config.replace(observe=tuple(GROUPS))
+
+
 def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder, and describe them in a line.
 
@@ -40,11 +61,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
         folder: where to write.
         own: a task of the user's.
     """
-    from surface_gym.config import ENV_TASKS, EnvConfig
-    from surface_gym.core.actions import GROUPS
     from surface_gym.env import make_batch
-    from surface_gym.flow.task import StreamTask
-    from surface_gym.sensors import Camera, Exact
     from surface_gym.web.compiler import compile_module
     from surface_gym.web.image import make_image
     from surface_gym.web.starts import CONTACTS, collect_starts, describe
@@ -54,10 +71,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     if task == TABLE:
         kernel, arguments = step_table, table_arguments()
     else:
-        sensors = Camera() if task.endswith(CAMERA) else Exact()
-        asked = own or ENV_TASKS[task.removesuffix(CAMERA)]()
-        observe = () if isinstance(asked, StreamTask) else tuple(GROUPS)  # for any policy's eyes
-        config = EnvConfig(asked, sensors=sensors, observe=observe)
+        config = make_config(own or task.removesuffix(CAMERA), task.endswith(CAMERA))
         batch = make_batch(config, 1, compiles=False)
         starts = collect_starts(batch)
         kernel, arguments = batch.make_kernel(), batch.arguments

@@ -11,7 +11,6 @@ import numpy as np
 from numba.np.random import _constants
 
 from surface_gym.core.batch import BaseBatch
-from surface_gym.flow.task import StreamTask
 from surface_gym.state import NOISE_ROWS
 
 TABLES = "ziggurat.json"  # which a page loads when a camera is chosen
@@ -23,19 +22,22 @@ class NoiseStart(NamedTuple):
 
     first: list[str]  # state and increment in hexadecimal digits, before noise is drawn
     then: list[str]  # after all of the start is drawn
+    drawn: int  # rows of parcels for which it is drawn
 
 
 class NotingGenerator(np.random.Generator):
-    """A generator that notes its state before it first draws noise."""
+    """A generator that notes its state before it first draws noise, and how often it does."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(np.random.default_rng(seed).bit_generator)
         self.first: list[str] | None = None
+        self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
         """Draw normal numbers, as NumPy does."""
-        if self.first is None and size == (NOISE_ROWS, 3):
-            self.first = read_state(self)
+        if size == (NOISE_ROWS, 3):
+            self.first = self.first or read_state(self)
+            self.drawn += 1
         return super().standard_normal(size, *args, **named)
 
 
@@ -57,17 +59,14 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     batch.parcels.noise[:] = 0.0
     if generator.first is None:
         return None
-    return NoiseStart(generator.first, read_state(generator))
+    return NoiseStart(generator.first, read_state(generator), generator.drawn)
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
     """Describe the noise of each seed's start, and how much of it parcels use, for a page."""
     if not batch.config.draws:
         return None
-    task = batch.config.task
-    waiting = task.queue - 1 if isinstance(task, StreamTask) else 0
     return {
-        "drawn": batch.rows - waiting,  # rows of parcels in a start
         "used": batch.config.draws,  # rows of noise in a control period, at most
         "states": [each._asdict() for each in starts if each is not None],
     }

@@ -164,6 +164,26 @@ def wait_for(page: Any, what: str, most: float = 15.0) -> None:
         page.wait_for_timeout(30)
 
 
+def end_in_python(env: Any, agent: Any, seed: int) -> tuple[list[float], str]:
+    """Run an episode of one parcel; return its last time, pose and velocity, and its outcome."""
+    observation, info = env.reset(seed=seed)
+    state, over = None, False
+    while not over:
+        action, state = agent.predict(observation, state, deterministic=True)
+        observation, _, terminated, truncated, info = env.step(action)
+        over = terminated or truncated
+    outcome = info["outcome"].name if terminated else "out of time"
+    return [info["time"], *info["pose"], *info["velocity"]], outcome
+
+
+def end_in_page(page: Any, agent: str, seed: int) -> tuple[list[float], str]:
+    """Let an agent run an episode of one parcel in the page; return the same."""
+    page.evaluate(f"playground.reopen({{ seed: {seed}, agent: '{agent}' }})")
+    wait_for(page, f"playground.scene.seed === {seed} && playground.scene.agent === '{agent}'")
+    (end,) = end_states(page)
+    return end, page.evaluate("playground.shown[0].run.over")
+
+
 def end_states(page: Any) -> list[list[float]]:
     """Run to the end; return the last time, pose and velocity of each parcel."""
     found: list[list[float]] = page.evaluate(

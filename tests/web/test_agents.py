@@ -26,7 +26,7 @@ from surface_gym.flow import take_away as ta
 from surface_gym.registration import ON_SLOPES, env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.scene import TaskScene
-from tests.web.conftest import Site, end_states, open_sort, run_script, wait_for
+from tests.web.conftest import Site, end_in_page, end_in_python, open_sort, run_script, wait_for
 
 PERIODS = 300
 RULES = [
@@ -85,16 +85,7 @@ def test_policies_and_layouts_act_in_the_page_as_in_python(agents):
         env = gym.make("SmartSurface/Sort-v0", actions=actions)
         agent = library.load(name) if is_policy else BestSorting(EnvConfig("sort"))
         for seed in (0, 1, 5):
-            observation, info = env.reset(seed=seed)
-            state, over = None, False
-            while not over:
-                action, state = agent.predict(observation, state, deterministic=True)
-                observation, _, terminated, truncated, info = env.step(action)
-                over = terminated or truncated
-            page.evaluate(f"playground.reopen({{ seed: {seed}, agent: '{name}' }})")
-            ((time, *motion),) = end_states(page)
-            assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
-            assert page.evaluate("playground.shown[0].run.over") == info["outcome"].name
+            assert end_in_page(page, name, seed) == end_in_python(env, agent, seed)
 
 
 LABS = [name for name in library.names() if library.load(name).card.observe]
@@ -107,16 +98,7 @@ def test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_python(agents,
     page = agents(TaskScene(card.task, agent=name))
     env = gym.make(card.env_id, actions=card.actions, observe=card.observe)
     for seed in (0, 3):
-        observation, info = env.reset(seed=seed)
-        over = False
-        while not over:
-            action, _ = policy.predict(observation, deterministic=True)
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-        page.evaluate(f"playground.reopen({{ seed: {seed} }})")
-        wait_for(page, f"playground.scene.seed === {seed}")
-        ((time, *motion),) = end_states(page)
-        assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
+        assert end_in_page(page, name, seed) == end_in_python(env, policy, seed)
 
 
 def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):

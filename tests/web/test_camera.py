@@ -15,7 +15,15 @@ from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.noise import read_state
 from surface_gym.web.scene import TaskScene
-from tests.web.conftest import Site, end_states, open_sort, run_script, wait_for
+from tests.web.conftest import (
+    Site,
+    end_in_page,
+    end_in_python,
+    end_states,
+    open_sort,
+    run_script,
+    wait_for,
+)
 
 assert surface_gym
 MANY = 40_000  # of which some ten lie in the tail
@@ -113,15 +121,7 @@ def test_a_policy_acts_on_what_the_camera_sees(filmed):
     env = gym.make(env_id("sort"), actions="halves", sensors=Camera())
     policy = library.load("sort-ppo")
     for seed in (0, 1, 5):
-        observation, info = env.reset(seed=seed)
-        over = False
-        while not over:
-            observation, _, terminated, truncated, info = env.step(policy.predict(observation)[0])
-            over = terminated or truncated
-        page.evaluate(f"playground.reopen({{ seed: {seed}, agent: 'sort-ppo' }})")
-        wait_for(page, f"playground.scene.seed === {seed}")
-        ((time, *motion),) = end_states(page)
-        assert [time, *motion] == [info["time"], *info["pose"], *info["velocity"]]
+        assert end_in_page(page, "sort-ppo", seed) == end_in_python(env, policy, seed)
 
 
 def test_the_switch_puts_a_camera_there_and_takes_it_away(play):

@@ -12,7 +12,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera, Exact
 from surface_gym.web.scene import TaskScene
-from tests.web.conftest import Site, end_states, wait_for
+from tests.web.conftest import Site, end_in_page, end_in_python, wait_for
 
 REACTING = [rule for rule in RULES if rule.make in DESCRIBED]
 SEEDS = (0, 3)  # of 20; in three the sliding mode meets a tie that rounding decides otherwise
@@ -39,32 +39,19 @@ def acting(with_rules: Site, play: Any) -> Any:
     return opened
 
 
-def run_in_python(rule: Rule, seed: int, sensors: Any) -> list[float]:
-    """Run an episode; return its last time, pose and velocity."""
+def check(page: Any, rule: Rule, sensors: Any) -> None:
     env = gym.make(env_id(rule.task), actions=rule.actions, sensors=sensors)
     agent = rule.make(EnvConfig(rule.task, actions=rule.actions, sensors=sensors))
-    observation, info = env.reset(seed=seed)
-    state, over = None, False
-    while not over:
-        action, state = agent.predict(observation, state)
-        observation, _, terminated, truncated, info = env.step(action)
-        over = terminated or truncated
-    return [info["time"], *info["pose"], *info["velocity"]]
-
-
-def check(page: Any, rule: Rule, seeds: Any, sensors: Any) -> None:
-    for seed in seeds:
-        page.evaluate(f"playground.reopen({{ seed: {seed} }})")
-        wait_for(page, f"playground.scene.seed === {seed}")
-        assert end_states(page) == [run_in_python(rule, seed, sensors)]
+    for seed in SEEDS:
+        assert end_in_page(page, rule.name, seed) == end_in_python(env, agent, seed)
 
 
 @pytest.mark.parametrize("rule", REACTING, ids=lambda rule: f"{rule.task}: {rule.name}")
 def test_a_rule_runs_as_in_python(acting, rule):
-    check(acting(TaskScene(rule.task, agent=rule.name)), rule, SEEDS, Exact())
+    check(acting(TaskScene(rule.task, agent=rule.name)), rule, Exact())
 
 
 @pytest.mark.parametrize("rule", REACTING, ids=lambda rule: f"{rule.task}: {rule.name}")
 def test_a_rule_sees_by_a_camera_as_in_python(acting, rule):
     page = acting(TaskScene(rule.task, agent=rule.name, camera=True))
-    check(page, rule, SEEDS, Camera())
+    check(page, rule, Camera())

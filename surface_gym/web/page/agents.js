@@ -10,6 +10,8 @@ import { ParcelPolicy, SlopeRule } from "./slopes.js";
 import { SortingPolicy } from "./sorting.js";
 
 export const YOU = "you";
+/** Kinds of agents of a task in agents.json, in the order in which they are listed. */
+const KINDS = ["slopes", "parcels", "policies", "rules", "layouts"];
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
 
 /** Keeps what the player sets. */
@@ -65,61 +67,46 @@ export class Agents {
 
   /** List the names of a task's agents. */
   names(task) {
-    const {
-      layouts = {},
-      policies = {},
-      rules = {},
-      parcels = {},
-      slopes = {},
-    } = this.file[task] ?? {};
+    const there = this.file[task] ?? {};
     return [
       YOU,
-      ...Object.keys(slopes),
-      ...Object.keys(parcels),
-      ...Object.keys(policies),
-      ...Object.keys(rules),
-      ...Object.keys(layouts),
+      ...KINDS.flatMap((kind) => Object.keys(there[kind] ?? {})),
       ...Object.keys(UNIFORM),
     ];
   }
 
   /** Make an agent for a task's machine, and load what it is made of; of no such name, a player. */
   async make(task, name, machine) {
-    const {
-      layouts = {},
-      policies = {},
-      rules = {},
-      parcels = {},
-      slopes = {},
-      obeying,
-    } = this.file[task] ?? {};
-    if (Object.hasOwn(slopes, name)) return this._onSlope(slopes[name], obeying, machine);
-    if (Object.hasOwn(parcels, name))
-      return new ParcelAgent(parcels[name], this.weights, await this._obeying(obeying, machine));
-    if (Object.hasOwn(policies, name)) {
-      const card = policies[name];
-      const Kind = card.kind === "modules" ? SortingPolicy : Policy;
-      if (!card.weights) return new Kind(card, this.weights);
-      const own = await get(`${this.folder}${card.weights}`, "arrayBuffer");
-      return new Kind(card, new Float32Array(own));
-    }
-    if (Object.hasOwn(rules, name)) return makeRule(rules[name]);
-    if (Object.hasOwn(layouts, name)) return new Layout(layouts[name]);
-    return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
+    const there = this.file[task] ?? {};
+    const kind = KINDS.find((each) => Object.hasOwn(there[each] ?? {}, name));
+    if (!kind) return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
+    const card = there[kind][name];
+    if (kind === "slopes") return this._onSlope(card, there.obeying, machine);
+    if (kind === "parcels")
+      return new ParcelAgent(card, this.weights, await this._obeying(there.obeying, machine));
+    if (kind === "rules") return makeRule(card);
+    if (kind === "layouts") return new Layout(card);
+    const Kind = card.kind === "modules" ? SortingPolicy : Policy;
+    return new Kind(card, await this._weights(card));
   }
 
   async _onSlope(card, obeying, machine) {
     const { folder } = this;
     const [own, weights, follows] = await Promise.all([
       Machine.load(card.machine, folder, card.code),
-      card.weights ? get(`${folder}${card.weights}`, "arrayBuffer") : null,
+      this._weights(card),
       card.kind === "modules" ? null : this._obeying(obeying, machine),
     ]);
     if (card.kind === "rule") return new SlopeRule(card, own, follows);
-    const numbers = new Float32Array(weights);
     return card.kind === "modules"
-      ? new ModulesPolicy(card, own, numbers)
-      : new ParcelPolicy(card, own, follows, numbers);
+      ? new ModulesPolicy(card, own, weights)
+      : new ParcelPolicy(card, own, follows, weights);
+  }
+
+  /** Load the weights of an agent that has a file of them; others share one. */
+  async _weights(card) {
+    if (!card.weights) return this.weights;
+    return new Float32Array(await get(`${this.folder}${card.weights}`, "arrayBuffer"));
   }
 
   async _obeying(card, machine) {

@@ -4,7 +4,8 @@
  * parcels taken as squares, and axes that turn at once.
  */
 
-import { clip, decodeLine, leastOf, sum } from "./decoding.js";
+import { decodeLine } from "./decoding.js";
+import { clip, leastOf, sum } from "./numbers.js";
 import { Rule } from "./rule.js";
 
 const [ROLL, HALF, FULL] = [0, 1, 2]; // level of a column: 90 deg; 45 and -45 deg in turn; 0 deg
@@ -28,10 +29,12 @@ function contactSpan(card, seen) {
   }
   const covered = reach.map((each) => Math.max(0, each));
   const ofRotors = covered.map((each, row) => (rotor[row] ? each : 0));
+  const middle = 0.5 * (rear + seen.frontInZone) - place;
   return {
     place,
-    middle: 0.5 * (rear + seen.frontInZone) - place,
+    middle,
     halfLength,
+    firstColumn: Math.floor((place + middle - halfLength) / pitch[0]), // that it covers
     reach,
     rotor,
     rotorShare: sum(ofRotors) / Math.max(sum(covered), onEdge),
@@ -121,23 +124,18 @@ class BrakingRule extends Rule {
     const { columns, pitch, period } = this.card;
     const ahead = Math.max(0, seen.vx) * period;
     const reached = Math.ceil((2 * span.halfLength + ahead) / pitch[0]) + 1;
-    const first = Math.floor((span.place + span.middle - span.halfLength) / pitch[0]);
     return brakingOptions(reached).map((option) =>
-      Array.from({ length: columns }, (_, column) => option[column - first] ?? ROLL),
+      Array.from({ length: columns }, (_, column) => option[column - span.firstColumn] ?? ROLL),
     );
   }
 
   /** Predict place and speed a period on, and what takes the speed where friction is nominal. */
   predict(span, speed, frictions, levels) {
-    const { columns, dt, steps, leans, pitch } = this.card;
-    const { braking, rollingLoss, supportLoss } = this.card;
+    const { dt, steps, leans, pitch, braking, rollingLoss, supportLoss } = this.card;
     const longest = 2 * span.halfLength + Math.max(0, speed) * dt * steps;
-    const first = Math.floor((span.place + span.middle - span.halfLength) / pitch[0]);
     const count = Math.ceil(longest / pitch[0]) + 2;
-    const near = Array.from({ length: count }, (_, k) => first + k);
-    const lean = near.map((column) =>
-      column >= 0 && column < columns ? leans[levels[column]] : leans[ROLL],
-    );
+    const near = Array.from({ length: count }, (_, k) => span.firstColumn + k);
+    const lean = near.map((column) => leans[levels[column] ?? ROLL]); // beyond the zone all roll
     const found = { place: span.place, speed, braking: 0, rolling: 0 };
     let loss = 0;
     for (let step = 0; step < steps; step++) {

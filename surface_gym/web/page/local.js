@@ -3,7 +3,8 @@
  * those of `agents/rules/local.py`, whose numbers their cards hold.
  */
 
-import { clip, decodeLine, decodePath, linePositions, windowPositions } from "./decoding.js";
+import { decodeLine, decodePath, linePositions, windowPositions } from "./decoding.js";
+import { clip } from "./numbers.js";
 import { Rule } from "./rule.js";
 
 /** What a parcel should do in each task. */

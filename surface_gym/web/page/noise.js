@@ -78,8 +78,7 @@ export class Noise {
 
   /** Draw the noise of a seed's start, which is placed. */
   place(seed) {
-    const { drawn, states } = this.machine.layout.starts.noise;
-    const { first, then } = states[seed];
+    const { first, then, drawn } = this.machine.layout.starts.noise.states[seed];
     this.generator = new Generator(this.tables, first);
     for (let row = 0; row < drawn; row++) this._draw(row);
     this.generator = new Generator(this.tables, then);

@@ -28,14 +28,13 @@ export class Obeying {
    *   each row, and for those behind it
    */
   act(run, halves) {
-    const { machine, about, columns } = run;
+    const { machine } = run;
     for (const name of this.reads) this.machine.view(name).set(machine.view(name));
     this.machine.step();
     const sensed = machine.view("parcels.sensed");
     this.machine.view("streams.owner").forEach((row, module) => {
       if (row < 0) return;
-      const x = about.origin[0] + about.pitch[0] * (module % columns);
-      const behind = x < sensed[6 * row] ? 1 : 0;
+      const behind = run.placeOf(module)[0] < sensed[6 * row] ? 1 : 0;
       run.want(run.partOf(module), halves[2 * row + behind], false);
     });
   }

@@ -27,7 +27,7 @@ class Playground {
     this.modules = modules;
     this.agents = agents;
     this.loadAgents = async () => agents;
-    this.machines = new Map(); // what was loaded, by name
+    this.machines = new Map(); // with their noise, as they were loaded, by name
     this.shown = []; // a run, its picture and its caption each
     this.isRunning = false;
     this.owed = 0; // [s] of the run that are to be stepped
@@ -63,23 +63,20 @@ class Playground {
             ? [find("beside").value]
             : []),
         ];
-    const [agents, ...machines] = await Promise.all([
+    const [agents, ...loaded] = await Promise.all([
       isTable ? this.agents : this.loadAgents(),
-      ...names.map((_, k) => this._machine(scene, k)),
+      ...names.map((_, k) => this._load(scene, k)),
     ]);
     this.agents = agents;
     const acting = await Promise.all(
-      isTable ? [] : names.map((name, k) => agents.make(scene.task, name, machines[k])),
-    );
-    const noises = await Promise.all(
-      machines.map((machine) => (scene.camera ? Noise.load(machine) : null)),
+      isTable ? [] : names.map((name, k) => agents.make(scene.task, name, loaded[k].machine)),
     );
     if (opening !== this.opening) return; // another was opened meanwhile
-    this._checkSeed(scene, machines[0]);
-    const runs = machines.map((machine, k) => {
+    this._checkSeed(scene, loaded[0].machine);
+    const runs = loaded.map(({ machine, noise }, k) => {
       if (isTable) return new TableRun(machine, scene);
       const own = k === 0 ? scene : { ...structuredClone(scene), agent: names[k], commands: [] };
-      return new TaskRun(machine, own, acting[k], noises[k]);
+      return new TaskRun(machine, own, acting[k], noise);
     });
     this.scene = scene;
     for (const { picture } of this.shown) picture.dispose();
@@ -96,14 +93,15 @@ class Playground {
     await this.open(await fromFragment(location.hash, this.tasks));
   }
 
-  /** Load a task's machine, or take one that was loaded; the second of a task is a copy. */
-  async _machine({ task, camera = false }, copy) {
+  /** Load a task's machine and its noise, if any, or take what was loaded; the second is a copy. */
+  async _load({ task, camera = false }, copy) {
     const file = camera ? task + CAMERA : task;
     const key = `${file} ${copy}`;
     if (!this.machines.has(key)) {
       const name = task === "table" ? "the table" : `the task ${task}`;
       const text = `Loading ${name}. A checkout compiles it first, which takes up to a minute.`;
-      this.machines.set(key, await this._waitFor(Machine.load(file), text));
+      const machine = await this._waitFor(Machine.load(file), text);
+      this.machines.set(key, { machine, noise: camera ? await Noise.load(machine) : null });
     }
     return this.machines.get(key);
   }
@@ -326,8 +324,7 @@ class Playground {
     const which = find("which").value;
     const isOne = run instanceof TaskRun && !run.about.stream && which !== "all";
     const x = isOne ? run.machine.view("parcels.truth")[0] : 0;
-    const isBehind = (module) =>
-      run.about.origin[0] + run.about.pitch[0] * (module % run.columns) < x;
+    const isBehind = (module) => run.placeOf(module)[0] < x;
     this.turn(
       run,
       isOne ? modules.filter((module) => isBehind(module) === (which === "behind")) : modules,
@@ -384,10 +381,7 @@ async function begin() {
   globalThis.playground = page; // for those who want to look into it
   await page.try(async () => {
     const address = location.hash;
-    const [site] = await Promise.all([
-      get("site.json", "json"),
-      page._machine({ task: "table" }, 0),
-    ]);
+    const [site] = await Promise.all([get("site.json", "json"), page._load({ task: "table" }, 0)]);
     page.modules = site.tasks;
     for (const task of page.tasks) find("task").append(new Option(`task: ${task}`, task));
     connect(page);

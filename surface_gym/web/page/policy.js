@@ -63,14 +63,12 @@ export class Policy {
 
   /** Write what is chosen for each module. @param {import("./task.js").TaskRun} run */
   act(run) {
-    const { machine, about, columns } = run;
-    const choices = this.choose(machine.view("parcels.observation"));
-    const [sensedX, sensedY] = machine.view("parcels.sensed");
+    const choices = this.choose(run.machine.view("parcels.observation"));
+    const sensed = run.machine.view("parcels.sensed");
+    const axes = choices.length > 2 ? [0, 1] : [0];
     for (const module of run.modules()) {
-      const x = about.origin[0] + about.pitch[0] * (module % columns);
-      const y = about.origin[1] + about.pitch[1] * Math.floor(module / columns);
-      const place = choices.length > 2 ? [x < sensedX, y < sensedY] : [x < sensedX];
-      const part = place.reduce((sum, isBeyond) => 2 * sum + (isBeyond ? 1 : 0), 0);
+      const place = run.placeOf(module);
+      const part = axes.reduce((sum, axis) => 2 * sum + (place[axis] < sensed[axis] ? 1 : 0), 0);
       run.wanted[run.partOf(module)] = choices[part];
     }
   }

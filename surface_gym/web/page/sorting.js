@@ -3,6 +3,7 @@
  * in `agents/module_policy.py`. The asked side lies at y > 0, in a mirror if need be.
  */
 
+import { reader } from "./decoding.js";
 import { cos, hypot, sin } from "./exact.js";
 import { perceptron } from "./policy.js";
 
@@ -11,7 +12,7 @@ import { perceptron } from "./policy.js";
  * @property {"modules"} kind
  * @property {import("./policy.js").Layer[]} layers from what all modules share, and then a place
  * @property {number[]} shared features of the observation, by their columns
- * @property {Object<string, number>} columns of the observation, by the names of its features
+ * @property {string[]} features names of the observation's numbers
  * @property {number[]} mirror choices, where the asked side is y < 0
  * @property {number} rest choice of modules that bear nothing
  * @property {number[]} pitch [m]
@@ -40,9 +41,9 @@ export class SortingPolicy {
 
   /** Write what each module chooses. @param {import("./task.js").TaskRun} run */
   act(run) {
-    const { layers, shared, columns, mirror, rest } = this.card;
+    const { layers, shared, mirror, rest } = this.card;
     const observation = run.machine.view("parcels.observation");
-    const isMirrored = observation[columns.side] < 0;
+    const isMirrored = reader(this.card, observation)("side") < 0;
     const alike = shared.map((column) => observation[column]);
     run.wanted.fill(rest);
     for (const [part, place] of this.places(this.see(observation), isMirrored)) {
@@ -55,8 +56,8 @@ export class SortingPolicy {
 
   /** Decode an observation, which lacks the base's width: a wider one has a wider line. */
   see(observation) {
-    const { columns, pitch, zone, least, exact, round } = this.card;
-    const of = (name) => observation[columns[name]];
+    const { pitch, zone, least, exact, round } = this.card;
+    const of = reader(this.card, observation);
     const offset = 0.3 * of("lateral offset");
     const theta = Math.atan2(of("sine of theta"), of("cosine of theta"));
     const length = 0.175 + 0.05 * of("size");

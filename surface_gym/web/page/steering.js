@@ -3,16 +3,9 @@
  * of `agents/rules/steering.py`, whose numbers their cards hold.
  */
 
-import {
-  clip,
-  decodeLine,
-  decodePath,
-  leastOf,
-  linePositions,
-  sum,
-  windowPositions,
-} from "./decoding.js";
+import { decodeLine, decodePath, linePositions, windowPositions } from "./decoding.js";
 import { sin } from "./exact.js";
+import { clip, leastOf, sum } from "./numbers.js";
 import { Rule } from "./rule.js";
 
 /** An evenly loaded square on modules, with friction along axes. */

@@ -123,6 +123,13 @@ export class TaskRun {
     return (margin + row - firstRow) * columns + column - firstColumn;
   }
 
+  /** Where a module is, x and y [m]. */
+  placeOf(module) {
+    const { origin, pitch } = this.about;
+    const [row, column] = [Math.floor(module / this.columns), module % this.columns];
+    return [origin[0] + pitch[0] * column, origin[1] + pitch[1] * row];
+  }
+
   /** Modules that obey, by index. */
   modules() {
     return [...this.obeys.keys()].filter((module) => this.obeys[module]);

@@ -15,7 +15,7 @@ from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.module_policy import SharedNetwork
-from surface_gym.agents.policy import save_policy
+from surface_gym.agents.policy import make_network, save_policy
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv, make_batch
@@ -23,6 +23,7 @@ from surface_gym.flow.batch import StreamBatch, stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.state import NOBODY
 from surface_gym.registration import PERIODS
+from surface_gym.web.build import make_config
 from surface_gym.web.compiler import Module
 from surface_gym.web.image import name_arguments
 
@@ -178,6 +179,18 @@ def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
     save_policy(SharedNetwork(4, card.hidden, card.observe), card, tmp_path / "run")
     with pytest.raises(ValueError, match=r"run must hold .*, got modules, modules, \['parcel'\]"):
         web.write_run(tmp_path / "run", None, None, tmp_path, folder)
+
+
+def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(folder, tmp_path):
+    card = replace(library.load("sort-ppo").card, observe=("load",), hidden=(8,))
+    config = card.env_config()
+    save_policy(make_network(card, config), card, tmp_path / "run")
+    web.write_run(tmp_path / "run", None, None, tmp_path, folder)
+    agents = json.loads((tmp_path / "agents.json").read_text())
+    shown = make_config("sort").features
+    columns = agents["sort"]["policies"]["run"]["columns"]
+    assert [shown[column] for column in columns] == list(config.features)
+    assert columns != list(range(len(columns)))
 
 
 def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path):
