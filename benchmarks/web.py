@@ -19,6 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.compiler.wasm import compile_module
+from surface_gym.compiler.wasm_image import Image, is_scratch, make_image, name_arguments
+from surface_gym.compiler.wasm_machine import Machine
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.env import make_batch
@@ -28,9 +31,6 @@ from surface_gym.layouts import ROLLING
 from surface_gym.registration import PERIODS
 from surface_gym.state import RUNNING
 from surface_gym.web.build import MODULES
-from surface_gym.web.compiler import compile_module
-from surface_gym.web.image import Image, is_scratch, make_image, name_arguments
-from surface_gym.web.machine import Machine
 
 # More parcels than can leave, so that a surface is full; on slopes it is by itself.
 CROWDED = Stream(Poisson(5000.0, 0.15), parcels=("S", "B"), speeds=(1.0, 2.0))

@@ -24,8 +24,8 @@ parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class tha
 `BaseLine`.
 """
 
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine, Field, Line, Pattern
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import (
     COM_HEIGHT,
     COM_X,

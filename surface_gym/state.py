@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.compiler.jit import inlined
 from surface_gym.physics import types as ph
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Places
 
 # Columns of `SurfaceState.conditions`.

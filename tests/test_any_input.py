@@ -18,11 +18,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import surface_gym as sg
 from surface_gym import checks
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.flow.arrivals import Law, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.stream import Stream
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Base
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Presence, Sensor
 from surface_gym.state import EnvState

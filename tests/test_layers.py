@@ -15,7 +15,9 @@ ROOT = Path(__file__).parents[1]
 # From the lowest up: a room, which is a folder or a file beside the folders, imports nothing of
 # later lines.
 LAYERS = (
-    ("checks", "files", "physics", "rendering", "recording"),
+    ("checks", "files"),
+    ("compiler",),
+    ("physics", "rendering", "recording"),
     ("parcel", "state", "surface"),
     ("layouts",),
     ("lines", "randomisation"),

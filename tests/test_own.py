@@ -137,7 +137,7 @@ OWN_FILE = """
 import sys, numba
 from pathlib import Path
 import surface_gym as sg
-from surface_gym.physics import jit
+from surface_gym.compiler import jit
 
 made = []
 save = jit._DigestCache.save_overload

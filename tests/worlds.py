@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import collision, contact_solver
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import OMEGA, THETA, VX, Array, X
 from surface_gym.simulation import make_bodies, start_state
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym.compiler.wasm_image import make_image
 from surface_gym.config import EnvConfig
 from surface_gym.files import replacing
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.tasks.sort import HORIZON
-from surface_gym.web.image import make_image
 from surface_gym.web.starts import describe, goal_marks
 
 from ..evaluation.capacity import WARM_UP, StreamMethod

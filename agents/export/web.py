@@ -22,6 +22,8 @@ import numpy as np
 import torch
 
 from surface_gym.cli import typed
+from surface_gym.compiler.wasm import compile_module
+from surface_gym.compiler.wasm_image import make_image, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
 from surface_gym.files import replacing
@@ -33,8 +35,6 @@ from surface_gym.flow.task import OWN, PRESENT, WAITS
 from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.build import AGENTS, SITE, make_config
-from surface_gym.web.compiler import compile_module
-from surface_gym.web.image import make_image, name_arguments
 from surface_gym.web.starts import SEEDS
 
 from .. import library, local_policy, module_policy, parcel_policy

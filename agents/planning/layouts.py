@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.config import EnvConfig
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import Task, track

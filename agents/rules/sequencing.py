@@ -8,10 +8,10 @@ import math
 from typing import Any, NamedTuple
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.sequence import PLACE, Sequence
-from surface_gym.physics.jit import compiled, inlined, linked
 
 from ..base import Integers, Numbers, Singles
 from .slopes import (

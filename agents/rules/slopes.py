@@ -11,10 +11,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.take_away import TakeAwayTask
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import GRAVITY
 from surface_gym.sensors import Exact
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, state as st
+from surface_gym.compiler.jit import compile_for, compiled
 from surface_gym.config import SURE, EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.assembly import make_env_params, make_state, task_functions
@@ -28,7 +29,6 @@ from surface_gym.core.resets import BodyPlan, Placement, place_parcel
 from surface_gym.layouts import ROLLING
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.jit import compile_for, compiled
 from surface_gym.physics.step import axis_direction, split_gravity
 from surface_gym.physics.types import Array, Integers, Scratch, make_scratch
 from surface_gym.randomisation import Actuators, Randomisation

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surface_gym import Randomisation
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.physics.jit import compiled
 from surface_gym.sensors import Exact
 
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
-from surface_gym.physics.jit import compiled
 from surface_gym.sensors import Exact
 
 from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes

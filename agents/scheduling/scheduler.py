@@ -13,12 +13,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, RIGHT, TOUCHES, WRONG
-from surface_gym.physics.jit import compiled
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 

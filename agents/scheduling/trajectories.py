@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.config import EnvConfig
 from surface_gym.flow import arrivals
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import RIGHT
 from surface_gym.flow.stream import Stream
-from surface_gym.physics.jit import compiled, inlined
 from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers, Singles

@@ -17,9 +17,9 @@ import numpy as np
 from gymnasium import spaces
 
 from surface_gym import checks, state as st
+from surface_gym.compiler.jit import inlined
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.contacts import bounded
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import RADIUS, THETA, Array, Integers, X, Y
 from surface_gym.state import EnvState, SurfaceState

@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numba.core.dispatcher import Dispatcher
 
 from surface_gym import state as st
+from surface_gym.compiler.jit import is_compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
@@ -113,7 +113,7 @@ def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = ""
     """Collect compiled functions of a task or a sensor by their names, with an ending."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
-        if not isinstance(function, Dispatcher):
+        if not is_compiled(function):
             raise ValueError(
                 f"{type(owner).__name__}.{name.removesuffix(ending)} must be a static method and a "
                 f"kernel_function, as {kind.__name__} says, got {function!r}"

@@ -6,10 +6,10 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from surface_gym import state as st
+from surface_gym.compiler.jit import CompilerError, compile_for, compiled
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
@@ -17,7 +17,6 @@ from surface_gym.core.kernel import EnvParams, make_kernel
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
-from surface_gym.physics.jit import compile_for, compiled
 from surface_gym.physics.step import find_support, support_load
 from surface_gym.physics.types import Array, Booleans, Integers, Scratch
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
@@ -315,7 +314,7 @@ class BaseBatch(ABC):
         """Compile the kernel, or load it from the cache."""
         try:
             return compile_for(self.make_kernel(), *self.arguments)
-        except NumbaError as error:
+        except CompilerError as error:
             raise ValueError(f"{self._authors} does not compile: {error}") from error
 
     @property

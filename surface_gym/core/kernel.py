@@ -10,9 +10,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from surface_gym import state as st
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.core.actions import Acting, FeatureGroup, window_corner
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Integers, Scratch
 from surface_gym.sensors.base import Physics

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from numba import cuda
 
+from surface_gym.compiler.translator import Translator
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import task_functions
 from surface_gym.core.kernel import EnvParams, KernelFunctions, make_kernel
@@ -16,8 +17,8 @@ from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import StreamFunctions, make_stream_kernel
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.parcel import Parcel
+from surface_gym.physics import types
 from surface_gym.physics.collision import WorldScratch, make_world_scratch, world_scratch
-from surface_gym.physics.translator import Translator
 from surface_gym.physics.types import Booleans, Integers, Scratch
 from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
 
@@ -59,7 +60,7 @@ def _stream() -> Any:
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
     """Return the translator for scratch with room for so many contacts; tasks share it."""
-    return Translator(scratch_layout(capacity), lambda copy, _: cuda.jit(device=True)(copy))
+    return Translator(lambda copy, _: cuda.jit(device=True)(copy), scratch_layout(capacity), types)
 
 
 def step_kernel(config: EnvConfig) -> Any:
@@ -188,5 +189,5 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
     """Make a surface's scratch for some parcels, with room for so many contacts of each."""
-    translator = Translator(scratch_layout(capacity), lambda copy, _: copy)
+    translator = Translator(lambda copy, _: copy, scratch_layout(capacity), types)
     return translator.translate(make_world_scratch)(parcels)

@@ -8,11 +8,11 @@ import math
 from typing import Any
 
 from surface_gym import state as st
+from surface_gym.compiler.jit import inlined
 from surface_gym.core.kernel import EnvParams, Function
 from surface_gym.flow import state as fs
 from surface_gym.flow.state import StreamParams, StreamState
 from surface_gym.physics import types as ph
-from surface_gym.physics.jit import inlined
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surface_gym import state as st
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.core.actions import Acting
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow import state as fs
@@ -32,7 +33,6 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.step import OFF_SURFACE
 from surface_gym.physics.types import Array, Bodies, Integers, Places, Scratch
 from surface_gym.sensors.base import Physics

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Any
 
+from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.inlets import MOST_INLETS, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import FEATURES, NEARLY_STRAIGHT, TakeAwayTask, bulk_parcels
-from surface_gym.physics.jit import inlined
 from surface_gym.state import EnvState
 from surface_gym.tasks.base import Feature
 

@@ -16,12 +16,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.sequence import PLACE, Sequence
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.take_away import TakeAwayTask
-from surface_gym.physics.jit import compiled, inlined, linked
 from surface_gym.physics.types import Array, Booleans, Integers
 
 Singles = NDArray[np.float32]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from surface_gym import checks
+from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.state import StreamParams
@@ -15,7 +16,6 @@ from surface_gym.flow.take_away import (
     bulk_parcels,
     slope_line,
 )
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Array
 from surface_gym.state import EnvState
 from surface_gym.tasks.base import Feature

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, state as st
+from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import HOUR, Poisson
 from surface_gym.flow.exits import PITCH, RUN_OUT
@@ -19,7 +20,6 @@ from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import StreamTask
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Parcel, Rectangle
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import (
     GRAVITY,
     HALF_LENGTH,

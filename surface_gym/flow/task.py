@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.compiler.jit import inlined
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import bars
@@ -18,7 +19,6 @@ from surface_gym.flow.inlets import EDGE, inlets_option
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.physics.collision import ContactMaterial
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start

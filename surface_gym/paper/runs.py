@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import layouts
-from surface_gym.physics.jit import compiled
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics.references import find_contacts
 from surface_gym.physics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch, make_scratch
 from surface_gym.simulation import expect_tipping, simulate

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import signed_distance as sd, types as ph
 from surface_gym.physics.contacts import invalidate_contacts
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import OFF_SURFACE
 from surface_gym.physics.types import Array, Bodies, Body, Booleans, Integers, Scratch
 

@@ -17,6 +17,7 @@ out of it, and pushes it in the next.
 
 import math
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import (
     collision,
     impact,
@@ -27,7 +28,6 @@ from surface_gym.physics import (
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.friction import implicit_velocity, load_contacts
 from surface_gym.physics.island import Island
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.step import step_implicit
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 

@@ -2,8 +2,8 @@
 
 import math
 
+from surface_gym.compiler.jit import inlined
 from surface_gym.physics import types as ph
-from surface_gym.physics.jit import inlined
 from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 
 

@@ -13,8 +13,8 @@ the first kind the compiler takes several at a time, and no sum depends on how m
 
 import math
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import types as ph
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Contacts, Grid, Scratch
 
 MAX_SEARCHES = 60

@@ -8,9 +8,9 @@ point is integrated; of one at several points the two phases are solved. Neither
 
 import math
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import island as islands, types as ph
 from surface_gym.physics.island import Island
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array
 
 PHASES = 4  # at most: slip stops once, compression ends, restitution ends

@@ -17,9 +17,9 @@ it, `Island.low`, and the factors fill no more than that.
 import math
 from typing import NamedTuple
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import types as ph
 from surface_gym.physics.friction import friction_curvature, friction_gradient
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Bodies, Contacts, Integers, Scratch
 
 STIFFNESS = 1e5  # [-] k over the mass that an impulse between free parcels moves

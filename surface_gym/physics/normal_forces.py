@@ -7,7 +7,7 @@ Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. 
 mass throughout.
 """
 
-from surface_gym.physics.jit import inlined, linked
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, PRESSURE, STIFFNESS, Scratch
 
 MAX_ITERATIONS = 100

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import contacts, friction, normal_forces, step, types as ph
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.types import Array, Body, Grid, Scratch, table_row
 
 find_contacts = compiled(contacts.find_contacts.py_func)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.physics import signed_distance as sd, step, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.friction import friction_gradient
-from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.types import Array, Body, Contacts, Grid, Integers, Scratch
 
 

@@ -8,8 +8,8 @@ polygons is exact. Where corner faces corner, the true distance is larger.
 import math
 from typing import NamedTuple
 
+from surface_gym.compiler.jit import inlined, linked
 from surface_gym.physics import types as ph
-from surface_gym.physics.jit import inlined, linked
 from surface_gym.physics.types import Array, Bodies
 
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import find_contacts
 from surface_gym.physics.friction import implicit_velocity
-from surface_gym.physics.jit import compiled, inlined, linked
 from surface_gym.physics.normal_forces import dual_normal_forces
 from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.physics import collision, signed_distance as sd, step, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
 from surface_gym.physics.contact_solver import PUSHED, step_world
 from surface_gym.physics.friction import friction_gradient
 from surface_gym.physics.island import STIFFNESS
-from surface_gym.physics.jit import compiled, inlined
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
 

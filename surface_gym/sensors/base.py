@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from surface_gym import checks
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import Array, Scratch
 from surface_gym.state import EnvState
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from surface_gym import checks
+from surface_gym.compiler.jit import inlined, kernel_function
 from surface_gym.lines import BaseLine
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.friction import friction_gradient
-from surface_gym.physics.jit import inlined, kernel_function
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Body, Grid, Scratch
 from surface_gym.sensors.base import LEARNED, Entry, Physics, Sensor, enter

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from surface_gym import checks
-from surface_gym.physics.jit import kernel_function
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import GYRATION, OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import Entry, Physics

@@ -2,8 +2,8 @@
 
 import math
 
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.contacts import EDGE_TOLERANCE
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.kalman import COVARIANCE, SIZE, correct, measure
 from surface_gym.state import EnvState

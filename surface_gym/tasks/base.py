@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from surface_gym import checks, state as st
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState
 from surface_gym.tasks.benchmark import Benchmark, default_benchmark

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.physics.jit import kernel_function
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import base, planning

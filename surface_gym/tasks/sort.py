@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks, state as st
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import planning

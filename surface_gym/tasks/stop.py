@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.physics.jit import kernel_function
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import base, planning

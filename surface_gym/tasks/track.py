@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.compiler.jit import kernel_function
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import BaseLine, Field
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded
-from surface_gym.physics.jit import kernel_function
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.state import GRAVITY_X, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import paths as shapes

@@ -61,9 +61,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
         folder: where to write.
         own: a task of the user's.
     """
+    from surface_gym.compiler.wasm import compile_module
+    from surface_gym.compiler.wasm_image import make_image
     from surface_gym.env import make_batch
-    from surface_gym.web.compiler import compile_module
-    from surface_gym.web.image import make_image
     from surface_gym.web.starts import CONTACTS, collect_starts, describe
     from surface_gym.web.table import step_table, table_arguments
 

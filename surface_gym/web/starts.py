@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym.compiler.wasm_image import is_scratch, name_arguments
 from surface_gym.core.batch import BaseBatch
 from surface_gym.physics import types as ph
 from surface_gym.registration import PERIODS
 from surface_gym.rendering import ExitSide, ExitSpeed, Heading, Path, StopLine
 from surface_gym.scenes import exit_marks
-from surface_gym.web.image import is_scratch, name_arguments
 from surface_gym.web.noise import describe_noise, place
 
 SEEDS = 20  # for which a page has starts: 0, 1, 2 ...

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.collision import (
     ContactMaterial,
@@ -17,7 +18,6 @@ from surface_gym.physics.collision import (
     make_world_scratch,
 )
 from surface_gym.physics.contact_solver import step_world
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.step import OFF_SURFACE, axis_direction
 from surface_gym.physics.types import Array, Grid
 from surface_gym.simulation import make_bodies

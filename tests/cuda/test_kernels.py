@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from numba import typeof, types as numba_types
 
+from surface_gym.compiler.jit import inlined
+from surface_gym.compiler.translator import Translator
 from surface_gym.config import EnvConfig
 from surface_gym.cuda.memory import scratch_layout
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.physics import types
-from surface_gym.physics.jit import inlined
-from surface_gym.physics.translator import Translator
 from surface_gym.tasks import TASKS
 from tests.cuda.cases import UncompiledBatch, make_config, needs_numba_cuda
 
 
 def make_translator():
-    return Translator(scratch_layout(8), lambda copy, _: copy)
+    return Translator(lambda copy, _: copy, scratch_layout(8), types)
 
 
 def test_a_function_is_translated_once_with_those_it_calls():

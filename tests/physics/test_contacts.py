@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import contacts, types as ph
 from surface_gym.physics.contacts import EDGE_TOLERANCE
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import find_contacts, step_implicit
 from surface_gym.physics.step import BALANCED, OFF_SURFACE, UNSUPPORTED
 from tests.physics.contact_sets import scan

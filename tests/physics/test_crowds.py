@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import signed_distance as sd
 from surface_gym.physics.collision import World
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.step import OFF_SURFACE
 from surface_gym.physics.types import X
 from tests.worlds import G, Meeting

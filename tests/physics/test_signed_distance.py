@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import signed_distance
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.references import step_implicit
 from surface_gym.physics.signed_distance import Outline, Sweep
 from surface_gym.physics.types import OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y, make_scratch

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics import types as ph
 from surface_gym.physics.contact_solver import step_world
-from surface_gym.physics.jit import compiled
 from surface_gym.physics.world_forces import make_world_forces, observe_world
 from tests.worlds import Meeting, supports
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.physics.jit import compiled
+from surface_gym.compiler.jit import compiled
 from surface_gym.physics.types import GYRATION
 from surface_gym.sensors import AdaptiveCamera, Camera, Exact, Presence, presence, switches
 from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState, env_state

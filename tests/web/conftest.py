@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from surface_gym.physics.jit import locked
+from surface_gym.compiler.jit import locked
 from surface_gym.web.server import Server
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from surface_gym.physics.jit import compiled, kernel_function
-from surface_gym.web import compiler
-from surface_gym.web.compiler import Module, compile_module
-from surface_gym.web.image import BASE, make_image
-from surface_gym.web.linker import link
+from surface_gym.compiler import wasm as compiler
+from surface_gym.compiler.jit import compiled, kernel_function
+from surface_gym.compiler.wasm import Module, compile_module
+from surface_gym.compiler.wasm_image import BASE, make_image
+from surface_gym.compiler.wasm_linker import link
 
 wasmtime = pytest.importorskip("wasmtime", reason="wasmtime is not installed (extra 'web')")
 
@@ -60,7 +60,7 @@ def module() -> Module:
 
 @pytest.fixture
 def machine(module):
-    from surface_gym.web.machine import Machine
+    from surface_gym.compiler.wasm_machine import Machine
 
     made = Machine(module)
     made.load(make_image(kernel, make_arguments()))
@@ -147,7 +147,7 @@ def imports(values):
 
 
 def test_functions_of_c_are_those_of_the_cpu():
-    from surface_gym.web.machine import Machine
+    from surface_gym.compiler.wasm_machine import Machine
 
     values = np.array([0.0, 0.3, 0.7])
     machine = Machine(compile_module(imports, (values,)))

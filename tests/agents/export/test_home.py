@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.export import home
+from surface_gym.compiler.wasm_image import BASE, compute_signature, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
-from surface_gym.web.image import BASE, compute_signature, name_arguments
 
 
 @pytest.fixture(scope="module")

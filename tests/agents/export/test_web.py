@@ -17,6 +17,8 @@ from surface_gym.agents.export.web import main
 from surface_gym.agents.module_policy import SharedNetwork
 from surface_gym.agents.policy import make_network, save_policy
 from surface_gym.agents.rules.sorting import FixedLayout
+from surface_gym.compiler.wasm import Module
+from surface_gym.compiler.wasm_image import name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv, make_batch
 from surface_gym.flow.batch import StreamBatch, stream_functions
@@ -24,8 +26,6 @@ from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.state import NOBODY
 from surface_gym.registration import PERIODS
 from surface_gym.web.build import make_config
-from surface_gym.web.compiler import Module
-from surface_gym.web.image import name_arguments
 
 STREAMS = [task for task, periods in PERIODS.items() if periods is None]
 

@@ -19,18 +19,18 @@ import numba
 from numba import typeof
 from numba.core.compiler_machinery import register_pass
 
-from surface_gym.files import replacing
-from surface_gym.physics.jit import collecting_nothing, compute_digest, locked
-from surface_gym.physics.linking import (
+from surface_gym.compiler import wasm_linker
+from surface_gym.compiler.jit import collecting_nothing, compute_digest, locked
+from surface_gym.compiler.linking import (
     LinkedCode,
     LinkedFunction,
     LowerToLinkedCode,
     PassesCompiler,
 )
-from surface_gym.physics.translator import Translator
-from surface_gym.web import linker
-from surface_gym.web.image import WORD, compute_signature, name_arguments
-from surface_gym.web.linker import link, make_note
+from surface_gym.compiler.translator import Translator
+from surface_gym.compiler.wasm_image import WORD, compute_signature, name_arguments
+from surface_gym.compiler.wasm_linker import link, make_note
+from surface_gym.files import replacing
 
 TRIPLE = "wasm32-unknown-unknown"
 # What browsers have had since 2021.
@@ -89,7 +89,7 @@ def _wrap(copy: FunctionType, original: Any) -> PortableFunction:
 @lru_cache(maxsize=1)
 def _translator() -> Translator:
     """Return the translator of all kernels, which share most of what they call."""
-    return Translator({}, _wrap)
+    return Translator(_wrap)
 
 
 def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = None) -> Module:
@@ -118,7 +118,7 @@ def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = 
 @lru_cache(maxsize=1)
 def _compiler() -> tuple[Any, ...]:
     """Return what a module depends on beside its kernel."""
-    sources = [Path(each).read_bytes() for each in (__file__, linker.__file__)]
+    sources = [Path(each).read_bytes() for each in (__file__, wasm_linker.__file__)]
     return numba.__version__, llvmlite.__version__, *sources
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import wasmtime
 from numpy.typing import NDArray
 
-from surface_gym.web.compiler import Module
-from surface_gym.web.image import BASE, Image
+from surface_gym.compiler.wasm import Module
+from surface_gym.compiler.wasm_image import BASE, Image
 
 PAGE = 64 * 1024  # [bytes] by which a module's memory grows
 

@@ -14,7 +14,7 @@ import pytest
 from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 
 import surface_gym
-from surface_gym.physics.jit import compiled, compute_digest, inlined, kernel_function, linked
+from surface_gym.compiler.jit import compiled, compute_digest, inlined, kernel_function, linked
 
 PACKAGE = Path(surface_gym.__file__).parent
 
@@ -96,7 +96,7 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
 
 RACE = """
 import sys, time
-from surface_gym.physics.jit import compile_for, compiled
+from surface_gym.compiler.jit import compile_for, compiled
 slow = compiled(lambda x: 3.0 * x, "slow")
 compile = slow.compile
 def compile_slowly(kinds):

@@ -21,13 +21,20 @@ import numpy as np
 from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
-from surface_gym.physics.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
+from surface_gym.compiler.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
 
 if sys.platform != "win32":
     import fcntl
 
 LENGTH = 16  # hexadecimal digits
+CompilerError = NumbaError  # a function that cannot be compiled
+
+
+def is_compiled(value: Any) -> bool:
+    """Return whether a value is a function that the decorators below have made."""
+    return isinstance(value, Dispatcher)
 
 
 def compute_digest(function: Any, *others: Any) -> str:

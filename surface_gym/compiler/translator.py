@@ -6,13 +6,12 @@ Nothing is written twice.
 """
 
 from collections.abc import Callable, Mapping
-from types import CellType, FunctionType, ModuleType
+from types import CellType, FunctionType, MappingProxyType, ModuleType
 from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-from surface_gym.physics import types
-from surface_gym.physics.jit import is_library, referenced_names
+from surface_gym.compiler.jit import is_library, referenced_names
 
 Wrap = Callable[[FunctionType, Any], Any]  # takes the copy of a function, and its original
 
@@ -20,11 +19,20 @@ Wrap = Callable[[FunctionType, Any], Any]  # takes the copy of a function, and i
 class Translator:
     """Functions of the CPU translated for another compiler, which `wrap`s each, once.
 
-    Constants, by name, take the place of those of `physics.types`.
+    Args:
+        wrap: compiles the copy of a function for the other compiler.
+        constants: values of constants there, by name; they replace the constants of `module`.
+        module: that defines these constants for the CPU.
     """
 
-    def __init__(self, constants: Mapping[str, int], wrap: Wrap) -> None:
+    def __init__(
+        self,
+        wrap: Wrap,
+        constants: Mapping[str, int] = MappingProxyType({}),
+        module: ModuleType | None = None,
+    ) -> None:
         self._constants = constants
+        self._module_replaced = module
         self._wrap = wrap
         self._translated: dict[int, Any] = {}
         self._modules: dict[str, ModuleType] = {}
@@ -66,7 +74,7 @@ class Translator:
         """Translate a function, replace a constant, and leave any other value as it is."""
         if isinstance(value, Dispatcher):
             return self.translate(value)
-        if name in self._constants and value == getattr(types, name):
+        if name in self._constants and value == getattr(self._module_replaced, name):
             return self._constants[name]
         return value
 

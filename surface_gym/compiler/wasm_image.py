@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.web.linker import STACK
+from surface_gym.compiler.wasm_linker import STACK
 
 BASE = STACK  # [bytes] address of an image: past the module's constants and stack
 WORD = 8  # [bytes] of an argument
