@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 # From the lowest up: a room, which is a folder or a file beside the folders, imports nothing of
 # later lines.
 LAYERS = (
-    ("checks", "files"),
+    ("checks", "files", "registry"),
     ("compiler",),
     ("physics", "rendering", "recording"),
     ("parcel", "state", "surface"),

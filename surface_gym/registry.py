@@ -1,0 +1,97 @@
+"""Registries: tasks, sensors, rules and algorithms by name, from this package and from others.
+
+A package of yours takes part by an entry point of the group `surface_gym.plugins` that names a
+module. The module registers what it defines, as the modules of this package do:
+
+    [project.entry-points."surface_gym.plugins"]
+    mine = "my_package.surface"
+"""
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TypeVar
+
+from surface_gym import checks
+
+GROUP = "surface_gym.plugins"  # of entry points
+
+Value = TypeVar("Value")
+
+
+class Registry(Mapping[str, Value]):
+    """Values of one kind by name, in the order of their registration.
+
+    Reading it first imports the package's modules that register values, and then plugins.
+
+    Args:
+        kind: of the values, as the argument is called that takes such a name.
+        modules: of this package, each of which registers values as it is imported.
+    """
+
+    def __init__(self, kind: str, *modules: str) -> None:
+        self._kind = kind
+        self._modules = modules
+        self._values: dict[str, Value] = {}
+        self._complete = False
+
+    def register(self, name: str, value: Value) -> Value:
+        """Register a value by a name and return it.
+
+        Raises:
+            ValueError: the name is another value's.
+        """
+        if self._values.setdefault(name, value) is not value:
+            raise ValueError(
+                f"{self._kind} must have a name of its own, got {name!r}, "
+                f"which is {self._values[name]!r}"
+            )
+        return value
+
+    def registered(self, name: str) -> Callable[[Value], Value]:
+        """Decorate a class or a function to register it by a name."""
+        return lambda value: self.register(name, value)
+
+    def find(self, name: str) -> Value:
+        """Return the value of a name.
+
+        Raises:
+            ValueError: no value has this name.
+        """
+        return self[checks.one_of(self._kind, name, tuple(self))]
+
+    def __getitem__(self, name: str) -> Value:
+        self._load()
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self._load()
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        self._load()
+        return len(self._values)
+
+    def _load(self) -> None:
+        if not self._complete:
+            self._complete = True  # before: a module that registers may read the registry, too
+            for module in self._modules:
+                import_module(module)
+            load_plugins()
+
+
+@lru_cache(maxsize=1)
+def load_plugins() -> None:
+    """Import the modules that other packages name as plugins, once a process."""
+    for plugin in entry_points(group=GROUP):
+        try:
+            plugin.load()
+        except Exception as error:  # whatever another package raises must not stop this one
+            warnings.warn(
+                f"the plugin {plugin.name} = {plugin.value} was left out: "
+                f"{type(error).__name__}: {error}",
+                RuntimeWarning,
+                stacklevel=2,
+            )
