@@ -184,9 +184,9 @@ class _Recorder:
         places = np.array([index.get(int(number), NOBODY) for number in streams.number[i]])
         self._forces.append(self._force_source.compute().renumbered(places))
         taken = streams.taken[i, : streams.arrivals[i]]
-        right = streams.right[i, : streams.arrivals[i]]
+        correct = streams.correct[i, : streams.arrivals[i]]
         exits = len(batch.config.exits)
-        self._delivered.append(tuple(np.bincount(taken[right], minlength=exits).tolist()))
+        self._delivered.append(tuple(np.bincount(taken[correct], minlength=exits).tolist()))
 
     def recording(self) -> Recording:
         """Collect what was recorded."""

@@ -124,11 +124,11 @@ class _Departed:
 
     parcel: SceneParcel
     velocity: Array  # (3,) [m/s, m/s, rad/s]
-    left: float  # [s] when
+    departed: float  # [s] when
 
     def at(self, clock: float) -> SceneParcel:
         """Move the parcel on as it left: no physics holds beyond the exit."""
-        since = np.linspace(0.0, clock - self.left, 11)[1:, np.newaxis]
+        since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])
         return replace(self.parcel, pose=tuple(way[-1].tolist()), trail=np.array(trail))
@@ -159,7 +159,7 @@ class _StreamHistory:
         if begins:
             self._trails.clear()
             self._departed.clear()
-        self._departed = [each for each in self._departed if clock - each.left <= GLIDE]
+        self._departed = [each for each in self._departed if clock - each.departed <= GLIDE]
         trails, self._trails = self._trails, {}
         for slot in range(self._batch.task.max_parcels):
             number = int(streams.number[i, slot])
@@ -168,10 +168,10 @@ class _StreamHistory:
             truth = self._batch.view(i, slot).truth
             self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
             if not streams.present[i, slot]:  # it has left since the last decision
-                wrong = self._takes_away and not streams.right[i, number]
+                wrong = self._takes_away and not streams.correct[i, number]
                 gone = replace(self._parcel(slot), sensed_pose=None, wrong=bool(wrong))
-                left = float(streams.left[i, number])
-                self._departed.append(_Departed(gone, truth[VX:].copy(), left))
+                departed = float(streams.departed[i, number])
+                self._departed.append(_Departed(gone, truth[VX:].copy(), departed))
 
     def scene(self, title: str | None = None) -> Scene:
         batch, i, streams = self._batch, self._index, self._batch.streams
@@ -179,7 +179,7 @@ class _StreamHistory:
         slots = np.nonzero(streams.present[i])[0]
         count = int(streams.arrivals[i])
         taken = streams.taken[i, :count]
-        delivered = np.bincount(taken[streams.right[i, :count]], minlength=len(self._exits))
+        delivered = np.bincount(taken[streams.correct[i, :count]], minlength=len(self._exits))
         waits = np.isnan(streams.entered[i, : streams.due[i]])
         queues = np.bincount(
             streams.inlet[i, : streams.due[i]][waits], minlength=len(self._inlets)
@@ -252,12 +252,12 @@ class _StreamHistory:
         """
         streams, i = self._batch.streams, self._index
         gone = streams.taken[i] >= BETWEEN
-        left = streams.left[i, gone]
-        since = max(self.clock - RATE_OVER, float(left.min(initial=math.inf)))
+        departed = streams.departed[i, gone]
+        since = max(self.clock - RATE_OVER, float(departed.min(initial=math.inf)))
         if self.clock - since < SOONEST_RATE:
             return math.nan
-        right = streams.right[i, gone]
-        return HOUR * int((right & (left > since)).sum()) / (self.clock - since)
+        correct = streams.correct[i, gone]
+        return HOUR * int((correct & (departed > since)).sum()) / (self.clock - since)
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:

@@ -203,7 +203,7 @@ class TestExits:
         batch, renderer = running((0.0, "straight"))
         while batch.streams.present[0, 0]:
             go_on(batch, renderer, 1)
-        left, (x, y, _, vx, vy, _) = batch.streams.left[0, 0], batch.parcels.truth[0].copy()
+        left, (x, y, _, vx, vy, _) = batch.streams.departed[0, 0], batch.parcels.truth[0].copy()
         periods = 0
         while renderer.scene().parcels:
             parcel = only(renderer.scene())
@@ -306,7 +306,7 @@ class TestSlopes:
         for _ in range(120):  # all roll on, closer together than is asked for
             go_on(batch, renderer, 1)
             wrong |= {parcel.wrong for parcel in renderer.scene().parcels}
-        traffic, right = renderer.scene().traffic, int(batch.streams.right.sum())
+        traffic, right = renderer.scene().traffic, int(batch.streams.correct.sum())
         assert traffic.delivered == (right,)
         assert traffic.missorted == int((batch.streams.taken[0] >= BETWEEN).sum()) - right > 0
         assert wrong == {False, True}
@@ -368,9 +368,9 @@ class TestReadings:
         ):
             gone = left <= clock
             streams.clock[0] = clock
-            streams.left[0, :60] = np.where(gone, left, np.nan)
+            streams.departed[0, :60] = np.where(gone, left, np.nan)
             streams.taken[0, :60] = np.where(gone, np.where(right, 2, BETWEEN), ON_ITS_WAY)
-            streams.right[0, :60] = gone & right
+            streams.correct[0, :60] = gone & right
             rate = expected if isinstance(expected, str) else f"{expected:.0f}"
             assert reading(renderer.scene(), "parcels an hour") == rate
 

@@ -15,7 +15,7 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import BETWEEN, JAM, RIGHT, TURNS, compute_statistics
+from surface_gym.flow.state import BETWEEN, CORRECT, JAM, TURNS, compute_statistics
 from surface_gym.flow.stream import Stream
 from surface_gym.state import RUNNING
 
@@ -208,7 +208,9 @@ def measure_stream(
 
 def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
     streams = batch.streams
-    wrong = (streams.left >= begin) & (streams.taken >= BETWEEN) & (streams.taken != streams.exit)
+    wrong = (
+        (streams.departed >= begin) & (streams.taken >= BETWEEN) & (streams.taken != streams.exit)
+    )
     return bool((streams.outcome == JAM).any() or wrong.sum() > most_wrong)
 
 
@@ -225,7 +227,7 @@ def _count(batch: StreamBatch, rate: float, counted: float) -> Measurement:
         waiting.append(0.0 if math.isnan(found.waiting_mean) else found.waiting_mean)
     jams = int((streams.outcome == JAM).sum())
     tally = streams.tally.sum(axis=0)
-    turns = float(tally[TURNS] / max(1, tally[RIGHT]))
+    turns = float(tally[TURNS] / max(1, tally[CORRECT]))
     return Measurement(rate, right, delivered, touches, waiting, jams, counted, turns)
 
 

@@ -19,7 +19,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.inlets import side_by_side
 from surface_gym.flow.merge import lines
 from surface_gym.flow.sequence import shuffled
-from surface_gym.flow.state import JAM, RIGHT
+from surface_gym.flow.state import CORRECT, JAM
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk
 from surface_gym.parallel import Workers
@@ -256,7 +256,7 @@ def find_jams(batch: StreamBatch) -> Booleans:
     asks that nothing moves.
     """
     streams = batch.streams
-    last = np.fmax.reduce(streams.left, axis=1, initial=0.0)
+    last = np.fmax.reduce(streams.departed, axis=1, initial=0.0)
     quiet = (streams.clock - last > QUIET) & streams.present.any(axis=1)
     return (batch.outcome == JAM) | quiet
 
@@ -273,7 +273,7 @@ def _measure(
     ]
     delivered = np.array([each.delivered for each in found])
     # A replication that jams counts to its end: nothing comes after it.
-    right = np.array([batch.streams.tally[:, RIGHT] for batch in batches])
+    right = np.array([batch.streams.tally[:, CORRECT] for batch in batches])
     rates = HOUR * right / SECONDS
 
     def mean(name: str) -> float:

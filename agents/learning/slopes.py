@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.merge import lines
 from surface_gym.flow.sequence import shuffled
-from surface_gym.flow.state import JAM, RIGHT, WRONG
+from surface_gym.flow.state import CORRECT, JAM, WRONG
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import PARCEL_TERMS, bulk
 from surface_gym.parcel import assortment
@@ -155,10 +155,10 @@ class Surfaces:
         last = batch.observation[timed].copy()
         ended = np.nonzero(jammed | timed)[0]
         for i in ended.tolist():
-            delivered = max(1, int(streams.tally[i, [RIGHT, WRONG]].sum()))
+            delivered = max(1, int(streams.tally[i, [CORRECT, WRONG]].sum()))
             self.infos.append(
                 {
-                    "is_success": float(streams.tally[i, RIGHT] / delivered),
+                    "is_success": float(streams.tally[i, CORRECT] / delivered),
                     "episode": {"r": float(sums[i].sum()), "l": float(streams.clock[i])},
                     "reward_terms": dict(zip(self._terms, sums[i].tolist(), strict=True)),
                 }

@@ -12,7 +12,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import JAM, RIGHT, WRONG
+from surface_gym.flow.state import CORRECT, JAM, WRONG
 from surface_gym.flow.task import HALVES
 from surface_gym.physics.types import X
 from surface_gym.sensors import Exact
@@ -167,7 +167,7 @@ class RecedingHorizon(BatchController):
         way = self._config.rotors_end - self._config.entry_x
         progress = np.where(streams.present, x / way, 0.0).sum(axis=1)
         jams = model.outcome == JAM
-        rated: Numbers = done[:, RIGHT] - WRONG_COST * done[:, WRONG] - JAM_COST * jams
+        rated: Numbers = done[:, CORRECT] - WRONG_COST * done[:, WRONG] - JAM_COST * jams
         return rated + PROGRESS * progress
 
 

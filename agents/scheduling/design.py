@@ -16,7 +16,7 @@ from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.exits import PITCH, Exits, flow_line
-from surface_gym.flow.state import JAM, RIGHT, TURNS, WRONG, compute_statistics
+from surface_gym.flow.state import CORRECT, JAM, TURNS, WRONG, compute_statistics
 from surface_gym.flow.stream import Stream
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.randomisation import Actuators
@@ -178,14 +178,14 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Run:
         right = found.delivered * (1.0 - found.missort_rate) if found.delivered else 0.0
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
         each.append(HOUR * right / counted)
-    left = streams.tally[:, [RIGHT, WRONG]].sum()
+    delivered = streams.tally[:, [CORRECT, WRONG]].sum()
     return Run(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
         share_right=sum(each) * counted / HOUR / max(1, delivered),
         touches_per_1000=1000.0 * touches / max(1, delivered),
         jams=int((streams.outcome == JAM).sum()),
-        turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, left)),
+        turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, delivered)),
         turns_per_hour=float(np.nanmean(turns)),
         share_at=tuple((at / at.sum()).tolist()),
     )

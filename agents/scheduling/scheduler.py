@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import JAM, RIGHT, TOUCHES, WRONG
+from surface_gym.flow.state import CORRECT, JAM, TOUCHES, WRONG
 from surface_gym.state import RUNNING
 from surface_gym.tasks.sort import HORIZON
 
@@ -367,8 +367,8 @@ def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> T
     half, early = 0.5 * busy.stream_task.duration, 0
     while (batch.outcome == RUNNING).any() and tally[:, TOUCHES].sum() <= most_touches:
         if batch.streams.clock[0] < half:
-            early = int(tally[:, RIGHT].sum())
+            early = int(tally[:, CORRECT].sum())
         action, state = scheduler.predict(batch.observation, state)
         batch.step(busy.action_kind.commands(action, TRIED))
-    right, wrong, touches = tally[:, [RIGHT, WRONG, TOUCHES]].sum(axis=0).tolist()
+    right, wrong, touches = tally[:, [CORRECT, WRONG, TOUCHES]].sum(axis=0).tolist()
     return Trial(right, right - early, wrong, touches, int((batch.outcome == JAM).sum()))

@@ -12,7 +12,7 @@ from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.config import EnvConfig
 from surface_gym.flow import arrivals
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import RIGHT
+from surface_gym.flow.state import CORRECT
 from surface_gym.flow.stream import Stream
 from surface_gym.state import RUNNING
 
@@ -96,30 +96,30 @@ def run_alone(
 
     outlines = [batch.parcel(i, 1).base for i in range(count)]
     times, found = [np.zeros(count)], [poses(1)]
-    while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.left[:, 0]).any():
+    while (batch.outcome == RUNNING).any() and np.isnan(batch.streams.departed[:, 0]).any():
         action = np.concatenate([act(batch.observation), opens[:, np.newaxis]], axis=1)
         batch.step(alone.action_kind.commands(action, count))
         times.append(batch.streams.clock.copy())
         found.append(poses(0))
     state = batch.streams
-    entered, left = state.entered[:, 0], state.left[:, 0]
+    entered, departed = state.entered[:, 0], state.departed[:, 0]
     time, pose = np.array(times), np.array(found)
-    each = [_sample(time[:, i], pose[:, i], entered[i], left[i]) for i in range(count)]
+    each = [_sample(time[:, i], pose[:, i], entered[i], departed[i]) for i in range(count)]
     corners = [base.outline - np.array(base.centroid) for base in outlines]
     return LoneRuns(
         _padded(each), np.array([len(one) for one in each]), _padded(corners),
-        state.tally[:, RIGHT] > 0, signature,
+        state.tally[:, CORRECT] > 0, signature,
     )  # fmt: skip
 
 
-def _sample(time: Numbers, pose: Numbers, entered: float, left: float) -> Numbers:
+def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Numbers:
     """Interpolate (moments, 3) the poses between entry and exit, DT apart."""
-    left = time[-1] if np.isnan(left) else left
-    inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < left)])
-    last = min(int(np.searchsorted(time, left)), len(time) - 1)
-    moment = np.concatenate([[0.0], time[inside][1:] - entered, [left - entered]])
+    departed = time[-1] if np.isnan(departed) else departed
+    inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < departed)])
+    last = min(int(np.searchsorted(time, departed)), len(time) - 1)
+    moment = np.concatenate([[0.0], time[inside][1:] - entered, [departed - entered]])
     corner = np.vstack([pose[inside], pose[last]])
-    wanted = DT * np.arange(math.floor((left - entered) / DT) + 1)
+    wanted = DT * np.arange(math.floor((departed - entered) / DT) + 1)
     return np.stack([np.interp(wanted, moment, column) for column in corner.T], axis=1)
 
 

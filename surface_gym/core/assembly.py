@@ -53,7 +53,7 @@ class Workers:
         # A thread has the same environments each time, which its core has in its memory still.
         cuts = [k * len(chosen) // (PARTS * threads) for k in range(PARTS * threads + 1)]
         firsts = range(0, PARTS * threads, PARTS)
-        left = iter(
+        remaining = iter(
             [
                 chosen[cuts[k] : cuts[k + 1]]
                 for first in firsts
@@ -66,7 +66,7 @@ class Workers:
             own = chosen[cuts[PARTS * thread] : cuts[PARTS * thread + PARTS - 2]]
             given = (*arrays, *scratches)
             done = self._in_pieces(step, given, own)
-            return done + sum(self._in_pieces(step, given, part) for part in left)
+            return done + sum(self._in_pieces(step, given, part) for part in remaining)
 
         others = [self._pool.submit(work, thread) for thread in range(1, threads)]
         return work(0) + sum(other.result() for other in others)

@@ -66,7 +66,7 @@ class BaseBatch(ABC):
         self._threads = min(threads, max(1, num_envs // FEWEST))
         self._all = np.arange(num_envs)
         self._limit = max_episode_steps
-        self._steps_left = np.zeros(num_envs, dtype=np.int64)
+        self._steps_remaining = np.zeros(num_envs, dtype=np.int64)
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
         self._make_memory()
@@ -122,7 +122,7 @@ class BaseBatch(ABC):
     def truncated(self) -> Booleans:
         """(num_envs,) whether time is over."""
         late: Booleans = self.outcome == st.OUT_OF_TIME
-        return late if self._limit is None else late | (self._steps_left <= 0)
+        return late if self._limit is None else late | (self._steps_remaining <= 0)
 
     @property
     @abstractmethod
@@ -200,14 +200,14 @@ class BaseBatch(ABC):
             self.place_drawn(anew)
         self._run(self._all, self._threads)
         if self._limit is not None:
-            self._steps_left -= 1
+            self._steps_remaining -= 1
             self._restart_clock(anew)
             outcome = self.outcome
-            outcome[(self._steps_left <= 0) & (outcome == st.RUNNING)] = st.OUT_OF_TIME
+            outcome[(self._steps_remaining <= 0) & (outcome == st.RUNNING)] = st.OUT_OF_TIME
 
     def _restart_clock(self, chosen: Integers) -> None:
         if self._limit is not None:
-            self._steps_left[chosen] = self._limit
+            self._steps_remaining[chosen] = self._limit
 
     def _draw_noise_ahead(self) -> None:
         """Draw noise for parcels that may use up theirs; not in environments that have ended, whose
@@ -273,7 +273,7 @@ class BaseBatch(ABC):
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
         """Collect views of the arrays that hold the environments' states, a row an environment."""
-        found: dict[str, NDArray[Any]] = {"steps_left": self._steps_left}
+        found: dict[str, NDArray[Any]] = {"steps_remaining": self._steps_remaining}
         for name, array in self.parcels._asdict().items():
             if array.size:
                 found[f"parcels.{name}"] = array.reshape(self.num_envs, self.rows, *array.shape[1:])

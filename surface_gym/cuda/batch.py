@@ -15,7 +15,7 @@ from surface_gym.cuda import kernels
 from surface_gym.cuda.memory import interleave, make_device_state, send, to_device
 from surface_gym.cuda.prefetch import Prefetch
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import ENTERED, RIGHT, TOUCHES, TURNS, WRONG
+from surface_gym.flow.state import CORRECT, ENTERED, TOUCHES, TURNS, WRONG
 from surface_gym.physics.types import Array, Integers
 from surface_gym.state import COMMON_OUTCOMES, NO_FAULT, OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS
 
@@ -224,11 +224,11 @@ class CudaBatch(BaseCudaBatch):
 DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
-    "entered", "left", "taken", "touches", "number", "present", "touched_at", "clock", "steps",
-    "still", "waited", "obeys", "tally", "outcome", "right", "gap", "off", "final", "passed",
-    "demand", "changes", "belt", "pressing", "impulse", "squeeze",
+    "entered", "departed", "taken", "touches", "number", "present", "touched_at", "clock",
+    "steps", "still", "waited", "obeys", "tally", "outcome", "correct", "gap", "misalignment",
+    "final", "passed", "demand", "changes", "belt", "pressing", "impulse", "squeeze",
 )  # fmt: skip
-TALLIED = {"entered": ENTERED, "right": RIGHT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
+TALLIED = {"entered": ENTERED, "right": CORRECT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 
 
 class CudaStreamBatch(BaseCudaBatch):

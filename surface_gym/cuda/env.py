@@ -147,7 +147,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._set_spaces(self.config.observation_space(), self.config.action_space())
         self._actions = TensorActions(self.single_action_space, self.num_envs, device)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
-        self._steps_left = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
+        self._steps_remaining = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._steps = 0
         self._last_errors: DelayedCopy | None = None  # as of the last check
 
@@ -173,7 +173,7 @@ class CudaVectorEnv(BaseVectorEnv):
         batch.place_drawn(generators, given.chosen, given.options)
         begun = torch.from_numpy(given.mask).to(self.device)
         batch.step(begun)
-        self._steps_left.masked_fill_(begun, self._limit)
+        self._steps_remaining.masked_fill_(begun, self._limit)
         self._started = True
         return self._observation(), self._infos(begun)
 
@@ -195,9 +195,9 @@ class CudaVectorEnv(BaseVectorEnv):
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:  # this step is their reset
             batch.place_next(ended)
         batch.step(self._all)
-        self._steps_left -= 1
-        self._steps_left.masked_fill_(ended, self._limit)
-        late = self._steps_left <= 0
+        self._steps_remaining -= 1
+        self._steps_remaining.masked_fill_(ended, self._limit)
+        late = self._steps_remaining <= 0
         batch.truncate(late)
         truncated = (outcome == OUT_OF_TIME) | late
         terminated = outcome > OUT_OF_TIME
@@ -228,7 +228,7 @@ class CudaVectorEnv(BaseVectorEnv):
         }
         self.batch.place_next(ended)
         self.batch.step(ended)
-        self._steps_left.masked_fill_(ended, self._limit)
+        self._steps_remaining.masked_fill_(ended, self._limit)
         return final
 
     def _observation(self) -> torch.Tensor:

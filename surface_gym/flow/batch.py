@@ -90,7 +90,7 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
     names = (
-        "begin outside has_room has_left exit_taken deliver inform reward observe "
+        "begin outside has_room has_departed exit_taken deliver inform reward observe "
         "observe_neighbour observe_no_neighbour"
     )
     return kernel.StreamFunctions(
@@ -299,12 +299,12 @@ class StreamBatch(BaseBatch):
         body, streams.start[i, :count] = self._entries(i, arrivals, rng)
         streams.body[i, :count] = body
         for name, value in (
-            ("entered", np.nan), ("left", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
+            ("entered", np.nan), ("departed", np.nan), ("taken", fs.ON_ITS_WAY), ("touches", 0),
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
-            ("tally", 0), ("outcome", st.STARTING), ("past", False), ("right", False),
-            ("gap", np.nan), ("off", np.nan), ("final", 0.0), ("passed", 0.0), ("changes", 0),
-            ("belt", 0.0), ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
+            ("tally", 0), ("outcome", st.STARTING), ("past", False), ("correct", False),
+            ("gap", np.nan), ("misalignment", np.nan), ("final", 0.0), ("passed", 0.0),
+            ("changes", 0), ("belt", 0.0), ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows

@@ -1,4 +1,4 @@
-"""Entry and exit of the parcels of a stream, compiled: who comes when there is room, and who left.
+"""Entry and exit of the parcels of a stream, compiled.
 
 A surface has a fixed number of slots, each a row of the batch's arrays that one parcel at a time
 has. With a gate more rows show the parcels that wait.
@@ -162,10 +162,10 @@ def entering(has_room: Function) -> Any:
             return fs.NOBODY
         first = i * streams.number.shape[1]
         barred = 0  # a bit an inlet
-        left = stream_params.inlets  # that are not barred
+        open_inlets = stream_params.inlets
         arrival = streams.coming[i]
         enters = False
-        while left > 0 and arrival < streams.due[i]:
+        while open_inlets > 0 and arrival < streams.due[i]:
             inlet = 1 << streams.inlet[i, arrival]
             if barred & inlet == 0 and math.isnan(streams.entered[i, arrival]):
                 _put(stream_params, streams, parcels, i, slot, arrival)
@@ -183,7 +183,7 @@ def entering(has_room: Function) -> Any:
                 if enters:
                     break
                 barred |= inlet
-                left -= 1
+                open_inlets -= 1
             arrival += 1
         if not enters:
             return fs.NOBODY
@@ -212,26 +212,26 @@ def leave(
     i: int,
     slot: int,
     taken: int,
-    right: bool,
+    correct: bool,
     gap: float,
-    off: float,
+    misalignment: float,
 ) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     arrival = streams.number[i, slot]
     row = i * streams.number.shape[1] + slot
     streams.past[i, streams.order[i, arrival]] = True
-    left_before = int(streams.passed[i, 0, fs.NEXT])
-    while left_before < streams.arrivals[i] and streams.past[i, left_before]:
-        left_before += 1
+    next_place = int(streams.passed[i, 0, fs.NEXT])
+    while next_place < streams.arrivals[i] and streams.past[i, next_place]:
+        next_place += 1
     for k in range(streams.passed.shape[1]):
-        streams.passed[i, k, fs.NEXT] = left_before
-    streams.right[i, arrival] = right
+        streams.passed[i, k, fs.NEXT] = next_place
+    streams.correct[i, arrival] = correct
     streams.gap[i, arrival] = gap
-    streams.off[i, arrival] = off
+    streams.misalignment[i, arrival] = misalignment
     for k in range(parcels.truth.shape[1]):
         streams.final[i, arrival, k] = parcels.truth[row, k]
     streams.present[i, slot] = False
-    streams.left[i, arrival] = streams.clock[i]
+    streams.departed[i, arrival] = streams.clock[i]
     streams.taken[i, arrival] = taken
-    streams.tally[i, fs.RIGHT if right else fs.WRONG] += 1
-    parcels.outcome[row] = fs.LEFT_RIGHT if right else fs.LEFT_WRONG
+    streams.tally[i, fs.CORRECT if correct else fs.WRONG] += 1
+    parcels.outcome[row] = fs.DEPARTED_CORRECT if correct else fs.DEPARTED_WRONG

@@ -235,7 +235,7 @@ class StreamFunctions(NamedTuple):
     begin: Function  # the task's
     outside: Function
     has_room: Function
-    has_left: Function
+    has_departed: Function
     exit_taken: Function
     deliver: Function
     inform: Function
@@ -373,7 +373,11 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     period, and those that have ended stay. It returns how many have a fault.
     """
     task_begin, task_reward, task_exit = functions.begin, functions.reward, functions.exit_taken
-    has_left, deliver, let_in = functions.has_left, functions.deliver, entering(functions.has_room)
+    has_departed, deliver, let_in = (
+        functions.has_departed,
+        functions.deliver,
+        entering(functions.has_room),
+    )
     sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
     sensor_read, watches = functions.read_sensor, functions.watches
     _, turn, straighten, turns = functions.actuation
@@ -458,14 +462,14 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
                         parcels.steps[row] += 1
                         parcels.period[row] += dt
                         state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
-                        if has_left(stream_params, state):
+                        if has_departed(stream_params, state):
                             st.read_truth(state)
                             taken = task_exit(stream_params, state)
-                            right, gap, off = deliver(
+                            correct, gap, misalignment = deliver(
                                 stream_params, state, taken, streams.passed[i, max(taken, 0)],
                                 streams.belt[i], takes_away(streams, i),
                             )  # fmt: skip
-                            leave(streams, parcels, i, k, taken, right, gap, off)
+                            leave(streams, parcels, i, k, taken, correct, gap, misalignment)
                         elif watches:
                             st.read_truth(state)
                             sensor_update(params.sensor, state, physics)

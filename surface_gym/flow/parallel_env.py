@@ -183,18 +183,18 @@ class FlowParallelEnv(StreamParallelEnv):
             number = int(streams.number[0, slot])
             agent = _name(number)
             asked = int(streams.exit[0, number])
-            left = not streams.present[0, slot]
+            departed = not streams.present[0, slot]
             info = {"time": float(streams.clock[0]), "exit": self.config.exits.names[asked]}
-            if left:
-                info["outcome"] = "right" if streams.right[0, number] else "wrong"
+            if departed:
+                info["outcome"] = "right" if streams.correct[0, number] else "wrong"
             elif outcome == RUNNING:
                 there.append(number)
             else:
                 info["outcome"] = self.batch.outcomes[outcome]
             observations[agent] = observation[slot]
             rewards[agent] = float(reward[slot])
-            terminated[agent] = bool(left or outcome == JAM)
-            truncated[agent] = bool(not left and outcome == OUT_OF_TIME)
+            terminated[agent] = bool(departed or outcome == JAM)
+            truncated[agent] = bool(not departed and outcome == OUT_OF_TIME)
             infos[agent] = info
         self.agents = [_name(number) for number in sorted(there)]
         coming = np.arange(streams.arrivals[0])

@@ -14,20 +14,20 @@ from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
 
 NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no parcel
-# `taken` of a parcel that has not left, or left between exits; from 0 on places among the exits
+# `taken` of a parcel that is on the line, or departed between exits; from 0 on it is an exit
 ON_ITS_WAY, BETWEEN = -2, -1
 
 JAM = 3  # the outcome of a surface, beside those of every environment; a stream has no success
-LEFT_RIGHT, LEFT_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
+DEPARTED_CORRECT, DEPARTED_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
 
-ENTERED, RIGHT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
+ENTERED, CORRECT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
 # Places in a parcel's goal: exit, its side and span; where it comes from, its place in the order
 EXIT, SIDE, FIRST, LAST, INLET, ORDER = range(6)
 GOALS = 6
 TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
 NEVER = -1_000_000  # `touched_at` of two that have not touched
-# Columns of `passed`: whether any parcel has left by the exit, of the last that did [m] where on
-# the take-away its rear end lies, and the least place in the order that has not left by any exit
+# Columns of `passed`: whether any parcel has taken the exit, of the last that did [m] where on
+# the take-away its rear end lies, and the least place in the order that has not departed
 ANY, REAR, NEXT = range(3)
 PASSED_SIZE = 3
 
@@ -41,30 +41,28 @@ class StreamState(NamedTuple):
     exit: Integers  # (surfaces, arrivals) that it is to leave by
     inlet: Integers  # (surfaces, arrivals) that it comes by
     order: Integers  # (surfaces, arrivals) its place in the order in which parcels are to leave
-    past: Booleans  # (surfaces, arrivals) whether the parcel of each place in the order has left
+    past: Booleans  # (surfaces, arrivals) whether the parcel of a place in the order has departed
     arrivals: Integers  # (surfaces,) how many there are
     coming: Integers  # (surfaces,) before which all have entered
     due: Integers  # (surfaces,) the next whose time has not come: those between the two wait
     entered: Array  # (surfaces, arrivals) [s] when it did; nan before
-    left: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
-    taken: Integers  # (surfaces, arrivals) the exit it left by, BETWEEN them, or ON_ITS_WAY
-    right: Booleans  # (surfaces, arrivals) whether it left as it was to
+    departed: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
+    taken: Integers  # (surfaces, arrivals) the exit it took, BETWEEN them, or ON_ITS_WAY
+    correct: Booleans  # (surfaces, arrivals) whether it departed as it was to
     gap: Array  # (surfaces, arrivals) [m] behind the one before it on the take-away; nan: none
-    off: Array  # (surfaces, arrivals) [rad] by which it was turned from the line as it left
-    final: Array  # (surfaces, arrivals, 6) pose and velocity with which it left, as `truth`
+    misalignment: Array  # (surfaces, arrivals) [rad] by which it was turned as it departed
+    final: Array  # (surfaces, arrivals, 6) pose and velocity as it departed, like `truth`
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
     # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
     # parcels that wait to enter
     number: Integers
-    present: Booleans  # (surfaces, rows) whether a parcel is there and has not left
+    present: Booleans  # (surfaces, rows) whether a parcel is there and has not departed
     touched_at: Integers  # (surfaces, rows, rows) physics step in which two touched last
     clock: Array  # (surfaces,) [s]
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
-    passed: (
-        Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that left by each
-    )
+    passed: Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that took each
     demand: Array  # (surfaces, changes) [s] when the take-away stops, and starts, in turn
     changes: Integers  # (surfaces,) of these that have come
     belt: Array  # (surfaces,) [m] that the take-away has moved
@@ -164,14 +162,14 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
         "body": np.zeros(shape, dtype=np.int64),
         "exit": np.zeros(shape, dtype=np.int64),
         "entered": np.full(shape, np.nan),
-        "left": np.full(shape, np.nan),
+        "departed": np.full(shape, np.nan),
         "inlet": np.zeros(shape, dtype=np.int64),
         "order": np.zeros(shape, dtype=np.int64),
         "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
-        "right": np.zeros(shape, dtype=np.bool_),
+        "correct": np.zeros(shape, dtype=np.bool_),
         "gap": np.full(shape, np.nan),
-        "off": np.full(shape, np.nan),
+        "misalignment": np.full(shape, np.nan),
         "final": np.zeros((*shape, 6)),
         "touches": np.zeros(shape, dtype=np.int64),
     }
@@ -202,21 +200,21 @@ def compute_statistics(
     """Compute the statistics of a surface's episode so far, of which `obeying` modules obey.
 
     A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
-    Parcels that came or left within a warm-up [s] do not count.
+    Parcels that came or departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
-    time, entered, left = (
-        values[surface, :count] for values in (streams.time, streams.entered, streams.left)
+    time, entered, departed = (
+        values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
     )
     taken, asked = streams.taken[surface, :count], streams.exit[surface, :count]
     clock = float(streams.clock[surface])
     counted = clock - warm_up
-    gone = left >= warm_up  # false for nan: the parcel is there still
-    right = gone & (taken == asked)
+    gone = departed >= warm_up  # false for nan: the parcel is there still
+    correct = gone & (taken == asked)
     delivered = int(gone.sum())
-    gaps = [np.diff(np.sort(left[gone & (taken == exit_)])) for exit_ in np.unique(taken[gone])]
+    gaps = [np.diff(np.sort(departed[gone & (taken == exit_)])) for exit_ in np.unique(taken[gone])]
     gap = np.concatenate(gaps) if gaps else np.zeros(0)
-    stay = (left - entered)[gone]
+    stay = (departed - entered)[gone]
     came = (time >= warm_up) & (time <= clock)
     waiting = np.where(np.isnan(entered), clock, entered)[came] - time[came]
     touches = int(streams.touches[surface, :count][gone].sum()) / 2.0
@@ -224,8 +222,8 @@ def compute_statistics(
     inside = came & ~np.isnan(entered)
     return FlowStatistics(
         delivered=delivered,
-        parcels_per_hour=HOUR * float(right.sum()) / counted if counted > 0.0 else np.nan,
-        missort_rate=1.0 - float(right.sum()) / delivered if delivered else np.nan,
+        parcels_per_hour=HOUR * float(correct.sum()) / counted if counted > 0.0 else np.nan,
+        missort_rate=1.0 - float(correct.sum()) / delivered if delivered else np.nan,
         touches_per_1000=touches * per_parcel,
         jams_per_1000=float(jammed) * per_parcel,
         gap_mean=mean(gap),

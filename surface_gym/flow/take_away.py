@@ -260,16 +260,16 @@ def compute_statistics(
 ) -> TakeAwayStatistics:
     """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
     count = int(streams.arrivals[surface])
-    time, entered, left, gap = (
+    time, entered, departed, gap = (
         values[surface, :count]
-        for values in (streams.time, streams.entered, streams.left, streams.gap)
+        for values in (streams.time, streams.entered, streams.departed, streams.gap)
     )
-    taken, right = streams.taken[surface, :count], streams.right[surface, :count]
-    clock, off = float(streams.clock[surface]), streams.off[surface, :count]
-    gone, through = ~np.isnan(left), taken >= 0
+    taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
+    clock, misaligned = float(streams.clock[surface]), streams.misalignment[surface, :count]
+    gone, through = ~np.isnan(departed), taken >= 0
     delivered = int(gone.sum())
     gaps = gap[through & np.isfinite(gap)]
-    stay = (left - entered)[gone]
+    stay = (departed - entered)[gone]
     inside = ~np.isnan(entered)
     inlet = streams.inlet[surface, :count]
     waits = [
@@ -279,12 +279,12 @@ def compute_statistics(
     turns = HOUR * float(streams.tally[surface, fs.TURNS])
     return TakeAwayStatistics(
         delivered=delivered,
-        parcels_per_hour=HOUR * float(right.sum()) / clock if clock > 0.0 else np.nan,
+        parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
         right_gaps=fs.mean(gaps >= task.gap - ROUND_OFF),
         gap_mean=fs.mean(gaps),
         gap_5=fs.percentile(gaps, 5.0),
         gap_spread=float(gaps.std()) if gaps.size else np.nan,
-        aligned=fs.mean(np.abs(off[through]) <= task.alignment + ROUND_OFF),
+        aligned=fs.mean(np.abs(misaligned[through]) <= task.alignment + ROUND_OFF),
         beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
         touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
         jams_per_1000=float(jammed) * per_parcel,
@@ -294,14 +294,14 @@ def compute_statistics(
         time_95=fs.percentile(stay, 95.0),
         waiting_mean=fs.mean((entered - time)[inside]),
         unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
-        order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], left[gone])),
+        order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], departed[gone])),
         turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
     )
 
 
-def _is_early(order: Integers, left: Array) -> Booleans:
+def _is_early(order: Integers, departed: Array) -> Booleans:
     """Return (parcels,) which of those that left did so before one of a lower place had."""
-    by_time = np.argsort(left, kind="stable")
+    by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
     early[by_time[:-1]] = order[by_time[:-1]] > after[1:]
@@ -405,7 +405,7 @@ class TakeAwayTask(StreamTask):
 
     @staticmethod
     @inlined
-    def has_left(params: fs.StreamParams, state: EnvState) -> bool:
+    def has_departed(params: fs.StreamParams, state: EnvState) -> bool:
         """Return whether the parcel's centre is past the rotors, or no rotor bears it."""
         if not state.on_rotors:
             return True
@@ -481,8 +481,8 @@ class TakeAwayTask(StreamTask):
     def reward(state: EnvState, outcome: int) -> None:
         """Pay for delivery and progress, and charge for touches and time."""
         terms = state.terms
-        terms[0] = RIGHT_REWARD if outcome == fs.LEFT_RIGHT else 0.0
-        terms[1] = WRONG_REWARD if outcome == fs.LEFT_WRONG else 0.0
+        terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
+        terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
         terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
         terms[3] = PROGRESS_REWARD * (state.truth[X] - state.memory[BEFORE])
         terms[4] = TIME_REWARD * state.period

@@ -98,7 +98,7 @@ class StreamTask(Task):
       its base, where another may bear it; by default 0.
     - `has_room(params, state, other) -> bool`: whether one that is about to enter, as in
       `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
-    - `has_left(params, state) -> bool`, after every physics step: by default where no rotor bears it.
+    - `has_departed(params, state) -> bool`, after every physics step: by default where no rotor bears it.
     - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
     - `deliver(params, state, taken, passed, belt, runs) -> (bool, float, float)`, then: whether it
       has left as it was to, by default by its exit; the gap [m] to the one before it on the
@@ -108,7 +108,7 @@ class StreamTask(Task):
       what it may know of the exits (exits, PASSED_SIZE) and the take-away, of which `stops` says
       that it is about to; by default nothing.
     - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
-      The outcome is RUNNING, LEFT_RIGHT or LEFT_WRONG; `state.memory[TOUCHED]` counts touches.
+      The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG; `state.memory[TOUCHED]` counts touches.
     - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
       waits at the gate, `state.sensed` is how it will enter.
     - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
@@ -187,7 +187,7 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
-    def has_left(params: fs.StreamParams, state: EnvState) -> bool:
+    def has_departed(params: fs.StreamParams, state: EnvState) -> bool:
         """Return whether no rotor bears the parcel."""
         return not state.on_rotors
 
@@ -562,8 +562,8 @@ class Flow(StreamTask):
         """Pay for delivery, reach and haste, and charge for touches."""
         reach = _reach(state)
         terms = state.terms
-        terms[0] = RIGHT_REWARD if outcome == fs.LEFT_RIGHT else 0.0
-        terms[1] = WRONG_REWARD if outcome == fs.LEFT_WRONG else 0.0
+        terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
+        terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
         terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
         terms[3] = REACH_REWARD * (reach - state.memory[REACH])
         terms[4] = TIME_REWARD * state.period

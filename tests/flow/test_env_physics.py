@@ -48,7 +48,7 @@ class TestPhysics:
             truth = flows.truths(env.batch)[0]
             np.testing.assert_array_equal(truth[:3], run.pose[8 * period])
             np.testing.assert_array_equal(truth[3:], run.velocity[8 * period])
-        step = round(env.batch.streams.left[0, 0] / DT)
+        step = round(env.batch.streams.departed[0, 0] / DT)
         assert 8 * (period - 1) < step <= 8 * period
         np.testing.assert_array_equal(env.batch.parcels.truth[0, :3], run.pose[step])
 
@@ -174,7 +174,9 @@ class TestRewards:
         assert totals["wrong"] == -info["wrong"]
         assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
         entered = int(streams.tally[0, ENTERED])
-        stay = np.where(np.isnan(streams.left), info["time"], streams.left) - streams.entered
+        stay = (
+            np.where(np.isnan(streams.departed), info["time"], streams.departed) - streams.entered
+        )
         assert totals["time"] == pytest.approx(-0.2 * stay[0, :entered].sum())
         assert totals["waiting"] == pytest.approx(-0.1 * streams.waited[0])
         assert streams.waited[0] > 0.0

@@ -222,8 +222,8 @@ class TestTakeAway:
             )
         ended = {number_of(agent): outcome for agent, outcome in outcomes.items()}
         gone = {number for number, outcome in ended.items() if outcome in ("right", "wrong")}
-        assert gone == set(np.flatnonzero(~np.isnan(streams.left[0])))
-        assert all((ended[k] == "right") == streams.right[0, k] for k in gone)
+        assert gone == set(np.flatnonzero(~np.isnan(streams.departed[0])))
+        assert all((ended[k] == "right") == streams.correct[0, k] for k in gone)
         by_the_exit = {k for k in gone if streams.taken[0, k] == streams.exit[0, k]}
         assert {ended[k] for k in by_the_exit} == {"right", "wrong"}
 

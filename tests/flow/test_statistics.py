@@ -21,7 +21,7 @@ def recorded(clock: float, *rows: tuple[float, ...], turns: int = 0) -> fs.Strea
     """
     obeys = np.ones((1, 2, 2), dtype=bool)
     streams = fs.with_room(fs.make_streams(1, 2, (2, 2), 7, obeys), len(rows))
-    columns = ("time", "entered", "left", "exit", "taken", "touches")
+    columns = ("time", "entered", "departed", "exit", "taken", "touches")
     for name, values in zip(columns, zip(*rows, strict=True), strict=True):
         getattr(streams, name)[0, : len(rows)] = values
     streams.arrivals[0] = len(rows)
@@ -108,7 +108,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varied: dict[s
         turns += int((np.abs(streams.commanded[0] - commanded) > 1e-9).sum())
         commanded = streams.commanded[0].copy()
         assert (info["right"], info["wrong"], info["turns"]) == (right, len(left) - right, turns)
-    for kept, seen in ((streams.entered, entered), (streams.left, left)):
+    for kept, seen in ((streams.entered, entered), (streams.departed, left)):
         assert len(seen) >= 3
         numbers = np.nonzero(~np.isnan(kept[0]))[0].tolist()
         assert {number: kept[0, number] for number in numbers} == pytest.approx(seen)

@@ -49,7 +49,7 @@ class TestLeaving:
     def test_the_gap_is_that_of_two_that_slide_until_they_have_the_belts_speed(self) -> None:
         batch = rolled(begun(traced((0.0, 0.8), (0.6, 1.1))), 4.0)
         streams = batch.streams
-        left, speed = streams.left[0, :2], streams.final[0, :2, VX]
+        left, speed = streams.departed[0, :2], streams.final[0, :2, VX]
         past = streams.final[0, :2, X] - 5.0
         times = left - past / speed  # as their centres passed the end
         slides = (speed - 2.0) * np.abs(speed - 2.0) / (2.0 * 0.5 * GRAVITY)
@@ -61,7 +61,7 @@ class TestLeaving:
     @pytest.mark.parametrize(("wait", "right"), [(0.3, [True, False]), (0.5, [True, True])])
     def test_a_gap_that_is_too_small_is_the_fault_of_the_one_behind(self, wait, right) -> None:
         batch = rolled(begun(traced((0.0, 1.5), (wait, 1.5))), 3.0)
-        assert batch.streams.right[0].tolist()[:2] == right
+        assert batch.streams.correct[0].tolist()[:2] == right
         assert (batch.streams.gap[0, 1] >= 0.3) == right[1]
 
     def test_the_whole_base_must_be_within_the_mouth(self) -> None:
@@ -69,15 +69,15 @@ class TestLeaving:
             stream = traced((0.0, 1.5), aside=aside)
             mouth = (Exit("end", 0, -0.3, 0.3),)
             batch = rolled(begun(stream, exits=mouth), 3.0)
-            assert batch.streams.right[0, 0] == right == (0.6 * aside + 0.1 <= 0.3)
+            assert batch.streams.correct[0, 0] == right == (0.6 * aside + 0.1 <= 0.3)
         assert batch.streams.taken[0, 0] == -1  # its centre was beside it
 
     @pytest.mark.parametrize(("degrees", "right"), [(9.0, True), (11.0, False), (81.0, True)])
     def test_the_sides_must_be_aligned_one_way_or_the_other(self, degrees, right) -> None:
         stream = traced((0.0, 1.5), turned=math.radians(degrees))
         batch = rolled(begun(stream, alignment=math.radians(10.0)), 3.0)
-        assert batch.streams.right[0, 0] == right
-        assert abs(math.degrees(batch.streams.off[0, 0])) == pytest.approx(
+        assert batch.streams.correct[0, 0] == right
+        assert abs(math.degrees(batch.streams.misalignment[0, 0])) == pytest.approx(
             min(degrees, 90.0 - degrees), abs=0.6
         )
 
@@ -85,14 +85,14 @@ class TestLeaving:
         disc = Parcel(sg.Disc(0.15))
         stream = Stream(Trace((Arrival(0.0, disc, 1.5, "end", None, 0.0, 0.6),)))
         batch = rolled(begun(stream, alignment=0.1), 3.0)
-        assert batch.streams.right[0, 0]
+        assert batch.streams.correct[0, 0]
 
     def test_an_order_is_broken_by_the_one_that_goes_too_early(self) -> None:
         batch = begun(traced((0.0, 1.5), (0.6, 1.5), (1.2, 1.5)), "sequence")
         batch.streams.order[0, :3] = 1, 0, 2
         batch.parcels.goal[0, ORDER] = 1.0  # of the one that has entered
         rolled(batch, 4.0)
-        assert batch.streams.right[0, :3].tolist() == [False, True, True]
+        assert batch.streams.correct[0, :3].tolist() == [False, True, True]
         found = batch.task.compute_statistics(batch.streams, 0, False, 1)
         assert found.order_errors == pytest.approx(1.0 / 3.0)
 
@@ -116,7 +116,7 @@ class TestStops:
     def test_one_that_leaves_while_it_stands_has_left_wrongly(self) -> None:
         batch = rolled(begun(traced((0.0, 2.0)), demand=self.STOPS), 2.4)
         assert batch.streams.taken[0, 0] == 0
-        assert not batch.streams.right[0, 0]
+        assert not batch.streams.correct[0, 0]
 
     def test_held_parcels_are_no_jam_while_it_stands(self) -> None:
         batch = begun(traced((0.0, 0.5)), demand=Stops(), patience=1.0)
@@ -214,7 +214,7 @@ def test_how_long_it_rolls_is_how_long_it_takes() -> None:
     batch = rolled(begun(traced((0.0, 0.8))), 0.2)
     predicted = 4.0 * batch.observation[0, 0, ta.ROLLS] + batch.streams.clock[0]
     rolled(batch, 4.0)
-    assert batch.streams.left[0, 0] == pytest.approx(predicted, abs=0.02)
+    assert batch.streams.departed[0, 0] == pytest.approx(predicted, abs=0.02)
 
 
 def test_parcels_of_bulk_are_the_same_for_the_same_seed_and_within_their_sizes() -> None:

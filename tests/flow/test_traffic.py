@@ -202,11 +202,13 @@ class TestPlaces:
                 side = 0 if straight else int(math.copysign(1, truth[Y] - flows.SHORT.line_y))
                 wanted = exits.at(side, truth[X])
                 assert streams.taken[0, place] == wanted
-                assert parcels.outcome[place] == (fs.LEFT_WRONG if wanted else fs.LEFT_RIGHT)
-                assert 0.0 < streams.left[0, place] <= 0.04
+                assert parcels.outcome[place] == (
+                    fs.DEPARTED_WRONG if wanted else fs.DEPARTED_CORRECT
+                )
+                assert 0.0 < streams.departed[0, place] <= 0.04
                 seen.add(wanted)
             right = int((streams.taken[0, :20] == 0).sum())
-            assert streams.tally[0, [fs.RIGHT, fs.WRONG]].tolist() == [right, 20 - right]
+            assert streams.tally[0, [fs.CORRECT, fs.WRONG]].tolist() == [right, 20 - right]
         assert seen == {*range(len(exits)), fs.BETWEEN} or exits is not OWN
 
     def test_on_rotors_it_stays(self) -> None:
@@ -215,7 +217,7 @@ class TestPlaces:
         batch.step(flows.command(batch, flows.BRAKE))
         assert batch.streams.present[0, :3].all()
         assert (batch.streams.taken[0, :3] == fs.ON_ITS_WAY).all()
-        assert np.isnan(batch.streams.left[0, :3]).all()
+        assert np.isnan(batch.streams.departed[0, :3]).all()
 
 
 def sent(choice: int, asked: str, exits: Any = "chutes") -> tuple[SmartSurfaceEnv, dict[str, Any]]:
@@ -241,7 +243,7 @@ class TestWays:
         streams = env.batch.streams
         assert streams.taken[0, 0] == env.config.exits.place(taken)
         assert (info["right"], info["wrong"]) == ((1, 0) if asked == taken else (0, 1))
-        assert streams.left[0, 0] > streams.entered[0, 0]
+        assert streams.departed[0, 0] > streams.entered[0, 0]
         assert info["parcels"].tolist() == [-1] * 24
         if taken == "straight":  # its rear past the last rotors, within a physics step
             rear = env.batch.parcels.truth[0, X] - 0.125

@@ -7,7 +7,7 @@ from surface_gym.config import EnvConfig
 pytest.importorskip("wasmtime", reason="wasmtime is not installed (extra 'web')")
 
 from benchmarks.web import ARGUMENTS, Twins
-from surface_gym.flow.state import RIGHT, TOUCHES
+from surface_gym.flow.state import CORRECT, TOUCHES
 from surface_gym.registration import PERIODS
 
 STREAMS = [task for task, periods in PERIODS.items() if periods is None]
@@ -25,5 +25,5 @@ def test_a_stream_is_equal_in_which_parcels_touch_or_leave(task, modules):
             assert twins.differences() == []
         if twins.are_over:
             break
-    assert twins.batch.streams.tally[0, [RIGHT, TOUCHES]].any()
+    assert twins.batch.streams.tally[0, [CORRECT, TOUCHES]].any()
     assert twins.differences() == []

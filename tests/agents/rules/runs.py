@@ -12,7 +12,7 @@ from surface_gym.agents.rules import RULES, Rule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.state import RIGHT, TOUCHES, WRONG
+from surface_gym.flow.state import CORRECT, TOUCHES, WRONG
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import LINE_Y
 from surface_gym.state import RUNNING
@@ -125,4 +125,8 @@ def counts(controller: Any, config: EnvConfig, num_envs: int = 4) -> dict[str, i
         action, state = controller.predict(batch.observation, state)
         batch.step(config.action_kind.commands(action, num_envs))
     tally = batch.streams.tally.sum(axis=0)
-    return {"right": int(tally[RIGHT]), "wrong": int(tally[WRONG]), "touches": int(tally[TOUCHES])}
+    return {
+        "right": int(tally[CORRECT]),
+        "wrong": int(tally[WRONG]),
+        "touches": int(tally[TOUCHES]),
+    }

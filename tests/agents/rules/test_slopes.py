@@ -76,7 +76,7 @@ class TestTimeSlots:
 
     def test_a_thin_stream_passes_as_it_comes(self) -> None:
         found, batch = played(TimeSlots, "singulate", stream=bulk(900.0))
-        assert batch.streams.right[0, : batch.streams.arrivals[0] - 4].all()
+        assert batch.streams.correct[0, : batch.streams.arrivals[0] - 4].all()
         assert found.time_mean < 2.9  # rolling takes 2.5 s
 
 
