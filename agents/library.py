@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from .policy import AnyPolicy
 
 SHELF = Path(__file__).parent / "shipped"
-WEIGHTS = "policy.pt"
+WEIGHTS = "policy.safetensors"
+OLD_WEIGHTS = "policy.pt"  # of policies that were written before
 CARD = "policy.yaml"
 ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels", "local")
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
@@ -176,15 +177,16 @@ class PolicyFiles:
 
 def read_files(folder: Path) -> PolicyFiles:
     """Read the files of a policy without decoding them."""
-    found = {}
-    for name, most in ((WEIGHTS, POLICY), (CARD, YAML)):
+    is_old = (folder / OLD_WEIGHTS).is_file() and not (folder / WEIGHTS).exists()
+    found = []
+    for name, most in ((OLD_WEIGHTS if is_old else WEIGHTS, POLICY), (CARD, YAML)):
         try:
-            found[name] = read_bytes(folder / name, most)
+            found.append(read_bytes(folder / name, most))
         except FileNotFoundError:
             raise ValueError(f"{folder} holds no policy: {name} is missing") from None
         except ValueError as error:
             raise ValueError(f"{folder} holds no policy: {name}: {error}") from None
-    return PolicyFiles(folder, found[WEIGHTS], found[CARD])
+    return PolicyFiles(folder, *found)
 
 
 def names() -> tuple[str, ...]:

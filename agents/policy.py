@@ -1,6 +1,6 @@
 """Trained policies of Stable-Baselines3's networks, and policies of all algorithms on disk.
 
-A policy on disk is a file of weights and a YAML card; neither holds code.
+A policy on disk is a safetensors file of weights and a YAML card; neither holds code.
 """
 
 import json
@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
+import safetensors.torch
 import torch
 import yaml
 from gymnasium import spaces
@@ -32,6 +33,7 @@ from .parcel_policy import ParcelNetwork, ParcelPolicy
 from .schedule_policy import ScheduleNetwork, SchedulePolicy
 from .yaml_file import parse_yaml
 
+ZIP = b"PK"  # begins PyTorch's archives
 DIGEST = "digest"  # field of the card: of its other fields and the weights
 
 
@@ -115,9 +117,7 @@ AnyPolicy = Policy | ModulePolicy | SchedulePolicy | ParcelPolicy | LocalPolicy
 
 def save_policy(network: torch.nn.Module, card: PolicyCard, folder: Path) -> None:
     """Write weights and card into a folder, each whole or not at all."""
-    buffer = BytesIO()
-    torch.save(network.state_dict(), buffer)
-    weights = buffer.getvalue()
+    weights = safetensors.torch.save(network.state_dict())
     with replacing(folder / WEIGHTS) as part:
         part.write_bytes(weights)
     fields = {**asdict(card), "hidden": list(card.hidden), "observe": list(card.observe)}
@@ -153,7 +153,7 @@ def build_policy(
         for name in {"hidden", "observe"} & fields.keys():
             fields[name] = tuple(fields[name])
         card = PolicyCard(**fields)
-        weights = load_tensors(BytesIO(files.weights))
+        weights = read_weights(files)
         _check_hidden(card, len(files.weights))
         if card.algo == "schedule":
             scores = ScheduleNetwork(card.hidden)
@@ -186,6 +186,16 @@ def build_policy(
 
 def _digest(fields: dict[str, Any], weights: bytes) -> str:
     return sha256(json.dumps(fields, sort_keys=True).encode() + weights).hexdigest()
+
+
+def read_weights(files: PolicyFiles) -> dict[str, torch.Tensor]:
+    """Read a policy's weights by their names: of safetensors, or of PyTorch's archive before it."""
+    if files.weights.startswith(ZIP):
+        return load_tensors(BytesIO(files.weights))
+    try:
+        return safetensors.torch.load(files.weights)
+    except safetensors.SafetensorError as error:
+        raise ValueError(f"{WEIGHTS}: {error}") from None
 
 
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from surface_gym import parallel
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
 AHEAD = 2  # jobs submitted at a time for each processor of the cluster
-POLICY_FILES = (".pt", ".yaml")
+POLICY_FILES = (".safetensors", ".yaml")
 
 
 @lru_cache(maxsize=1)

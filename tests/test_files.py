@@ -120,7 +120,7 @@ KINDS = [
         for name in ("run.npz", "run.csv")
     ),
     Kind("trace.csv", lambda at: _trace(at / "trace.csv"), lambda at: read_trace(at / "trace.csv")),
-    Kind("policy.pt", _policy, _weights, True),
+    Kind(library.WEIGHTS, _policy, _weights, True),
     Kind("policy.yaml", _policy, _weights, True),
     Kind("card.yaml", _run, _run_card),
     Kind(

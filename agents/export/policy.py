@@ -2,7 +2,6 @@
 
 import shlex
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from ..evaluation.methods import policy_folders
 from ..learning import runs
 from ..learning.config import NOMINAL, current_option
 from ..module_policy import ModulePolicy
-from ..policy import DIGEST, Policy, load_tensors, make_network
+from ..policy import DIGEST, Policy, make_network, read_weights
 from ..yaml_file import parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
@@ -92,7 +91,7 @@ def _read(
         seed,
         policy,
         policy.card.env_config(task),
-        load_tensors(BytesIO(files.weights)),
+        read_weights(files),
         str(parse_yaml(files.card.decode())[DIGEST]),
         training or Training(NOMINAL),
     )

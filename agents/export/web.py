@@ -12,7 +12,6 @@ import argparse
 import json
 import shutil
 from collections.abc import Sequence
-from io import BytesIO
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,7 @@ from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
-from ..policy import load_tensors
+from ..policy import read_weights
 from ..rules import RULES
 from ..rules.base import FixedRule
 from ..rules.sequencing import PassAndPark
@@ -379,7 +378,7 @@ def write_slope_policy(
         folder: where to write.
     """
     task, weights = policy.card.task, Weights()
-    tensors = load_tensors(BytesIO(library.read_files(source).weights))
+    tensors = read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
     if isinstance(policy, ParcelPolicy):
         corrected = parcel_policy.RULES[task]

@@ -75,7 +75,7 @@ def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="holds no policy"):
         read(tmp_path)
     (tmp_path / "policy.yaml").write_text("algo: modules\n")
-    with pytest.raises(ValueError, match=r"policy\.pt is missing"):
+    with pytest.raises(ValueError, match=r"policy\.safetensors is missing"):
         read(tmp_path)
 
 

@@ -72,7 +72,7 @@ def test_the_folder_holds_everything(run) -> None:
     assert "--seeds 2 --name a" in (run / "command.txt").read_text()
     for seed in ("seed-0", "seed-1"):
         assert list((run / seed / "tensorboard").glob("events.*"))
-        for name in ("policy.pt", "policy.yaml", "checkpoint.pt", "curve.csv"):
+        for name in ("policy.safetensors", "policy.yaml", "checkpoint.pt", "curve.csv"):
             assert (run / seed / name).stat().st_size > 0
     assert (run / "trajectories.png").stat().st_size > 0
     card = yaml.safe_load((run / "card.yaml").read_text())
@@ -86,7 +86,7 @@ def test_the_folder_holds_everything(run) -> None:
     ("file", "command"),
     [
         ("table.md", "evaluate.py --workers 1 --run"),
-        ("seed-1/policy.pt", "train.py --resume"),  # which is done
+        ("seed-1/policy.safetensors", "train.py --resume"),  # which is done
     ],
 )
 def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(run, file, command) -> None:
@@ -212,10 +212,10 @@ class TestARun:
 
     def test_goes_on_where_the_task_is_said(self, own_run, monkeypatch) -> None:
         monkeypatch.setattr(report, "evaluate_run", lambda *_: {})  # it was compared once
-        before = (own_run / "policy.pt").read_bytes()
+        before = (own_run / "policy.safetensors").read_bytes()
         done = run_in_process("train.py", "--resume", str(own_run), "--task", REACH, folder=own_run)
         assert done.returncode == 0, done.stderr
-        assert (own_run / "policy.pt").read_bytes() == before
+        assert (own_run / "policy.safetensors").read_bytes() == before
 
     def test_is_compared(self, own_run) -> None:
         """By processes of their own, which find the task's code again."""
@@ -236,4 +236,4 @@ def test_a_faulty_task_ends_without_a_traceback(tmp_path) -> None:
     assert done.returncode != 0
     assert "Faulty.outcome must be a static method and a kernel_function" in done.stderr
     assert "Traceback" not in done.stderr
-    assert not (tmp_path / "runs" / "a" / "policy.pt").exists()
+    assert not (tmp_path / "runs" / "a" / "policy.safetensors").exists()

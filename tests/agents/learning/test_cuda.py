@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from safetensors.torch import load_file
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import configure
@@ -276,5 +277,5 @@ def test_on_a_gpu_a_rollout_never_waits_and_a_seed_fixes_the_weights(tmp_path) -
     for name in ("one", "again"):
         (tmp_path / name).mkdir()
         cuda.train_on_device(run, tmp_path / name)
-    first, second = (torch.load(tmp_path / name / WEIGHTS) for name in ("one", "again"))
+    first, second = (load_file(tmp_path / name / WEIGHTS) for name in ("one", "again"))
     assert all(torch.equal(values, second[name]) for name, values in first.items())

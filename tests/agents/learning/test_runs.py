@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import torch
 from rich.console import Console
+from safetensors.torch import load_file
 
 from surface_gym import agents
 from surface_gym.agents.learning import config as configs, local, runs, schedules, slopes
@@ -97,7 +98,7 @@ def run(
 
 
 def same(one: Path, other: Path) -> bool:
-    first, second = (torch.load(each / WEIGHTS, weights_only=True) for each in (one, other))
+    first, second = (load_file(each / WEIGHTS) for each in (one, other))
     assert first.keys() == second.keys()
     return all(torch.equal(values, second[name]) for name, values in first.items())
 
