@@ -1,9 +1,9 @@
-"""The paper's pre-arranged layouts: a line of rotors amid supports, axes set once beforehand.
+"""The paper's fixed layouts: a line of rotors among supports, with axes that do not turn.
 
-The line is centred on y = 1 m, the elements' centres lie at 0.05, 0.15, ... m. It begins with
-lead-in columns at 90 deg (rolling along x), goes on with the columns that do the task and ends at
-90 deg again. Figure 6 shows the kinds; the row and lead-in counts, which the paper leaves out, are
-those that give its tables.
+The line is centred on y = 1 m; the elements' centres lie at 0.05, 0.15, ... m. Lead-in columns at
+90 deg (rolling along x) come first. Then come the task's columns, and columns at 90 deg follow to
+the end. Figure 6 shows the kinds. The paper does not state the numbers of rows and lead-in columns;
+the values here reproduce its tables.
 """
 
 import math
@@ -18,7 +18,7 @@ from surface_gym.surface import Surface
 
 ROLLING = math.pi / 2  # [rad] axis of a module that lets a parcel roll along x
 LINE_Y = 1.0  # [m] middle of the line
-ROWS = 20  # of the whole surface
+ROWS = 20  # rows of the whole surface
 
 # Rows of rotors and lead-in columns for each of the paper's boxes (Section 5.1, Figure 7 and 9).
 LINE_ROWS = {"S": 2, "B": 4}
@@ -26,7 +26,7 @@ LEAD_IN = {"S": 3, "B": 5}
 
 
 def rows_under(width: float, pitch: float) -> int:
-    """Return the rows of a line under a parcel of a width [m]: an even number, two at least.
+    """Return the number of rows under a parcel of a width [m]: even, and at least two.
 
     >>> rows_under(0.25, 0.1), rows_under(0.45, 0.1)
     (2, 4)
@@ -35,7 +35,7 @@ def rows_under(width: float, pitch: float) -> int:
 
 
 def lead_in_under(length: float, pitch: float) -> int:
-    """Return the columns of a lead-in on which a parcel of a length [m] starts wholly.
+    """Return the number of lead-in columns that hold a whole parcel of a length [m].
 
     >>> lead_in_under(0.25, 0.1), lead_in_under(0.45, 0.1)
     (3, 5)
@@ -51,7 +51,7 @@ def box(size: str) -> Parcel:
 
 
 def start(size: str) -> tuple[float, float, float]:
-    """Return the pose (x, y, theta) [m, m, rad] at which the paper starts a box, x = b / 2."""
+    """Return the paper's start pose (x, y, theta) [m, m, rad] of a box, with x = b / 2."""
     base = box(size).base
     assert isinstance(base, Rectangle)
     return (base.length / 2.0, LINE_Y, 0.0)
@@ -61,9 +61,10 @@ def line(task_axis: ArrayLike, size: str = "S", columns: int = 40, tilt: float =
     """Return a line of rotors with the task's columns after the lead-in.
 
     Args:
-        task_axis: (line rows or 1, task columns) [rad] their axes; one row stands for all.
+        task_axis: (line rows or 1, task columns) [rad] axes of the task's columns; one row is
+            repeated.
         size: "S" (two rows, 3 lead-in columns) or "B" (four rows, 5 lead-in columns).
-        columns: of the whole surface.
+        columns: number of columns of the whole surface.
         tilt: [rad] downhill towards +x.
     """
     checks.one_of("size", size, ("S", "B"))
@@ -92,7 +93,7 @@ def sorting(
 def slowing(
     size: str = "S", angle: float = 0.0, task_columns: int = 2, columns: int = 40, tilt: float = 0.0
 ) -> Surface:
-    """Return Figure 6b and 6c: axes at `angle` [rad], its sign alternating from row to row."""
+    """Return Figure 6b and 6c: axes at `angle` [rad] with alternating sign from row to row."""
     return line(_alternating(size, angle, task_columns), size, columns, tilt)
 
 
@@ -105,7 +106,7 @@ def stopping(
 
 
 def _alternating(size: str, angle: float, task_columns: int) -> list[list[float]]:
-    """Return axes [rad] of columns, their sign alternating from row to row."""
+    """Return columns of axes [rad] with alternating sign from row to row."""
     angle = checks.angle("angle", angle)
     checks.integer("task_columns", task_columns, least=1)
     checks.one_of("size", size, ("S", "B"))

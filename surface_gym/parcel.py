@@ -1,4 +1,4 @@
-"""Parcels: their bases, mass and load, and assortments of them."""
+"""Parcels: bases, mass and load, and random assortments."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from surface_gym.physics.types import Body
 class Base(Protocol):
     """The interface of a base. All lengths are in the base's own frame.
 
-    A base is convex: the part of a circle, around its centroid, that lies within its edges.
+    A base is convex: the intersection of its edges' half planes with a circle around its centroid.
     """
 
     @property
@@ -24,7 +24,7 @@ class Base(Protocol):
 
     @property
     def gyration(self) -> float:
-        """Return inertia / mass [m^2] about the centroid, of a load spread evenly over the area."""
+        """Return inertia / mass [m^2] about the centroid for an evenly spread load."""
 
     @property
     def reach(self) -> float:
@@ -32,21 +32,23 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals and distances [m] from the centroid (edges, 3), none of a disc."""
+        """Return outward normals and distances [m] from the centroid (edges, 3); discs have
+        none.
+        """
 
     @property
     def outline(self) -> NDArray[np.float64]:
         """Return the perimeter (points, 2) [m], anti-clockwise."""
 
     def functions(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Return F_lambda at points: (lambdas, ...), none positive inside."""
+        """Return F_lambda at points (lambdas, ...); no value is positive inside."""
 
     def scaled(self, factor: float) -> "Base":
-        """Return the same shape, every length times a factor."""
+        """Return the same shape with every length multiplied by a factor."""
 
 
 def check_base(base: Any) -> None:
-    """Raise a ValueError that names what an object lacks to be a `Base`."""
+    """Raise a ValueError that names the members of `Base` which an object lacks."""
     asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
     lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
     if lacks:
@@ -78,7 +80,7 @@ def _edge_functions(
 
 
 def _kept(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Make an array that is computed once and shared read-only."""
+    """Return the array as read-only, for sharing."""
     array.flags.writeable = False
     return array
 
@@ -183,7 +185,7 @@ class Polygon:
         turn = np.arctan2(
             side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0], (side * after).sum(axis=1)
         )
-        # A vertex within a side turns by no more than round-off; none turns back.
+        # At a vertex within a side the turn is only round-off; a negative turn is not convex.
         one_way = (turn > -1e-9).all() or (turn < 1e-9).all()
         turns_back = (np.abs(turn) > np.pi - 1e-9).any()
         if turns_back or not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):
@@ -197,7 +199,7 @@ class Polygon:
         object.__setattr__(self, "vertices", vertices)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by the constructor, which makes the array read-only again."""
+        """Pickle and copy by the constructor, so that the array is read-only again."""
         return (Polygon, (self.vertices,))
 
     @cached_property
@@ -248,11 +250,11 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Parcel:
-    """A rigid parcel. Its pose is that of its base's frame; the defaults are those of Table 1.
+    """A rigid parcel. Its pose is the pose of its base's frame. Defaults are from Table 1.
 
     Raises:
-        ValueError: a mass, height or inertia that is not allowed, a base that is none, or a
-            centre of mass that is not over the base, or a number beyond `surface_gym.checks`.
+        ValueError: the base is not a `Base`, the centre of mass is not over the base, or a number
+            is outside the limits of `surface_gym.checks`.
 
     >>> from surface_gym import Rectangle
     >>> round(Parcel(Rectangle(0.25, 0.25)).moment_of_inertia, 4)  # m (b^2 + h^2) / 12
@@ -262,7 +264,7 @@ class Parcel:
     base: Base
     mass: float = 10.0  # [kg]
     com_height: float = 0.1  # [m] z_g, centre of mass above the base
-    inertia: float | None = None  # [kg m^2] about the vertical through the centre of mass
+    inertia: float | None = None  # [kg m^2] about the vertical axis through the centre of mass
     com_offset: tuple[float, float] = (0.0, 0.0)  # [m] centre of mass from the base's centroid
 
     def __post_init__(self) -> None:
@@ -292,12 +294,12 @@ class Parcel:
 
     @property
     def moment_of_inertia(self) -> float:
-        """Return J [kg m^2]; where none is given, that of a load spread evenly over the base."""
+        """Return J [kg m^2]; the default assumes an evenly spread load."""
         return self.mass * self.base.gyration if self.inertia is None else self.inertia
 
     @cached_property
     def body(self) -> Body:
-        """Return the parcel as the compiled physics reads it."""
+        """Return the parcel as input of the compiled physics."""
         return Body(
             edges=np.asarray(self.base.edges, dtype=np.float64),
             radius=self.base.reach,
@@ -309,31 +311,31 @@ class Parcel:
 
     @cached_property
     def row(self) -> NDArray[np.float64]:
-        """Return the parcel's numbers (7,), as `Bodies.body` holds them."""
+        """Return the parcel's row (7,) of `Bodies.body`."""
         half_length = -float((self.base.outline - np.array(self.base.centroid))[:, 0].min())
         return _kept(np.array([*self.body[1:], half_length, self.mass]))
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
-        """Return the base's corners (corners, 2) [m] from the centroid; a disc's lies there."""
+        """Return the base's corners (corners, 2) [m] from the centroid; one at 0 for a disc."""
         outline = self.base.outline - np.array(self.base.centroid)
         return _kept(outline if len(self.body.edges) else np.zeros((1, 2)))
 
 
-NO_EDGE = (0.0, 1.0, 1e9)  # that no point lies beyond, to fill a parcel's edges up
+NO_EDGE = (0.0, 1.0, 1e9)  # padding: no point lies beyond it
 
 
 def filled_up(
     edges: NDArray[np.float64], corners: NDArray[np.float64], sides: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return edges (sides, 3) and corners (sides, 2), filled up to a number of sides."""
+    """Return edges (sides, 3) and corners (sides, 2), padded to a number of sides."""
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
 
 
-CORNERS = (5, 8)  # of a polygon at least, and fewer than
-MOST_DRAWS = 1000  # of a polygon: one in three is drawn again
+CORNERS = (5, 8)  # range of a polygon's number of corners, the upper end excluded
+MOST_DRAWS = 1000  # maximum per polygon; one draw in three is rejected
 
 
 def assortment(
@@ -342,16 +344,17 @@ def assortment(
     sizes: tuple[float, float] = (0.2, 0.45),
     load: float = 0.03,
 ) -> tuple[Parcel, ...]:
-    """Draw squares, rectangles, discs and convex polygons in turn, the same for the same seed.
+    """Draw squares, rectangles, discs and convex polygons in turn, reproducibly by seed.
 
-    Length and width: uniform in `sizes`, of a polygon that of the circle it is inscribed in.
-    Centre of mass: uniform in a disc of radius `load` around the base's centroid, within the base.
+    Length and width are uniform in `sizes`; a polygon's length is the diameter of its circumscribed
+    circle. The centre of mass is uniform in a disc of radius `load` around the base's centroid, and
+    within the base.
 
     Args:
-        count: of parcels.
-        seed: of the draws.
-        sizes: [m] least and greatest length and width.
-        load: [m] how far off centre the load may lie.
+        count: number of parcels.
+        seed: seed of the random draws.
+        sizes: [m] smallest and largest length and width.
+        load: [m] maximum distance of the centre of mass from the centroid.
     """
     checks.integer("count", count, least=1)
     low, high = checks.array("sizes", sizes, (2,)).tolist()
@@ -374,7 +377,7 @@ def _base(rng: np.random.Generator, kind: int, low: float, high: float) -> Base:
 
 
 def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
-    """Draw corners uniform on a circle, again until the polygon is as wide as the least size."""
+    """Draw corners uniformly on a circle until the polygon is at least `low` wide."""
     least = min(low, 0.75 * length)
     for _ in range(MOST_DRAWS):
         angle = np.sort(rng.uniform(0.0, 2.0 * math.pi, rng.integers(*CORNERS)))
@@ -385,13 +388,13 @@ def _polygon(rng: np.random.Generator, low: float, length: float) -> Polygon:
 
 
 def _is_convex_around(angle: NDArray[np.float64]) -> bool:
-    """Return whether no gap between corners is half the circle, and no corners coincide."""
+    """Return whether all gaps between corners are positive and less than half the circle."""
     gaps = np.diff(angle, append=angle[0] + 2.0 * math.pi)
     return bool(gaps.max() < 0.9 * math.pi and gaps.min() > 0.1)
 
 
 def _loaded(rng: np.random.Generator, base: Base, load: float) -> Parcel:
-    """Return a parcel on a base with its load off centre."""
+    """Return a parcel on a base with a random centre of mass."""
     for _ in range(MOST_DRAWS):
         offset = load * rng.uniform(-1.0, 1.0, 2)
         x, y = np.array(base.centroid) + offset

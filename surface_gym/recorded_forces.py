@@ -1,4 +1,4 @@
-"""Forces of a frame of a recording: those of the physics step that follows, on copies of states."""
+"""Forces of a recording's frame, from the next physics step on copies of the states."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
 
 
 class FrameForces(NamedTuple):
-    """The forces on the parcels of a frame."""
+    """Forces on the parcels in one frame."""
 
-    bearer: Integers  # (contacts,) the row of each contact's parcel
-    # (contacts, 4) row times columns plus column of the element, and normal force, and friction on
-    # the parcel in x and y [N]
+    bearer: Integers  # (contacts,) row of each contact's parcel
+    # (contacts, 4) row times columns plus column of the element, then [N] normal force, and
+    # friction on the parcel in x and y
     contacts: Array
     pair: Integers  # (pushes, 2) rows of parcels that push each other
-    pushes: Array  # (pushes, 4) [m] where, in x and y, and [N] force on the second
+    pushes: Array  # (pushes, 4) [m] point of action in x and y, and [N] force on the second
 
     def renumbered(self, places: Integers) -> "FrameForces":
-        """Let rows be others (rows,); forces of a parcel whose other is negative are left out."""
+        """Replace each parcel's row by `places[row]`; forces of negative rows are dropped."""
         bearer, pair = places[self.bearer], places[self.pair]
         borne, pushing = bearer >= 0, (pair >= 0).all(axis=1)
         return FrameForces(bearer[borne], self.contacts[borne], pair[pushing], self.pushes[pushing])
 
 
 def join_frames(frames: Sequence[FrameForces]) -> dict[str, Any]:
-    """Join the forces of frames, one after the other, as the fields of a recording."""
+    """Concatenate the forces of frames as the fields of a recording."""
     return {
         "first_contact": np.cumsum([0, *(len(each.contacts) for each in frames)]),
         "contacts": np.concatenate([each.contacts for each in frames]),
@@ -50,7 +50,7 @@ class ParcelForces:
         self._scratch = ph.make_scratch()
 
     def compute(self) -> FrameForces:
-        """Compute those of the step from here."""
+        """Compute the forces of the next step."""
         batch, i = self._batch, self._index
         body_row, params = int(batch.parcels.body[i]), batch.params
         grid = st.read_grid.py_func(
@@ -83,7 +83,7 @@ class ParcelForces:
 
 
 class StreamForces:
-    """Forces on the parcels of a stream, by their slots: of elements, and of each other."""
+    """Forces on the parcels of a stream, by slot: from elements and from each other."""
 
     def __init__(self, batch: "BaseBatch", env_index: int) -> None:
         self._batch: Any = batch
@@ -92,7 +92,7 @@ class StreamForces:
         self._forces = world_forces.make_world_forces(self._batch.rows)
 
     def compute(self) -> FrameForces:
-        """Compute those of the step from here."""
+        """Compute the forces of the next step."""
         batch, i, rows = self._batch, self._index, self._batch.rows
         bodies, params, forces = batch.bodies, batch.params, self._forces
         grid = st.read_grid.py_func(batch.surfaces, bodies, i, 0, params.elements, params.friction)

@@ -1,4 +1,4 @@
-"""Recorders: of an environment's episodes, as a wrapper, and of a trajectory."""
+"""Recorders for an environment's episodes (a wrapper) and for a trajectory."""
 
 import math
 from collections.abc import Callable
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from surface_gym.rendering import Scene, SceneParcel
     from surface_gym.trajectory import Trajectory
 
-BESIDE = 0.5  # [m] shown on either side of the rotors, and as long are a stream's exits drawn
-AHEAD = 3.0  # [pitch] shown before and after the surface of a stream
+BESIDE = 0.5  # [m] margin beside the rotors; also the drawn length of a stream's exits
+AHEAD = 3.0  # [pitch] margin before and after the surface of a stream
 PERIOD = 0.01  # [s] between the frames of a trajectory
 
 
 class RecordReplay(gym.Wrapper):
-    """Record the episodes of a surface's environment, and write each as a page that replays it.
+    """Record the episodes of an environment, and write a replay page for each.
 
-    It is used as Gymnasium's `RecordVideo`; pages are smaller than films, and hold all numbers.
+    Use it like Gymnasium's `RecordVideo`. Pages are smaller than videos, and contain all numbers.
 
     Args:
         env: a `SmartSurfaceEnv`, wrapped or not.
-        folder: for a page an episode; None: `recording` alone holds the latest.
+        folder: folder for one page per episode; None: only `recording` holds the latest episode.
         episode_trigger: which episodes to record, by their number from 0; None: all.
-        name_prefix: of the pages' names.
+        name_prefix: prefix of the pages' file names.
 
     >>> import gymnasium as gym, surface_gym
     >>> env = surface_gym.RecordReplay(gym.make("SmartSurface/Sort-v0", actions="halves"))
@@ -68,7 +68,7 @@ class RecordReplay(gym.Wrapper):
 
     @property
     def recording(self) -> Recording:
-        """The episode that was recorded last, as far as it has gone."""
+        """The latest recorded episode, up to its current step."""
         if self._recorder is None:
             raise ValueError("recording must be asked for after reset, of an episode recorded")
         return self._recorder.recording()
@@ -76,7 +76,7 @@ class RecordReplay(gym.Wrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, and its recording."""
+        """Reset the environment, and start a new recording."""
         self._finish()
         observation, info = self.env.reset(seed=seed, options=options)
         self._episode += 1
@@ -87,7 +87,7 @@ class RecordReplay(gym.Wrapper):
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and record the frame."""
+        """Step the environment, and record a frame."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._recorder is not None and self._records:
             self._recorder.record(float(reward), info, begins=False)
@@ -96,11 +96,11 @@ class RecordReplay(gym.Wrapper):
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
-        """Write the page of an episode that has not ended, and close the environment."""
+        """Write the page of an unfinished episode, and close the environment."""
         self._finish()
         super().close()
 
-    _records = False  # an episode that goes on
+    _records = False  # whether the current episode is recorded
 
     def _finish(self) -> None:
         if self._records and self._folder is not None:
@@ -112,7 +112,7 @@ class RecordReplay(gym.Wrapper):
 
 
 class _Rows:
-    """Rows of a parcel, as long as it is there."""
+    """Rows of one parcel while it is present."""
 
     def __init__(self, drawn: "SceneParcel", first: int) -> None:
         self.drawn = drawn
@@ -127,7 +127,7 @@ class _Rows:
 
 
 class _Recorder:
-    """Records an environment of a batch, control period after control period."""
+    """Recorder of one environment of a batch, with one frame per control period."""
 
     def __init__(self, batch: BaseBatch, env_index: int = 0) -> None:
         from surface_gym.scenes import Renderer
@@ -136,17 +136,17 @@ class _Recorder:
         self._index = env_index
         self._is_stream = hasattr(batch, "streams")
         self._renderer = Renderer(batch)
-        self._parcels: dict[int, _Rows] = {}  # by number of arrival
+        self._parcels: dict[int, _Rows] = {}  # by arrival number
         self._time: list[float] = []
         self._axes: list[Array] = []
         kind = StreamForces if self._is_stream else ParcelForces
         self._force_source = kind(batch, env_index)
-        self._forces: list[FrameForces] = []  # with indices of the parcels recorded for rows
+        self._forces: list[FrameForces] = []  # rows are indices of recorded parcels
         self._delivered: list[tuple[int, ...]] = []
         self._metrics: list[dict[str, float]] = []
 
     def record(self, reward: float, info: dict[str, Any], begins: bool) -> None:
-        """Record a frame: the start, or where a control period has led."""
+        """Record a frame: the start, or the state after a control period."""
         self._renderer.record(self._index, begins)
         self._outcome = str(info.get("outcome", ""))
         self._time.append(float(info["time"]))
@@ -177,7 +177,8 @@ class _Recorder:
                 number = int(streams.number[i, slot])
                 self._parcels.setdefault(number, _Rows(drawn, frame))
         for slot in there.tolist():
-            rows = self._parcels.get(int(numbers[slot]))  # None: it came and left between frames
+            # None: it came and departed between frames
+            rows = self._parcels.get(int(numbers[slot]))
             if rows is not None:
                 rows.truth.append(batch.parcels.truth[first + slot].copy())
         index = {number: k for k, number in enumerate(self._parcels)}
@@ -189,7 +190,7 @@ class _Recorder:
         self._delivered.append(tuple(np.bincount(taken[correct], minlength=exits).tolist()))
 
     def recording(self) -> Recording:
-        """Collect what was recorded."""
+        """Return the frames so far as a `Recording`."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
         names = dict.fromkeys(name for each in self._metrics for name in each)
@@ -220,7 +221,7 @@ class _Recorder:
 
 
 def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recording:
-    """Record a trajectory, about a frame a period [s], with the forces of the steps to them."""
+    """Record a trajectory with its forces, about one frame per `period` [s]."""
     run = trajectory.run
     if run is None:
         raise ValueError(
@@ -258,7 +259,7 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
 
 
 def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
-    """Choose what to show of a trajectory: the rotors, where the parcel is in y, and beside."""
+    """Return the view of a trajectory: the rotors, and the parcel's range in y with a margin."""
     (x, y), (across, up) = surface.origin, (surface.pitch_x, surface.pitch_y)
     rows = np.append(np.flatnonzero(surface.rotor.any(axis=1)), np.rint((way - y) / up))
     low = max(-0.5, float(rows.min()) - 0.5 - BESIDE / up)
@@ -267,7 +268,7 @@ def _view_of(surface: Surface, way: Array) -> tuple[float, float, float, float]:
 
 
 def _numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Select the numbers of an info; the time is a recording's own, the outcome a text."""
+    """Select the numbers of an info; a recording has its own time, and the outcome is a text."""
     return {
         name: float(value)
         for name, value in info.items()
@@ -276,7 +277,7 @@ def _numbers(info: dict[str, Any]) -> dict[str, float]:
 
 
 def _edges(scene: "Scene") -> tuple[float, float, float, float]:
-    """Compute the least x and y and the greatest [m] of a surface."""
+    """Compute the smallest x and y and the largest x and y [m] of a surface."""
     (x, y), (across, up) = scene.origin, scene.pitches
     return (
         x - 0.5 * across, y - 0.5 * up,
@@ -285,7 +286,7 @@ def _edges(scene: "Scene") -> tuple[float, float, float, float]:
 
 
 def _rotor_edges(scene: "Scene") -> tuple[float, float]:
-    """Compute the y [m] where the rotor rows begin and end."""
+    """Compute the range of y [m] of the rotor rows."""
     rows = np.flatnonzero(scene.rotor.any(axis=1))
     low, up = _edges(scene)[1], scene.pitches[1]
     if len(rows) == 0:
@@ -294,7 +295,7 @@ def _rotor_edges(scene: "Scene") -> tuple[float, float]:
 
 
 def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
-    """Choose what to show: the rotors and what is beside them, of a stream before and after too."""
+    """Return the view: the rotors with a margin, for a stream also at both ends."""
     left, least, right, most = _edges(scene)
     low, high = _rotor_edges(scene)
     ahead = AHEAD * scene.pitches[0] if is_stream else 0.0
@@ -302,7 +303,7 @@ def _view(scene: "Scene", is_stream: bool) -> tuple[float, float, float, float]:
 
 
 def make_marks(scene: "Scene") -> tuple[Mark, ...]:
-    """Describe the zone, the goal, and the exits and inlets of a stream."""
+    """Return marks for the zone, the goal, and the exits and inlets of a stream."""
     from surface_gym import rendering
 
     left, least, right, _ = _edges(scene)

@@ -1,7 +1,8 @@
-"""Recordings: what a run was, frame by frame, and its compact file.
+"""Recordings of runs, frame by frame, and their compact file format.
 
-A file holds positions to 0.05 mm, angles to 0.1 mrad and forces to 0.02 N: numbers are rounded, and
-of each the change against what the two before it lead to is kept and compressed.
+A file holds positions to 0.05 mm, angles to 0.1 mrad and forces to 0.02 N. Numbers are rounded, and
+predicted linearly from the two numbers before them. The file stores the compressed prediction
+errors.
 """
 
 import json
@@ -21,14 +22,14 @@ from surface_gym.packing import Reader, pack
 from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
-WITHOUT_BEARERS = 1  # the version of files with forces on one parcel alone
+WITHOUT_BEARERS = 1  # file version with forces on one parcel only
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
-MOST_BYTES = 2**30  # of a recording in memory: days of a stream
+MOST_BYTES = 2**30  # maximum size of a recording in memory: days of a stream
 MOST_HEADER = 2**26  # [bytes]
-ANGLES = 256  # different axes in a recording, at most
+ANGLES = 256  # maximum number of different axes in a recording
 
-# What a number in a file counts.
+# Resolution of the numbers in a file.
 TIME = (1e-5,)  # [s]
 MOTION = (5e-5, 5e-5, 1e-4, 5e-4, 5e-4, 1e-3)  # [m, m, rad, m/s, m/s, rad/s]
 CONTACT = (1.0, 0.02, 0.02, 0.02)  # [module, N, N, N]
@@ -42,12 +43,12 @@ def _no_indices() -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """What is drawn on a surface and stays: a goal, the zone, an exit or an inlet."""
+    """A fixed drawing on a surface: a goal, the zone, an exit or an inlet."""
 
-    kind: str  # of MARKS; zones, exits and inlets are areas
-    points: Array  # (points, 2) [m] corners of the area, or along the line
+    kind: str  # one of MARKS; zones, exits and inlets are areas
+    points: Array  # (points, 2) [m] corners of an area, or points of a line
     label: str = ""
-    colour: int | str | None = None  # index of an exit's, or a name of the palette; None: a goal's
+    colour: int | str | None = None  # index of an exit's colour, or a palette name; None: a goal's
 
     def __post_init__(self) -> None:
         checks.one_of("kind", self.kind, MARKS)
@@ -59,14 +60,14 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class RecordedParcel:
-    """A parcel and its motion in the frames in which it was there."""
+    """A parcel and its motion in the frames with the parcel."""
 
-    outline: Array  # (points, 2) [m] of the base, in its own frame
-    first: int  # the frame with its first row
-    pose: Array  # (rows, 3) [m, m, rad] of that frame
+    outline: Array  # (points, 2) [m] outline of the base in its own frame
+    first: int  # frame of the first row
+    pose: Array  # (rows, 3) [m, m, rad] pose of the base's frame
     velocity: Array  # (rows, 3) [m/s, m/s, rad/s]
     label: str = ""
-    colour: int | str | None = None  # index of an exit's or a group's; None: grey
+    colour: int | str | None = None  # index of an exit's or group's colour; None: grey
 
     def __post_init__(self) -> None:
         _set(self, outline=checks.array("outline", self.outline, (None, 2)))
@@ -83,41 +84,41 @@ class RecordedParcel:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a run was, frame by frame: surface, axes, parcels, forces where known, and numbers.
+    """A run frame by frame: surface, axes, parcels, forces if known, and numbers.
 
-    `surface_gym.RecordReplay` makes recordings of an environment's episodes, and
-    `surface_gym.replay` shows them in a page.
+    `surface_gym.RecordReplay` records an environment's episodes. `surface_gym.replay` shows
+    recordings in a page.
     """
 
     title: str
     control_period: float  # [s] between frames
-    time: Array  # (T,) [s] rising
+    time: Array  # (T,) [s] increasing
     rotor: Booleans  # (rows, columns) an orientable rotor, else a support
-    angles: Array  # (angles,) [rad] the axes there are, at most 256
-    axis: NDArray[np.uint8]  # (T, rows, columns) the index of each module's axis among them
+    angles: Array  # (angles,) [rad] the distinct axes, at most 256
+    axis: NDArray[np.uint8]  # (T, rows, columns) index of each module's axis in `angles`
     pitch: tuple[float, float] = (0.1, 0.1)  # [m] from column to column, and from row to row
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of module [0, 0]
-    obeys: Booleans | None = None  # (rows, columns) a module that commands turn; None: all do
-    # [m] least x and y, greatest x and y to show; None: the surface
+    obeys: Booleans | None = None  # (rows, columns) whether a module obeys commands; None: all do
+    # [m] view: smallest x and y, largest x and y; None: the surface
     view: tuple[float, float, float, float] | None = None
     marks: tuple[Mark, ...] = ()
     parcels: tuple[RecordedParcel, ...] = ()
-    heading: float | None = None  # [rad] that the parcel is asked to turn to
-    # (T + 1,) the first contact of each frame, or empty: forces are not known
+    heading: float | None = None  # [rad] goal angle of the parcel
+    # (T + 1,) first contact of each frame; empty: forces are not known
     first_contact: Integers = field(default_factory=_no_indices)
-    # (contacts, 4) row times columns plus column of the element, and normal force, and friction on
-    # the parcel in x and y [N]
+    # (contacts, 4) row times columns plus column of the element, then [N] normal force, and
+    # friction on the parcel in x and y
     contacts: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    # (contacts,) the parcel of each contact; empty: the first
+    # (contacts,) parcel of each contact; empty: the first parcel
     bearer: Integers = field(default_factory=_no_indices)
-    first_push: Integers = field(default_factory=_no_indices)  # (T + 1,) as first_contact, or empty
-    # (pushes, 6) two parcels that push each other, [m] where, in x and y, and [N] force on the
-    # second of them in x and y
+    first_push: Integers = field(default_factory=_no_indices)  # (T + 1,) like first_contact
+    # (pushes, 6) two parcels that push each other, [m] point of action in x and y, and [N] force on
+    # the second in x and y
     pushes: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    # (T, exits) parcels that rightly left by each exit mark
+    # (T, exits) number of parcels delivered correctly to each exit mark
     delivered: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    metrics: dict[str, Array] = field(default_factory=dict)  # (T,) by name; nan: not known
-    outcome: str = ""  # how it ended
+    metrics: dict[str, Array] = field(default_factory=dict)  # (T,) by name; NaN: not known
+    outcome: str = ""  # outcome of the run
 
     def __post_init__(self) -> None:
         for name in ("title", "outcome"):
@@ -215,7 +216,7 @@ class Recording:
             raise ValueError(f"{name} must be of the {count} parcels")
 
     def _check_first(self, name: str, of: str) -> None:
-        """Check which row of a table is each frame's first."""
+        """Check the first row of each frame in a table."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
         if len(first) and (
             len(first) != len(self.time) + 1
@@ -233,17 +234,17 @@ class Recording:
         return len(self.time)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the recording to a file ending in .replay; one that is there is replaced."""
+        """Write the recording to a file ending in .replay; an existing file is replaced."""
         with files.replacing(_checked_file(path)) as part:
             part.write_bytes(self.encode())
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
-        """Read a recording that `save` wrote: numbers and text, nothing of it is executed.
+        """Read a file that `save` wrote. It is read as numbers and text; nothing in it is executed.
 
         Raises:
-            ValueError: a file that holds none; the error says what is wrong.
-            FileNotFoundError: there is none.
+            ValueError: the file holds no recording; the message names the problem.
+            FileNotFoundError: there is no such file.
         """
         file = _checked_file(path)
         try:
@@ -254,7 +255,7 @@ class Recording:
             ) from None
 
     def encode(self) -> bytes:
-        """Encode the recording as the bytes of its file, which a page reads too."""
+        """Encode the recording as bytes, in the format of its file and of pages."""
         motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
         tables = [
             pack("time", self.time[:, np.newaxis], TIME),
@@ -315,7 +316,7 @@ class Recording:
 
     @staticmethod
     def decode(packed: bytes) -> "Recording":
-        """Decode the bytes of a file; what is wrong with them is a ValueError."""
+        """Decode the bytes of a file; invalid bytes raise a ValueError."""
         try:
             return _decode(packed)
         except files.DAMAGE as error:
@@ -323,9 +324,9 @@ class Recording:
 
 
 def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
-    """Split axes (...) [rad] into the angles there are (angles,) and indices (...) among them.
+    """Split axes (...) [rad] into distinct angles (angles,) and indices (...) into them.
 
-    Where there are more than 256, they are rounded to whole degrees; half a turn is the same axis.
+    More than 256 angles are rounded to whole degrees. Axes that differ by half a turn are equal.
     """
     half = np.mod(axes, math.pi)
     angles, index = np.unique(half.round(6) % round(math.pi, 6), return_inverse=True)
@@ -336,7 +337,7 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
 
 
 def _set(instance: Any, **values: Any) -> None:
-    """Set fields of a frozen dataclass while it is made."""
+    """Set fields of a frozen dataclass during its construction."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
 
@@ -356,7 +357,7 @@ def _checked_file(path: str | PathLike[str]) -> Path:
 
 
 def _firsts(counts: Array) -> Integers:
-    """Sum counts (T,) to the first row of each frame (T + 1,)."""
+    """Return the first row of each frame (T + 1,) from counts (T,)."""
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 

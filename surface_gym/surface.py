@@ -1,4 +1,4 @@
-"""A smart surface: a grid of orientable rotors among low-friction supports."""
+"""A smart surface: a grid of orientable rotors and low-friction supports."""
 
 import math
 from abc import ABC, abstractmethod
@@ -14,7 +14,7 @@ from surface_gym.physics.types import Array, Booleans, Grid, check_capacity
 
 
 class Pitched:
-    """Base of what lies on a grid with a pitch."""
+    """Base class of objects on a grid with a pitch."""
 
     pitch: float | tuple[float, float]  # [m] between neighbours: one, or in x and in y
 
@@ -29,12 +29,12 @@ class Pitched:
         return self.pitch if isinstance(self.pitch, float) else self.pitch[1]
 
     def check_capacity(self, base: Any, size: tuple[int, int]) -> None:
-        """Raise a ValueError where a base may have too many contacts on (columns, rows)."""
+        """Raise a ValueError if a base may have too many contacts on (columns, rows) elements."""
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
 class Elements(Pitched, ABC):
-    """Elements on a grid: what a surface and a line have in common."""
+    """Elements on a grid; base class of surfaces and lines."""
 
     # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element
     mu_max: Any
@@ -44,12 +44,12 @@ class Elements(Pitched, ABC):
     @property
     @abstractmethod
     def rows(self) -> int:
-        """Return how many elements there are across, in y."""
+        """Return the number of elements in y."""
 
     @property
     @abstractmethod
     def columns(self) -> int:
-        """Return how many elements there are along, in x."""
+        """Return the number of elements in x."""
 
     @cached_property
     def friction(self) -> Array:
@@ -63,15 +63,15 @@ class Elements(Pitched, ABC):
 class Surface(Elements):
     """Rotors and supports on a grid, in a plane tilted downhill towards `tilt_direction`.
 
-    Along its axis a rotor drags (`mu_max`), across it rolls almost free (`mu_min`), Eq. (2).
-    A friction coefficient is one number, or an array (rows, columns) with one for each element.
-    The defaults are those of Table 1. The arrays are copied and read-only.
+    A rotor drags along its axis (`mu_max`) and rolls almost freely across it (`mu_min`), Eq. (2). A
+    friction coefficient is one number, or an array (rows, columns) with one value per element.
+    Defaults are from Table 1. Arrays are copied and become read-only.
 
     Raises:
-        ValueError: an array is empty, not finite, or its shape differs from the other's; `pitch`
-            is not positive, a friction coefficient negative, `mu_min` greater than `mu_max`, the
-            tilt not below 45 deg, its direction beyond a turn, or a number beyond
-            `surface_gym.checks`.
+        ValueError: an array is empty, not finite, or has another shape than `axis`; `pitch` is not
+            positive; a friction coefficient is negative; `mu_min` is greater than `mu_max`; the
+            tilt is not below 45 deg; its direction exceeds a full turn; or a number is outside the
+            limits of `surface_gym.checks`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
@@ -87,9 +87,9 @@ class Surface(Elements):
     mu_min: float | Array = 0.01  # [-] friction across it
     mu_support: float | Array = 0.005  # [-] friction of a support, against the motion
     tilt: float = 0.0  # [rad] gamma, downhill towards `tilt_direction`
-    # (rows, columns) [-] how stiff an element is against the others; None: all the same, as Eq. (1)
+    # (rows, columns) [-] relative stiffness of each element; None: equal, as in Eq. (1)
     stiffness: Array | None = None
-    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
+    tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -122,17 +122,17 @@ class Surface(Elements):
         set_field(self, "tilt_direction", direction)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by the constructor, which makes the arrays read-only again."""
+        """Pickle and copy by the constructor, so that the arrays are read-only again."""
         return (type(self), tuple(getattr(self, field.name) for field in fields(self)))
 
     @property
     def rows(self) -> int:
-        """Return how many elements there are across the line, in y."""
+        """Return the number of elements in y."""
         return int(self.axis.shape[0])
 
     @property
     def columns(self) -> int:
-        """Return how many elements there are along the line, in x."""
+        """Return the number of elements in x."""
         return int(self.axis.shape[1])
 
     @property
@@ -147,7 +147,7 @@ class Surface(Elements):
 
     @cached_property
     def grid(self) -> Grid:
-        """Return the surface as the compiled physics reads it."""
+        """Return the surface as input of the compiled physics."""
         gravity_x, gravity_y, gravity_normal = split_gravity(self.tilt, self.tilt_direction)
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
@@ -169,7 +169,7 @@ class Surface(Elements):
 
 
 def _check_stiffness(stiffness: Array) -> None:
-    """Raise a ValueError for elements softer, stiffer or more unequal than any are."""
+    """Raise a ValueError if a stiffness or the ratio of two is outside the limits."""
     least, most = float(stiffness.min()), float(stiffness.max())
     for value in (least, most):
         checks.positive("stiffness", value, *checks.STIFFNESS)

@@ -1,6 +1,6 @@
 """Results of simulations: motion, contacts, friction forces and energy, and their files.
 
-All of a trajectory is kept as .npz, its motion as .csv.
+An .npz file holds the whole trajectory, a .csv file only its motion.
 """
 
 import csv
@@ -33,19 +33,19 @@ CONTACT_COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The inputs and states of a simulation, from which each of its steps can be repeated."""
+    """The inputs and states of a simulation, used to repeat any of its steps."""
 
     surface: Surface
     parcel: Parcel
-    dt: float  # [s] of a step; the last may be shorter
+    dt: float  # [s] length of a step; the last may be shorter
     method: str  # "implicit" or "explicit"
-    normal_forces: str  # "dual", "osqp" or "scipy": what solved Eq. (1)
+    normal_forces: str  # solver of Eq. (1): "dual", "osqp" or "scipy"
     # (T, 8) the centre of mass's x, y [m], theta [rad], vx, vy [m/s], omega [rad/s], and the
     # acceleration ax, ay [m/s^2] of the step that led here
     states: Array
 
     def lengths(self, time: Array) -> Array:
-        """Compute the length (T,) [s] of the step that led to each row, 0 for the start."""
+        """Compute the length (T,) [s] of the step before each row, 0 for the start."""
         length = np.full(len(time), self.dt)
         if time[-1] != self.dt * (len(time) - 1):
             length[-1] = time[-1] - time[-2]
@@ -61,31 +61,31 @@ class Run:
 class ContactRecord:
     """Contacts of a run, one row per contact and step, in the order of steps and of the grid.
 
-    Friction is what acts on the parcel. A rotor has its axis (cos, sin) of `Surface.axis`, and
-    across it is a quarter turn anti-clockwise of that; along a support is along x, and across it
-    along y. The implicit step takes friction at the velocity that it ends with, the explicit one at
-    the velocity that it starts from. Where the paper's rule for a parcel that stands scales the
-    forces along the axes, they are those scaled; where all other friction is more than gravity
-    even so, that rule holds the parcel against it, and the forces do not add up along x.
+    Friction is the force on the parcel. For a rotor, "along" is the direction (cos, sin) of
+    `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support, "along" is x and
+    "across" is y. The implicit step uses friction at its final velocity, the explicit step at its
+    initial velocity. The paper's rule for a standing parcel scales the forces along the axes; the
+    record holds the scaled forces. If all other friction exceeds gravity even then, the rule holds
+    the parcel, and the forces do not balance along x.
     """
 
-    step: NDArray[np.int64]  # (rows,) of the contact: the row of the trajectory it led to
-    time: NDArray[np.float64]  # (rows,) [s] the step's end
+    step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
+    time: NDArray[np.float64]  # (rows,) [s] end of the step
     element: NDArray[np.int64]  # (rows, 2) row and column in the surface's grid
     place: NDArray[np.float64]  # (rows, 2) [m] the element's centre, x and y
     rotor: NDArray[np.bool_]  # (rows,) whether it is a rotor, else a support
     normal: NDArray[np.float64]  # (rows,) [N]
-    along: NDArray[np.float64]  # (rows,) [N] friction along the rotor's axis; a support's, in x
-    across: NDArray[np.float64]  # (rows,) [N] friction across it; a support's, in y
+    along: NDArray[np.float64]  # (rows,) [N] friction along the rotor's axis; x for a support
+    across: NDArray[np.float64]  # (rows,) [N] friction across the axis; y for a support
     force: NDArray[np.float64]  # (rows, 2) [N] the same friction in x and y
-    # (rows, 2) [m/s] velocity of the base over the element at the step's end, along and across
+    # (rows, 2) [m/s] velocity of the base over the element after the step, along and across
     slip: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.step)
 
     def of_step(self, step: int) -> "ContactRecord":
-        """Select the contacts of one step, which led to that row of the trajectory."""
+        """Select the contacts of the step before one row of the trajectory."""
         checks.integer("step", step, least=1)
         first, end = np.searchsorted(self.step, (step, step + 1)).tolist()
         if first == end:
@@ -94,9 +94,9 @@ class ContactRecord:
         return ContactRecord(*(getattr(self, field.name)[first:end] for field in fields(self)))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the record as comma-separated values (UTF-8), a row a contact, units in the header.
+        """Write the record as a .csv file (UTF-8): one row per contact, units in the header.
 
-        The path must end in .csv; a file that is there is replaced.
+        The path must end in .csv. An existing file is replaced.
         """
         file = Path(path)
         if file.suffix != ".csv":
@@ -112,16 +112,16 @@ class ContactRecord:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a parcel, one row per step, and its dissipation by friction since the start.
+    """Energy of a parcel and its dissipation by friction since the start, one row per step.
 
-    The power of friction in a step is taken with the mean of the velocities at its ends.
+    The power of friction in a step uses the mean of the velocities before and after it.
     """
 
-    kinetic: NDArray[np.float64]  # (T,) [J] of the centre of mass and of the turning about it
-    potential: NDArray[np.float64]  # (T,) [J] of the tilted surface, against the start
-    along: NDArray[np.float64]  # (T,) [J] dissipated by rotors along their axes, cumulated
-    across: NDArray[np.float64]  # (T,) [J] by rotors across their axes, cumulated
-    supports: NDArray[np.float64]  # (T,) [J] by supports, cumulated
+    kinetic: NDArray[np.float64]  # (T,) [J] of translation and rotation
+    potential: NDArray[np.float64]  # (T,) [J] on the tilted surface, relative to the start
+    along: NDArray[np.float64]  # (T,) [J] cumulated dissipation by rotors along their axes
+    across: NDArray[np.float64]  # (T,) [J] cumulated dissipation by rotors across their axes
+    supports: NDArray[np.float64]  # (T,) [J] cumulated dissipation by supports
 
     @property
     def dissipated(self) -> NDArray[np.float64]:
@@ -130,10 +130,11 @@ class Energy:
 
     @property
     def balance(self) -> NDArray[np.float64]:
-        """Energy (T,) [J] gained by integration errors since the start, zero by Newton's laws.
+        """Energy (T,) [J] gained by integration errors since the start; exact motion gains none.
 
-        The implicit step leaves the error of its solver, near round-off; the explicit one leaves an
-        error that goes to zero with the step, and the work of its rules for a parcel that stands.
+        For the implicit step, this is the error of its solver, near round-off. For the explicit
+        step, it is an error that vanishes with the step length, plus the work of its rules for a
+        standing parcel.
         """
         return self.kinetic - self.kinetic[0] + self.potential + self.dissipated
 
@@ -142,14 +143,14 @@ class Energy:
 class Trajectory:
     """Motion of a parcel, one row per step, the start first.
 
-    Contacts, acceleration and energy are computed on request by repeating the steps: only the
-    trajectories of `surface_gym.simulate` keep the `run` for that.
+    Contacts, acceleration and energy are computed on request by repeating the steps. Only
+    trajectories from `surface_gym.simulate` keep the required `run`.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
     >>> run = sg.simulate(sg.layouts.sorting(), box, (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
     >>> contacts = run.contacts.of_step(10)
-    >>> contacts.element.tolist()  # row and column of those under the box in step 10
+    >>> contacts.element.tolist()  # row and column of the elements under the box
     [[9, 1], [9, 2], [10, 1], [10, 2]]
     >>> float(contacts.normal.sum().round(3))  # [N] m g
     98.1
@@ -159,13 +160,13 @@ class Trajectory:
 
     time: NDArray[np.float64]  # (T,) [s]
     pose: NDArray[np.float64]  # (T, 3) [m, m, rad] x, y, theta of the base's frame
-    velocity: NDArray[np.float64]  # (T, 3) [m/s, m/s, rad/s] of that frame
-    # (T,) the step that led here had no exact normal forces: fewer than three contacts, collinear,
-    # or the load point outside their hull. A real parcel tips there, and forces that come nearest
-    # to balance decide: `TippingWarning`.
+    velocity: NDArray[np.float64]  # (T, 3) [m/s, m/s, rad/s] of the base's frame
+    # (T,) whether the step before the row has no exact normal forces: fewer than three contacts,
+    # collinear contacts, or a load point outside their hull. A real parcel tips there. The
+    # simulation uses the forces closest to balance, and gives a `TippingWarning`.
     tipping: NDArray[np.bool_]
-    # "duration"; "left the surface"; "nothing bears it", between the elements; "stopped", by the
-    # paper's rule, explicit only
+    # "duration"; "left the surface"; "nothing bears it": no element below; "stopped": by the
+    # paper's rule, explicit method only
     end: str
     # inputs and states for repeating the steps; None if not made by `surface_gym.simulate`
     run: Run | None = None
@@ -177,10 +178,10 @@ class Trajectory:
 
     @cached_property
     def acceleration(self) -> NDArray[np.float64]:
-        """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in the step to a row.
+        """Acceleration (T, 3) [m/s^2, m/s^2, rad/s^2] of the centre of mass in each step.
 
-        Times mass and moment of inertia it is the sum of gravity and friction. The first row, which
-        no step led to, is zero: the normal forces of the first step assume so.
+        Multiplied by mass and moment of inertia, it is the sum of gravity and friction. The first
+        row has no step before it and is zero, as the normal forces of the first step assume.
         """
         run = self._known_run("acceleration")
         turning = np.zeros(len(self.time))
@@ -195,10 +196,9 @@ class Trajectory:
     def plot(self, path: str | PathLike[str] | None = None) -> "Figure":
         """Draw the path over the surface, and the velocity over time.
 
-        On the left the surface is seen from above, with rotors as strokes along their axes,
-        supports as dots, the path of the base's origin and the base's outline at some instants. A
-        trajectory without a `run` shows the path alone. The figure, by matplotlib, is written to
-        the path, if there is one.
+        The left panel shows the surface from above: rotors as strokes along their axes, supports as
+        dots, the path of the base's origin, and the base's outline at some instants. A trajectory
+        without a `run` shows the path only. The matplotlib figure is written to `path` if given.
         """
         try:
             from surface_gym.trajectory_plot import draw_trajectory
@@ -220,8 +220,8 @@ class Trajectory:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the trajectory to a file, replacing any file that exists.
 
-        An .npz holds all, including the `run`, but has no room for a user-defined base; a .csv
-        holds the motion, `tipping` and `end`, one row per step, with units in the header.
+        An .npz file holds everything including the `run`; user-defined bases are not supported. A
+        .csv file holds the motion, `tipping` and `end`, one row per step, with units in the header.
         """
         file = _checked_file(path)
         _check_end(self.end)
@@ -242,11 +242,11 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
-        """Read a trajectory that `save` wrote, the same to the bit.
+        """Read a file that `save` wrote; the trajectory is equal to the bit.
 
-        Only numbers and text are read; nothing in a file is executed, and nothing unpacked that
-        claims to be larger than a trajectory can be. A file that holds none is a ValueError that
-        names what is wrong.
+        The file is read as numbers and text; nothing in it is executed. Arrays larger than the
+        limit for trajectories are not unpacked. An invalid file raises a ValueError that names the
+        problem.
         """
         file = _checked_file(path)
         try:
@@ -268,7 +268,7 @@ class Trajectory:
 
 
 def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.ContactForces]:
-    """Repeat each step of a run, whose ends are `time` (T,) [s], from the state before it."""
+    """Repeat each step of a run from the state before it; steps end at `time` (T,) [s]."""
     grid, body = run.surface.grid, run.parcel.body
     scratch = ph.make_scratch()
     count = np.zeros(len(time), dtype=np.int64)
@@ -301,7 +301,7 @@ def repeat(run: Run, time: Array) -> tuple[rollout.RecordedSteps, rollout.Contac
 def _load_by_reference(
     run: Run, steps: rollout.RecordedSteps, scratch: Scratch, observed: rollout.ContactForces
 ) -> None:
-    """Write the normal forces of all steps as computed by OSQP or SciPy."""
+    """Write the normal forces of all steps by OSQP or SciPy."""
     grid, body = run.surface.grid, run.parcel.body
     for k in range(1, len(run.states)):
         state, first = run.states[k - 1], steps.first[k]
@@ -335,7 +335,7 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
 
 
 def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tuple[Array, Array]:
-    """Split vectors (rows, 2) at elements (rows, 2) by the rotors' axes; x and y on a support."""
+    """Return the components along and across each element's axis; x and y on a support."""
     grid = surface.grid
     row, column = element.T
     cosine, sine = grid.direction[grid.axis[row, column]].T
@@ -348,7 +348,8 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
 def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity: Array) -> Array:
     """Compute the velocity (rows, 2) [m/s] of the base over the places (rows, 2) [m] of elements.
 
-    `step` (rows,) is that of each contact, `velocity` (T, 3) that of the centre of mass.
+    `step` (rows,) is the step of each contact, `velocity` (T, 3) the velocity of the centre of
+    mass.
     """
     before = run.states[step - 1]
     lead = run.leads(time)[step, np.newaxis]
@@ -387,7 +388,7 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
 
 
 Parts = dict[str, NDArray[Any]]
-Fields = dict[str, Any]  # of a dataclass
+Fields = dict[str, Any]  # fields of a dataclass
 
 SUFFIXES = (".npz", ".csv")
 END = "# end: "  # begins the first line of a .csv
@@ -399,10 +400,10 @@ MOTION = ("time", "pose", "velocity", "tipping", "end")
 SURFACE = ("axis", "rotor", "pitch", "origin", "mu_max", "mu_min", "mu_support", "tilt")
 PARCEL = ("mass", "com_height", "com_offset")
 RUN = ("dt", "method", "normal_forces", "states")
-MAY_BE_NONE = ("stiffness", "inertia")  # absent then
-ADDED = ("tilt_direction",)  # to `Surface`; absent in older files, and then the default
+MAY_BE_NONE = ("stiffness", "inertia")  # left out of a file if None
+ADDED = ("tilt_direction",)  # fields of `Surface` that older files lack; they get the default
 ALL = (*SURFACE, *PARCEL, *RUN, "base", "base_lengths")
-ROWS = 4_000_000  # of a trajectory in an .npz: an hour in steps of a millisecond
+ROWS = 4_000_000  # maximum rows in an .npz file: an hour in steps of 1 ms
 
 # A base's name and its lengths [m]: length and width, radius, or vertices (vertices, 2).
 BASES: dict[str, Callable[[Array], Base]] = {
@@ -432,24 +433,24 @@ def _check_time(time: Array) -> Array:
 
 
 def _checked_rows(name: str, value: NDArray[Any], shape: tuple[int | None, ...]) -> Array:
-    """Return numbers as finite float64 of a shape (None: any length), or raise an error."""
+    """Return values as finite float64 of a shape (None: any length), or raise an error."""
     if value.dtype != np.float64:
         raise ValueError(f"{name} must be of float64, got {value.dtype}")
     return checks.array(name, value, shape).copy()
 
 
 def _sizes(rows: int) -> dict[str, int]:
-    """Return how large [bytes] each array of an .npz may be, for a motion of so many rows."""
+    """Return the maximum size [bytes] of each array in an .npz file with `rows` rows."""
     sizes = dict.fromkeys((*MOTION, *ALL, *MAY_BE_NONE, *ADDED), 8 * checks.ELEMENTS)
     each = dict.fromkeys(("pose", "velocity", "tipping", "states"), 8 * ph.STATE_SIZE * rows)
     return sizes | each | {"time": 8 * ROWS}
 
 
 def _read_arrays(file: Path) -> Fields:
-    """Read the fields of a trajectory from an .npz; each array is checked where it is used."""
+    """Read the fields of a trajectory from an .npz file; callers check the arrays."""
     with files.ArrayFile(file) as archive:
         _check_missing([name for name in MOTION if name not in archive])
-        # The time first: how many rows there are bounds the others before they are unpacked.
+        # Read the time first: its number of rows bounds the other arrays before they are unpacked.
         time = _check_time(archive.read("time", 8 * ROWS))
         rows = len(time)
         sizes = _sizes(rows)
@@ -472,7 +473,7 @@ def _check_missing(missing: list[str]) -> None:
 
 
 def _run_parts(run: Run) -> Parts:
-    """Convert a run to arrays by name."""
+    """Convert a run to named arrays."""
     surface, parcel = run.surface, run.parcel
     for name, part, kind in (("surface", surface, Surface), ("parcel", parcel, Parcel)):
         if type(part) is not kind:
@@ -506,7 +507,7 @@ def _base_parts(base: Base) -> tuple[str, Array]:
 
 
 def _read_run(parts: Parts, rows: int) -> Run | None:
-    """Convert arrays by name back to a run; None if they hold nothing of one."""
+    """Convert named arrays back to a run; None if the arrays hold no run."""
     missing = [name for name in ALL if name not in parts]
     if len(missing) == len(ALL):
         return None

@@ -15,13 +15,13 @@ from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
-HEIGHT, LEAST_HEIGHT = 5.2, 3.8  # [in] of the figure, the least for a long strip
-LENGTH = 8.5  # [in] that a long strip is drawn to
+HEIGHT, LEAST_HEIGHT = 5.2, 3.8  # [in] height of the figure, and its minimum for a long strip
+LENGTH = 8.5  # [in] width of a long strip
 LONGEST, SHORTEST = 3.0, 0.7  # [-] the window's length over its width
-OUTLINES = 7  # the first and the last included
-STROKE = 0.6  # [pitch] drawn through a rotor's centre
-LEAST_PITCH = 1.5  # [pt] on paper, below which elements would only be a blur
-LEAST_RANGE = 0.02  # [m/s] and [rad/s] shown about zero, so that round-off is not visible
+OUTLINES = 7  # number of outlines, including the first and the last
+STROKE = 0.6  # [pitch] length of the stroke through a rotor's centre
+LEAST_PITCH = 1.5  # [pt] elements are drawn only if their pitch on paper is larger
+LEAST_RANGE = 0.02  # [m/s, rad/s] minimum range of an axis, so that round-off is not visible
 PATH, TIPPING = "tab:blue", "darkorange"
 POINTS_PER_INCH = 72.0
 
@@ -31,7 +31,7 @@ def draw_trajectory(trajectory: Trajectory) -> Figure:
     outlines = _outlines(trajectory)
     low, high = _window(trajectory, outlines)
     shape = float((high[0] - low[0]) / (high[1] - low[1]))
-    share = 0.82  # of the figure's height that labels and title leave
+    share = 0.82  # of the figure's height, without labels and title
     height = min(HEIGHT, max(LEAST_HEIGHT, LENGTH / (share * shape)))
     width = share * height * shape  # [in] of the surface's panel
     figure = Figure(figsize=(width + 6.0, height), layout="constrained")
@@ -66,13 +66,13 @@ def outline_at(base: Base, pose: ArrayLike) -> Array:
 
 
 def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
-    """Compute strokes (2, 2) [m] along axes (...) [rad], `half` [m] to either side of centres."""
+    """Compute strokes (2, 2) [m] of half length `half` [m] along axes (...) [rad]."""
     reach = half * np.stack([np.cos(axis), np.sin(axis)], axis=-1)
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
 
 def _window(trajectory: Trajectory, outlines: list[Array]) -> tuple[Array, Array]:
-    """Compute the corners (2,) [m] of the window: all with a margin, but not too long a strip."""
+    """Compute the window's corners (2,) [m]: everything plus a margin, limited in length."""
     points = np.concatenate([trajectory.pose[:, :2], *outlines])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.08 * (high - low).max()
@@ -86,7 +86,7 @@ def _window(trajectory: Trajectory, outlines: list[Array]) -> tuple[Array, Array
 
 
 def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch: float) -> None:
-    """Draw rotors as red strokes along their axes, supports as dots; the pitch is [pt] on paper."""
+    """Draw rotors as red strokes along their axes, and supports as dots; `pitch` is in [pt]."""
     if pitch < LEAST_PITCH:
         return
     columns = _within(surface.x, low[0], high[0], surface.pitch_x)
@@ -102,13 +102,13 @@ def _draw_elements(panel: Axes, surface: Surface, low: Array, high: Array, pitch
 
 
 def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
-    """Select the rows or columns whose elements may show in the window."""
+    """Select the rows or columns with elements that may be visible in the window."""
     first, end = np.searchsorted(centres, (low - pitch, high + pitch)).tolist()
     return slice(first, end)
 
 
 def _draw_path(panel: Axes, trajectory: Trajectory, outlines: list[Array]) -> None:
-    """Draw the base's origin, where it tips, and the base at some instants."""
+    """Draw the path of the base's origin, points of tipping, and the base at some instants."""
     x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
     for k, outline in enumerate(outlines):
         outer = k in (0, len(outlines) - 1)

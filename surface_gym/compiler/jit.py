@@ -1,8 +1,8 @@
-"""Compiler options of the physics, and a cache that notices edits in any function used.
+"""Compiler options of the physics, and a cache that detects edits in any called function.
 
-The digest of a function covers its code and that of all it calls. The walk follows names as the
-compiler does: from a function to the functions and constants it refers to, whichever files they
-stand in. An edit anywhere among them, and nowhere else, changes the digest.
+The digest of a function covers its code and the code of all functions it calls. Like the compiler,
+the walk follows names from a function to the functions and constants it refers to, in any file. An
+edit to one of them changes the digest; any other edit does not.
 """
 
 import gc
@@ -29,16 +29,16 @@ if sys.platform != "win32":
     import fcntl
 
 LENGTH = 16  # hexadecimal digits
-CompilerError = NumbaError  # a function that cannot be compiled
+CompilerError = NumbaError  # raised for a function that cannot be compiled
 
 
 def is_compiled(value: Any) -> bool:
-    """Return whether a value is a function that the decorators below have made."""
+    """Return whether a value is a function made by the decorators below."""
     return isinstance(value, Dispatcher)
 
 
 def compute_digest(function: Any, *others: Any) -> str:
-    """Compute the digest of a function, compiled or plain, and of other values that count."""
+    """Compute the digest of a function (compiled or plain) and of other relevant values."""
     walk = _Walk()
     walk.take(function)
     for other in others:
@@ -47,14 +47,14 @@ def compute_digest(function: Any, *others: Any) -> str:
 
 
 class _Walk:
-    """A walk over all values that a compiled function depends on, each function once."""
+    """A walk over all values on which a compiled function depends; visits each function once."""
 
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
         self._seen: set[int] = set()
 
     def take(self, value: Any) -> None:
-        """Take in any value that compiled code may refer to."""
+        """Add any value that compiled code may refer to."""
         if isinstance(value, Dispatcher):
             self._write("compiled", sorted(value.targetoptions.items(), key=str))
             value = value.py_func
@@ -95,7 +95,7 @@ class _Walk:
                 self.take(value)
                 if isinstance(value, types.ModuleType):
                     modules.append(value)
-        for module in modules:  # `module.name`: whatever of its names the function may mean
+        for module in modules:  # `module.name`: any name the function may refer to
             for name in sorted(referenced_names(function.__code__)):
                 if hasattr(module, name) and not is_library(module):
                     self._write("of module", name)
@@ -111,18 +111,18 @@ class _Walk:
 
 
 def referenced_names(code: types.CodeType) -> set[str]:
-    """Return the names that a function refers to, those of its inner functions included."""
+    """Return the names that a function and its inner functions refer to."""
     inner = (each for each in code.co_consts if isinstance(each, types.CodeType))
     return set(code.co_names).union(*map(referenced_names, inner))
 
 
 def is_library(module: types.ModuleType) -> bool:
-    """Return whether a module's names mean the same as long as Numba's version stays."""
+    """Return whether a module's contents are fixed by Numba's version."""
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
-KEPT = 16  # versions of a function in the cache: the latest
-# What reading a file can raise that was cut short, or written before a class was moved.
+KEPT = 16  # number of latest versions of a function in the cache
+# Errors from reading a truncated file, or a file written before a class was moved.
 STALE = (
     AttributeError,
     EOFError,
@@ -137,10 +137,10 @@ STALE = (
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Let one process at a time go on, by a file, which is there until then."""
+    """Hold a lock file, so that only one process at a time continues."""
     try:
         file = path.open("w")
-    except OSError:  # nothing can be written, and nothing is shared
+    except OSError:  # the folder is not writable, so nothing is shared
         yield
         return
     with file:
@@ -153,9 +153,9 @@ def locked(path: Path) -> Iterator[None]:
 class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
-    Numba stamps a function with its own file only, where callees in other files count too, and
-    numbers the files of a function's versions, which processes that begin at once may mix up. Here
-    a file's name says what is in it.
+    Numba validates a cached function by its own source file only, and ignores callees in other
+    files. It also numbers the files of a function's versions, so concurrent processes may mix them
+    up. Here the name of a file is the digest of its content.
     """
 
     def __init__(self, dispatcher: Any, label: str) -> None:
@@ -165,7 +165,7 @@ class _DigestCache(FunctionCache):
         self._files: dict[Any, IndexDataCacheFile] = {}
 
     def _index_key(self, sig: Any, codegen: Any) -> str:
-        # The types of the arguments count by their fields, which Numba leaves out.
+        # Include the fields of the arguments' types, which Numba ignores.
         kinds = [_fields(kind) for kind in sig]
         form = self._impl_class.__qualname__
         return compute_digest(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds, form)
@@ -179,7 +179,7 @@ class _DigestCache(FunctionCache):
 
     @contextmanager
     def locked(self, sig: Any) -> Iterator[None]:
-        """Let one process at a time compile a version; those that wait find it in the cache."""
+        """Let one process at a time compile a version; other processes then load it."""
         self._open(sig)
         with locked(Path(self._cache_file._index_path).with_suffix(".lock")):
             yield
@@ -198,11 +198,11 @@ class _DigestCache(FunctionCache):
         try:
             super().save_overload(sig, data)
             self._forget_old()
-        except OSError as error:  # the disk is full, or the folder was made read-only
+        except OSError as error:  # the disk is full, or the folder is read-only
             _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
-        """Remove versions that edits have left behind."""
+        """Remove versions of code before an edit."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self._label}-*.nbi"))
@@ -213,24 +213,24 @@ class _DigestCache(FunctionCache):
 
 
 class _LinkedCache(_DigestCache):
-    """Cache of functions that only compiled code calls."""
+    """Cache of functions called by compiled code only."""
 
     _impl_class = LinkedCacheImpl
 
 
 class _NoCache(NullCache):
-    """Cache for where no folder can be written: it keeps nothing."""
+    """Empty cache, used if no folder is writable."""
 
     @contextmanager
     def locked(self, _: Any) -> Iterator[None]:
-        """Lock nothing, as nothing is shared."""
+        """Do not lock, since nothing is shared."""
         yield
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
 
 
-@lru_cache  # once a process, though the compiler resets what Python remembers of warnings
+@lru_cache  # once per process, although the compiler resets Python's list of shown warnings
 def _warn(why: str) -> None:
     warnings.warn(
         f"compiled code is not kept: {why}; every process compiles its own. NUMBA_CACHE_DIR names "
@@ -241,24 +241,24 @@ def _warn(why: str) -> None:
 
 
 def _fields(kind: Any) -> Any:
-    """Return the names of all fields in an argument's type, nested ones too."""
+    """Return the names of all fields in an argument's type, including nested types."""
     names = getattr(kind, "fields", ())
     return [names, [_fields(each) for each in getattr(kind, "types", ())]]
 
 
-# No fast-math flag is set: strict IEEE arithmetic makes a result independent of the caller a
-# function is inlined into, which is what keeps `simulate`, the single and the vector env equal
-# to the bit. Nothing here allocates, so Numba's reference counts (_nrt) are left out as well:
-# they would cost more than the arithmetic.
+# No fast-math flag is set: with strict IEEE arithmetic, a result does not depend on the caller that
+# a function is inlined into. This keeps `simulate`, the single and the vector env equal to the bit.
+# Numba's reference counting (_nrt) is off, since nothing here allocates and it would cost more than
+# the arithmetic.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 
 def compiled(function: Callable[..., Any], label: str = "") -> Any:
-    """Compile a function that callers outside the physics enter; its machine code is cached.
+    """Compile a function that Python calls; its machine code is cached.
 
     Args:
-        function: to compile.
-        label: of its files in the cache; by default its name.
+        function: function to compile.
+        label: name of its files in the cache; the default is the function's name.
     """
     return _cached(njit(pipeline_class=KernelCompiler, **_OPTIONS)(function), label)
 
@@ -269,20 +269,20 @@ def linked(function: Callable[..., Any]) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """Compile a function into each of its compiled callers, arrays and all kept in registers.
+    """Compile a function into each of its compiled callers, which keeps arguments in registers.
 
-    It needs no cache of its own, since its code is part of theirs. Called instead, it would cost
-    more to pass its tuples of arrays than most such functions take. Python calls its compiled code
-    through `physics.references`.
+    It has no cache of its own, since its code is part of the callers' code. A call would have to
+    pass tuples of arrays, which takes longer than most of these functions. Python calls such
+    functions through `physics.references`.
     """
     return LinkedFunction(function, forceinline=True, **_OPTIONS)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
-    """Compile a function of a task or a sensor into the kernel that uses it.
+    """Compile a function of a task or sensor into the kernel that uses it.
 
-    What such a function may use are numbers, `math`, the arrays of its arguments, constants, and
-    other functions compiled so. Reading or writing beyond the end of an array is an IndexError.
+    The function may use numbers, `math`, arrays in its arguments, constants, and other kernel
+    functions. An index beyond the end of an array raises an IndexError.
     """
     return LinkedFunction(function, forceinline=True, boundscheck=True, **_OPTIONS)
 
@@ -290,16 +290,16 @@ def kernel_function(function: Callable[..., Any]) -> Any:
 def _cached(dispatcher: Any, label: str = "", kind: type[FunctionCache] = _DigestCache) -> Any:
     try:
         dispatcher._cache = kind(dispatcher, label)
-    except RuntimeError:  # neither beside the package nor in the home folder
+    except RuntimeError:  # neither the package's folder nor the home folder is writable
         dispatcher._cache = _NoCache()
     return dispatcher
 
 
 def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
-    """Compile a function for arguments of these types, or load it from the cache.
+    """Compile a function for the types of the arguments, or load it from the cache.
 
-    Called so it takes the arguments as they are: finding out what kinds dozens of arrays are, as
-    the dispatcher does, takes longer than a control period of one environment.
+    The returned function does not check the types of its arguments. The dispatcher's check of
+    dozens of arrays takes longer than a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
     with collecting_nothing(), dispatcher._cache.locked(kinds):
@@ -309,7 +309,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
 
 @contextmanager
 def collecting_nothing() -> Iterator[None]:
-    """Stop the garbage collector: the compiler makes millions of objects, and leaves none."""
+    """Pause the garbage collector: the compiler makes millions of short-lived objects."""
     collects = gc.isenabled()
     gc.disable()
     try:

@@ -1,12 +1,12 @@
-"""Numba's compiler for functions that only compiled code calls.
+"""Numba's compiler for functions called by compiled code only.
 
-Numba makes machine code of every function together with all that it calls, and again within each
-of its callers; and it optimises all of that twice, since it looks for reference counts between the
-two. Here a function is optimised once and stays LLVM's code, which its callers link. Machine code
-is made of the kernel at the end of the chain alone. That takes two thirds of the time.
+By default, Numba generates machine code for every function with all its callees, and again within
+each caller. It also optimises twice, with a pass for reference counts in between. Here a function
+is optimised once and kept as LLVM code, which its callers link. Only the kernel at the end of the
+chain becomes machine code. Compilation takes two thirds of the time.
 
-A function that is inlined is linked into its callers' code before that is optimised. One that is
-not is optimised apart from those it calls, and linked with them into the kernel.
+An inlined function is linked into its callers' code before that code is optimised. Other functions
+are optimised separately, and linked into the kernel together with their callees.
 """
 
 from typing import Any
@@ -27,25 +27,25 @@ def _optimize(library: CPUCodeLibrary) -> None:
 
 
 class _Kernel(JITCodeLibrary):
-    """Machine code of a function that Python calls."""
+    """Machine code of a function called by Python."""
 
     def _optimize_final_module(self) -> None:
         _optimize(self)
 
 
 class LinkedCode(CPUCodeLibrary):
-    """LLVM's code of a function that only compiled code calls.
+    """LLVM code of a function called by compiled code only.
 
     Args:
         codegen: Numba's code generator.
-        name: of the function.
-        inlined: whether its callers contain it. Otherwise they call it by its name.
+        name: name of the function.
+        inlined: whether its callers contain its code. Otherwise they call it by name.
     """
 
     def __init__(self, codegen: Any, name: str, inlined: bool) -> None:
         super().__init__(codegen, name)
         self._inlined = inlined
-        # Functions called by their names, here or by what is called; each before its callers.
+        # Functions called by name, directly or by callees; each stands before its callers.
         self._called: dict[LinkedCode, None] = {}
         self._with_called: Any = None
 
@@ -59,7 +59,7 @@ class LinkedCode(CPUCodeLibrary):
                     self._called[library] = None
                     continue
                 self._final_module.link_in(library._own_module(), preserve=True)
-            else:  # a function of Numba's own
+            else:  # a function of Numba itself
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._optimize_final_module()
         self._finalize_final_module()
@@ -82,27 +82,27 @@ class LinkedCode(CPUCodeLibrary):
         return super()._get_module_for_linking()
 
     def _get_module_for_linking(self) -> Any:
-        """Link the functions that are called by their names, which a kernel needs."""
+        """Link the functions called by name, for a kernel."""
         if self._with_called is None:
             self._with_called = self._own_module().clone()
-            for library in reversed(self._called):  # LLVM drops what nothing has called so far
+            for library in reversed(self._called):  # LLVM drops functions without callers so far
                 self._with_called.link_in(library._own_module(), preserve=True)
         return self._with_called
 
     def serialize_using_object_code(self) -> tuple[str, bytes]:
-        """Return the name and the code, which the cache keeps."""
+        """Return the name and the code for the cache."""
         return self.name, self._get_module_for_linking().as_bitcode()
 
     @classmethod
     def load(cls, codegen: Any, name: str, bitcode: bytes) -> "LinkedCode":
-        """Make the code of a function, with those that it calls by name, from the cache."""
+        """Load the code of a function, and of functions it calls by name, from the cache."""
         library = cls(codegen, name, inlined=False)
         library._final_module = llvm.parse_bitcode(bitcode)
         library._finalize_final_module()
         return library
 
     def make_entry(self, described: Any, environment: Any) -> Any:
-        """Make what stands for the function in Numba's tables; it has no address."""
+        """Make the function's entry in Numba's tables; it has no address."""
         module, name = described.lookup_module(), described.qualname
         return _dynfunc.make_function(module, name, "", 0, environment, (self,))
 
@@ -121,7 +121,7 @@ class _LowerToKernel(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class LowerToLinkedCode(NativeLowering):
-    """Numba's lowering to LLVM's code."""
+    """Numba's lowering to LLVM code."""
 
     _name = "lower_to_linked_code"
     code: type[LinkedCode] = LinkedCode
@@ -142,7 +142,7 @@ class LowerToLinkedCode(NativeLowering):
 
 
 class PassesCompiler(Compiler):
-    """Numba's compiler with a lowering of ours."""
+    """Numba's compiler with a custom lowering."""
 
     lowering: type[NativeLowering]
 
@@ -158,22 +158,22 @@ class PassesCompiler(Compiler):
 
 
 class KernelCompiler(PassesCompiler):
-    """Compiler of functions that Python calls."""
+    """Compiler of functions called by Python."""
 
     lowering = _LowerToKernel
 
 
 class _LinkedCompiler(PassesCompiler):
-    """Compiler of functions that only compiled code calls."""
+    """Compiler of functions called by compiled code only."""
 
     lowering = LowerToLinkedCode
 
 
 class LinkedCacheImpl(CompileResultCacheImpl):
-    """Form in which the cache keeps LLVM's code."""
+    """Format of LLVM code in the cache."""
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        """Make what the compiler returned from what `CompileResult._reduce` kept of it."""
+        """Rebuild the compiler's result from the data of `CompileResult._reduce`."""
         code, described, environment, signature, *_, init, environments = payload
         for function in init:
             function()
@@ -198,7 +198,7 @@ class LinkedCacheImpl(CompileResultCacheImpl):
 
 
 class LinkedFunction(CPUDispatcher):
-    """A function that compiled code calls. From Python it is called as the Python that it is."""
+    """A function called by compiled code. Called from Python, it runs uncompiled."""
 
     compiler: type[PassesCompiler] = _LinkedCompiler
 

@@ -1,8 +1,8 @@
-"""The functions of the CPU's kernels, translated for another compiler.
+"""Translation of the CPU kernels' functions for another compiler.
 
-Compiled functions are walked from each to those it calls, as the cache's digest walks them, and
-each is translated from the same code: with other constants, and wrapped for the other compiler.
-Nothing is written twice.
+The walk goes from each compiled function to its callees, like the walk of the cache's digest. Each
+function is translated from the same code, with other constants, and wrapped for the other compiler.
+So no function is written twice.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,16 +13,16 @@ from numba.core.dispatcher import Dispatcher
 
 from surface_gym.compiler.jit import is_library, referenced_names
 
-Wrap = Callable[[FunctionType, Any], Any]  # takes the copy of a function, and its original
+Wrap = Callable[[FunctionType, Any], Any]  # arguments: the copy of a function, and its original
 
 
 class Translator:
-    """Functions of the CPU translated for another compiler, which `wrap`s each, once.
+    """Functions of the CPU, translated once each for another compiler.
 
     Args:
-        wrap: compiles the copy of a function for the other compiler.
-        constants: values of constants there, by name; they replace the constants of `module`.
-        module: that defines these constants for the CPU.
+        wrap: function that compiles a copy for the other compiler.
+        constants: values by name that replace the constants of `module`.
+        module: module that defines these constants for the CPU.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Translator:
         self._originals: list[Any] = []  # keeps the addresses in `_translated` valid
 
     def translate(self, function: Any) -> Any:
-        """Return a function of the physics, a task or a sensor for the other compiler."""
+        """Return the translation of a function of the physics, a task or a sensor."""
         if id(function) not in self._translated:
             plain = function.py_func if isinstance(function, Dispatcher) else function
             copy = _empty_copy(plain)
@@ -49,7 +49,7 @@ class Translator:
         return self._translated[id(function)]
 
     def _fill(self, copy: FunctionType, plain: FunctionType) -> None:
-        """Give a copy the translated values of the names that its original uses."""
+        """Set the translated values of the names that the original uses in its copy."""
         names = referenced_names(plain.__code__)
         for name in names:
             if name in plain.__globals__:
@@ -63,7 +63,7 @@ class Translator:
             cell.cell_contents = self._value(name, original.cell_contents)
 
     def _module(self, module: ModuleType, names: set[str]) -> ModuleType:
-        """Return a stand-in for a module, with the translated values of these names of it."""
+        """Return a stand-in for a module, with translated values of the given names."""
         translated = self._modules.setdefault(module.__name__, ModuleType(module.__name__))
         for name in names:
             if hasattr(module, name) and not hasattr(translated, name):

@@ -1,4 +1,4 @@
-"""The tables and figures of Bianchi et al. (2023), reproduced: `python -m surface_gym.paper`.
+"""Reproduction of the tables and figures of Bianchi et al. (2023): `python -m surface_gym.paper`.
 
-`surface_gym.paper.reproduction.reproduce()` computes all of them for use in Python.
+In Python, use `surface_gym.paper.reproduction.reproduce()`.
 """

@@ -1,7 +1,8 @@
-"""Two claims of the paper, tested: that axes at 45 deg align a box, and which tilts stop it.
+"""Tests of two claims of the paper: axes at 45 deg align a box, and which tilts stop it.
 
-docs/reproduction.md derives the steepest tilt gamma at which a box stops by itself: tan(gamma) =
-sqrt(2) mu_min on axes at +45 deg, (mu_max + mu_min) / sqrt(2) on alternate rows at +45 and -45 deg.
+docs/reproduction.md derives the steepest tilt gamma at which a box stops by itself. It is
+tan(gamma) = sqrt(2) mu_min on axes at +45 deg, and tan(gamma) = (mu_max + mu_min) / sqrt(2) on
+alternate rows at +45 and -45 deg.
 """
 
 import math
@@ -17,41 +18,42 @@ from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipp
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
-Track = Callable[[Sequence[Any], str], Iterable[Any]]  # shows progress over cases, described
+# shows progress over cases, with a description
+Track = Callable[[Sequence[Any], str], Iterable[Any]]
 
 INWARDS, OUTWARDS = 1, -1  # sign of the outer row's angle at y > 1 m
-ZONES = ((2, 1.5), (6, 2.5), (30, 2.5))  # columns, and speed [m/s] at which a box comes
+ZONES = ((2, 1.5), (6, 2.5), (30, 2.5))  # columns, and entry speed [m/s] of a box
 TILTS = (0.0, 10.0)  # [deg]
-OFFSETS = (0.01, 0.02, 0.04)  # [m] from the middle, straight
-TURNS = (5.0, 10.0)  # [deg] in the middle
-NEARER = 0.9  # [-] of where it came, or less
+OFFSETS = (0.01, 0.02, 0.04)  # [m] offset from the middle of boxes without a turn
+TURNS = (5.0, 10.0)  # [deg] turn of boxes in the middle
+NEARER = 0.9  # [-] maximum ratio of final to initial offset that counts as nearer
 LONGEST_CROSSING = 6.0  # [s]
-STEP = 1e-3  # [s] implicit
+STEP = 1e-3  # [s] implicit step
 
 METHODS = (Integration("implicit", 5e-3), Integration("explicit", 1e-3))
 PUSH = 0.05  # [m/s] along x at the start
 LONGEST_PUSH = 60.0  # [s]
 STEEPEST = 30.0  # [deg]
-RESOLUTION = 0.005  # [deg] of a threshold
-ELEMENTS = 80  # of the field's sides
+RESOLUTION = 0.005  # [deg] resolution of a threshold
+ELEMENTS = 80  # elements per side of the field
 START = (1.0, 7.0, 0.0)  # [m, m, rad]
-# [m/s] The explicit method leaves a box that it holds some mm/s, to and fro.
+# [m/s] With the explicit method, a box at rest still oscillates at some mm/s.
 STANDING = 0.02
 
 
 @dataclass(frozen=True)
 class Zone:
-    """Slowing columns at +-45 deg in alternate rows, and the speed at which a box comes."""
+    """Slowing columns at +-45 deg in alternate rows, and the entry speed of a box."""
 
-    size: str  # of the box, "S" or "B"
-    towards: int  # INWARDS or OUTWARDS: where the outer rows push
+    size: str  # size of the box, "S" or "B"
+    towards: int  # INWARDS or OUTWARDS: direction in which the outer rows push
     columns: int
     speed: float  # [m/s]
     tilt: float  # [deg]
 
     @property
     def surface(self) -> Surface:
-        """The line with as many columns at 90 deg behind the zone as before it."""
+        """The line, with equal numbers of columns at 90 deg before and after the zone."""
         return layouts.slowing(
             self.size,
             self.towards * 0.25 * math.pi,
@@ -63,18 +65,18 @@ class Zone:
 
 @dataclass(frozen=True)
 class Aligned:
-    """Offsets [m] and turns [deg] of boxes that leave a zone, or rest in it."""
+    """Offsets [m] and turns [deg] of boxes that leave a zone or stop in it."""
 
     zone: Zone
-    straight: tuple[tuple[float, float], ...]  # of each of OFFSETS, that come straight
-    centred: tuple[tuple[float, float], ...]  # of each of TURNS, that come in the middle
-    nearer: int  # count of those both off the middle and turned that end nearer in both
-    mixed: int  # count of all that come so
+    straight: tuple[tuple[float, float], ...]  # for each of OFFSETS, boxes without a turn
+    centred: tuple[tuple[float, float], ...]  # for each of TURNS, boxes in the middle
+    nearer: int  # number of boxes with offset and turn that end nearer in both
+    mixed: int  # number of boxes with offset and turn
     tipping: float  # [-] share of all steps that would tip the box
 
 
 def study_alignment(track: Track) -> tuple[Aligned, ...]:
-    """Cross every zone, with both signs, both boxes, level and tilted."""
+    """Study every zone with both signs and both boxes, level and tilted."""
     zones = tuple(
         Zone(size, towards, columns, speed, tilt)
         for size, (columns, speed), tilt, towards in product(
@@ -85,7 +87,7 @@ def study_alignment(track: Track) -> tuple[Aligned, ...]:
 
 
 def align(zone: Zone) -> Aligned:
-    """Send boxes off the middle, turned, and both."""
+    """Run boxes with an offset, with a turn, and with both."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
     runs = [cross(zone, *start) for start in starts]
@@ -102,7 +104,7 @@ def align(zone: Zone) -> Aligned:
 
 @simulation.expect_tipping()
 def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
-    """Move a box, off the middle [m] and turned [deg], until it has left the zone or stopped."""
+    """Run a box with an offset [m] and a turn [deg] until it has departed or stopped."""
     surface = zone.surface
     x, y, _ = layouts.start(zone.size)
     run = simulation.simulate(
@@ -130,11 +132,11 @@ class SelfStop:
     integration: Integration
     measured: float  # [deg]
     expected: float  # [deg] by the balance of forces
-    study: float | None  # [deg] as Section 6.2 says; None: it does not speak of this layout
+    study: float | None  # [deg] value in Section 6.2; None: not stated for this layout
 
 
 def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
-    """Build a field tilted by `tilt` [rad], its rows in turn at 45 deg times these signs."""
+    """Build a field tilted by `tilt` [rad] with rows at 45 deg times `signs`, repeated."""
     axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
     return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
 
@@ -158,7 +160,7 @@ def study_standstill(track: Track) -> tuple[SelfStop, ...]:
 
 
 def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
-    """Find by bisection the tilt [deg] of a field at which a pushed box just stops by itself."""
+    """Find by bisection the steepest tilt [deg] at which a pushed box stops by itself."""
     low, high = 0.0, STEEPEST
     while high - low > RESOLUTION:
         middle = 0.5 * (low + high)
@@ -171,7 +173,7 @@ def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
 
 @simulation.expect_tipping()
 def _stops(surface: Surface, integration: Integration) -> bool:
-    """Push the S-box, and return whether it stands in the last quarter of the time."""
+    """Push the S-box, and return whether it is at rest in the last quarter of the time."""
     run = simulation.simulate(
         surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
         integration.method,

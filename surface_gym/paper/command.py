@@ -15,12 +15,12 @@ from surface_gym.cli import typed
 class Options:
     """Reproduce the tables and figures of Bianchi et al. (2023), Applied Sciences 13(3), 1937.
 
-    Prints Tables 2, 3 and 4, the slowing ratios, the stopping rule and the sorting rates of
-    Figure 8: each value of the paper beside ours at 5 ms, the step we infer that it took, and
-    converged, how many agree, and in how many steps Eq. (1) has no solution. Then how many agree
-    at other steps, and two of its claims put to the test: from which tilt a box does not stop by
-    itself, and whether axes at +-45 deg align it. Takes 12 s of one core, 18 s where nothing is
-    compiled yet.
+    Prints Tables 2, 3 and 4, the slowing ratios, the stopping rule and the sorting rates of Figure
+    8. Each value of the paper stands beside two of ours: at 5 ms, the step that we infer for the
+    paper, and converged. The report counts the values that agree, and the steps in which Eq. (1)
+    has no solution. It then counts agreement at other steps, and tests two claims: the tilt from
+    which a box does not stop by itself, and alignment by axes at +-45 deg. Takes 12 s on one core,
+    or 18 s if nothing is compiled yet.
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -30,7 +30,7 @@ class Options:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command. A file or folder that cannot be written ends it with one line."""
+    """Run the command; a file that cannot be written ends it with a one-line error."""
     options = tyro.cli(Options, prog=typed("paper"), args=arguments)
     try:
         reproduce_and_report(options)
@@ -39,8 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def reproduce_and_report(options: Options) -> None:
-    """Compute everything, print it and write the files asked for."""
-    # A path that cannot be written is better known before the work.
+    """Compute everything, print it and write the requested files."""
+    # Check that the paths are writable before the long computation.
     if options.json is not None:
         options.json.open("a").close()
     if options.figures is not None:

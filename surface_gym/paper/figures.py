@@ -22,12 +22,12 @@ SUFFIXES = (".png", ".pdf")
 ROTOR = "red"
 SUPPORT = "tab:blue"
 BOX = "limegreen"
-SLOWING_TIME = 1.5  # [s] of Figure 10
-EIGHTH = 0.25 * math.pi  # [rad] of Figures 6 and 9
-SHOWN = 14  # columns of Figures 6 and 9
-ALIGNING_COLUMNS = 6  # of the alignment
+SLOWING_TIME = 1.5  # [s] duration in Figure 10
+EIGHTH = 0.25 * math.pi  # [rad] axis angle in Figures 6 and 9
+SHOWN = 14  # columns in Figures 6 and 9
+ALIGNING_COLUMNS = 6  # columns of the alignment figure
 ALIGNING_SPEED = 2.5  # [m/s]
-SHOWN_TURN = 10.0  # [deg] by which the box drawn from above comes turned
+SHOWN_TURN = 10.0  # [deg] initial turn of the box drawn from above
 COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
 
 
@@ -123,7 +123,7 @@ def _draw_sorting_run(panel: Axes, run: runs.SortingRun) -> None:
 
 
 def draw_rates(reproduction: Reproduction) -> Figure:
-    """Draw Figure 8: sorting rates over v0 (red) and over tilt (blue), one panel a box."""
+    """Draw Figure 8: sorting rates over v0 (red) and over tilt (blue), one panel per box."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for letter, size, panel in zip("ab", runs.SIZES, panels, strict=True):
@@ -150,7 +150,7 @@ def draw_rates(reproduction: Reproduction) -> Figure:
 def _draw_cases(
     panel: Axes, cases: tuple[runs.SortingCase, ...], size: str, over: str, colour: str
 ) -> None:
-    """Draw dots at the coarse step, crosses converged, and none for boxes not sorted."""
+    """Draw dots for the coarse step and crosses for converged runs; none for unsorted boxes."""
     mine = [case for case in cases if case.size == size]
     x = [getattr(case, over) for case in mine]
     panel.plot(x, [case.ours[0].rate or math.nan for case in mine], "o", color=colour)
@@ -252,7 +252,7 @@ def _finish(figure: Figure) -> None:
 
 
 def draw_alignment() -> Figure:
-    """Draw boxes from above, off the middle and turned, for rows that push in- and outwards."""
+    """Draw boxes with an offset or a turn from above, for rows that push inwards and outwards."""
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}
@@ -289,7 +289,7 @@ def draw_alignment() -> Figure:
 
 
 def _draw_above(panel: Axes, zone: Zone) -> None:
-    """Draw a box in the middle and turned, at equal times on its way."""
+    """Draw a turned box from the middle, at equal time intervals."""
     draw_surface(panel, zone.surface)
     run = cross(zone, 0.0, SHOWN_TURN)
     for k in np.linspace(0, len(run.pose) - 1, 5).astype(int):

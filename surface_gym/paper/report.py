@@ -1,4 +1,4 @@
-"""The report of a reproduction as tables for a terminal."""
+"""Terminal tables of a reproduction."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,12 +14,13 @@ from surface_gym.paper.runs import Cell, Found, SlowingLayout, SortingCase, Tabl
 
 COARSE_NAME = NAMES[0]
 OURS = NAMES[:2]  # columns of a table
-BY_SPEED = ("table3", "table4", "stopping")  # long tables, printed with both boxes side by side
+# keys of long tables, printed with both boxes side by side
+BY_SPEED = ("table3", "table4", "stopping")
 
 
 def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> TextTable:
-    """Make a table with title and caption; its first columns are labels, the others numbers."""
-    table = TextTable(  # Text, for a bracketed unit in a str would be read as markup
+    """Make a table with title and caption; the first `labels` columns are text."""
+    table = TextTable(  # Text, since bracketed units in a str would be markup
         title=Text(title, style="bold not italic"),
         caption=Text(caption, style="not italic not dim") if caption else None,
         title_justify="left",
@@ -35,7 +36,7 @@ def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) ->
 
 
 def print_report(reproduction: Reproduction, console: Console) -> None:
-    """Print every table, the sorting rates, how many cells agree, and what the steps do."""
+    """Print every table, the sorting rates, the agreement and the effect of steps."""
     console.print(
         f"{runs.load_targets().source}\n\n"
         f"The paper prints no step. Ours at {COARSE_NAME} ({runs.COARSE}), which we infer that it "
@@ -65,7 +66,7 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
 
 
 def _caption(table: Table) -> str:
-    """Write a table's rule, how many cells agree, and the share of steps without a solution."""
+    """Return a table's rule, its agreement, and its share of steps without solution."""
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(NAMES))]
     boxes = []
@@ -84,20 +85,20 @@ def _caption(table: Table) -> str:
 
 
 def _percent(least: float, largest: float) -> str:
-    """Write two shares as a range."""
+    """Return two shares as a range."""
     low, high = f"{100.0 * least:.0f}", f"{100.0 * largest:.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 def _text(value: Value, decimals: int) -> str:
-    """Write a value as text; / where there is none."""
+    """Return a value as text; / for None."""
     if value is None:
         return "/"
     return str(value) if isinstance(value, SlowingLayout) else f"{value:.{decimals}f}"
 
 
 def _mark(text: str, agrees: bool) -> Text:
-    """Put a star where a value differs."""
+    """Add a star to a value that differs."""
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 
@@ -119,7 +120,7 @@ def _difference(ours: Found, cell: Cell) -> str:
 
 
 def _by_cell(table: Table) -> TextTable:
-    """Make a table with a line per cell, and differences."""
+    """Make a table with one line per cell, and differences."""
     columns = ("", "", "paper", OURS[0], "- paper", OURS[1], "- paper")
     result = make_table(table.title, *columns, caption=_caption(table), labels=2)
     row = ""
@@ -137,7 +138,7 @@ def _by_cell(table: Table) -> TextTable:
 
 
 def _by_speed(table: Table) -> TextTable:
-    """Make a table with a line per speed, both boxes side by side."""
+    """Make a table with one line per speed, both boxes side by side."""
     columns = [
         name
         for size in runs.SIZES
@@ -153,7 +154,7 @@ def _by_speed(table: Table) -> TextTable:
 
 
 def _rates(reproduction: Reproduction) -> TextTable:
-    """Tabulate Figure 8, of which the paper prints a band alone."""
+    """Tabulate Figure 8; the paper prints only a band of it."""
     low, high = runs.load_targets().medium_rates
     by_input = {"v0": reproduction.sorted_by_speed, "tilt": reproduction.sorted_by_tilt}
     counts = "\n".join(
@@ -190,7 +191,7 @@ def _is_medium(rate: float) -> bool:
 
 
 def _count_medium(cases: Sequence[SortingCase]) -> str:
-    """Count the rates in the band, of those sorted, at the coarse step and converged."""
+    """Count the sorted boxes with rates in the band, at the coarse step and converged."""
     counts = []
     for k in range(len(OURS)):
         done = [rate for case in cases if (rate := case.ours[k].rate) is not None]
@@ -220,7 +221,7 @@ def _self_stops(cases: Sequence[SelfStop]) -> TextTable:
 
 
 def _alignment(cases: Sequence[Aligned]) -> TextTable:
-    """List the ends of boxes that come off the middle or turned to a zone at +-45 deg."""
+    """List the end poses of boxes that enter a zone at +-45 deg with an offset or a turn."""
     result = make_table(
         "Section 5.2: do rows at ±45° in turn align a box? Implicit, 1 ms",
         "rows push,\ncolumns, v0",
@@ -261,7 +262,7 @@ def _counts(reproduction: Reproduction) -> TextTable:
 
 
 def _other_steps(reproduction: Reproduction) -> TextTable:
-    """Tabulate the cells that agree, by step."""
+    """Tabulate the number of agreeing cells by step."""
     counts = {
         f"{1000 * each.integration.dt:g}": list(each.agreeing.values())
         for each in reproduction.by_step

@@ -1,4 +1,4 @@
-"""The paper's tables and claims, computed, and the JSON report of them."""
+"""Computation of the paper's tables and claims, and their JSON report."""
 
 import json
 import math
@@ -11,44 +11,44 @@ from surface_gym import layouts
 from surface_gym.paper import claims, runs
 from surface_gym.paper.runs import Cell, Found, Integration, Table, Targets
 
-NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # of INTEGRATIONS
-TILTS = tuple(range(5, 16))  # [deg] of Figure 8; Table 5's range
+NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # names of INTEGRATIONS
+TILTS = tuple(range(5, 16))  # [deg] tilts in Figure 8; Table 5's range
 POSITION_TOLERANCE = 0.010  # [m]
 ANGLE_TOLERANCE = 3.5  # [deg]
 TIME_TOLERANCE = 0.010  # [s]
-MILLISECONDS = (0.5, 1, 2, 3, 4, 5, 6, 7, 8, 10)  # steps tried
+MILLISECONDS = (0.5, 1, 2, 3, 4, 5, 6, 7, 8, 10)  # [ms] compared steps
 
-# Halving the step, and another method altogether.
+# Half the step, and another method.
 NEAR_THE_LIMIT = (
     (runs.CONVERGED, Integration("explicit", runs.CONVERGED.dt / 2.0)),
     (runs.CONVERGED, Integration("implicit", 1e-3)),
 )
-# A tenth to either side: the sign function of Eq. (2) chatters, so a coarse step ends by chance
-# somewhere within this.
+# A tenth to either side. The sign function of Eq. (2) chatters, so the result of a coarse step is
+# random within this range.
 ABOUT_COARSE = tuple(
     Integration("explicit", runs.COARSE.dt * percent / 100.0) for percent in range(90, 111, 2)
 )
-# [rad] more than the 1e-15 within which an axis counts as at 90 deg.
+# [rad] larger than 1e-15, the tolerance within which an axis counts as 90 deg.
 LAST_DIGITS = (-4e-15, 0.0, 4e-15)
 
 
 def untracked(cases: Sequence[Any], description: str) -> Iterable[Any]:
-    """Go through the cases and show no progress."""
+    """Iterate over the cases without showing progress."""
     del description
     return cases
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Cells of each table that agree when integrated in one way."""
+    """Numbers of agreeing cells for one integration."""
 
     integration: Integration
-    agreeing: dict[str, int]  # by the key of the table
+    agreeing: dict[str, int]  # by key of the table
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Largest distance between the ends of several runs of the same row."""
+    """Largest distance between the end poses of several runs of the same row."""
 
     position: float  # [mm]
     angle: float  # [deg]
@@ -56,7 +56,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class StepSpread(Spread):
-    """Largest distance between the ends of several integrations."""
+    """Largest distance between the end poses of several integrations."""
 
     integrations: tuple[Integration, ...]
 
@@ -70,7 +70,7 @@ class Reproduction:
     sorted_by_tilt: tuple[runs.SortingCase, ...]  # Figure 8, blue
     near_the_limit: tuple[StepSpread, ...]
     about_coarse: StepSpread
-    last_digits: Spread  # at the coarse step
+    last_digits: Spread  # effect of round-off at the coarse step
     by_step: tuple[Agreement, ...]
     self_stopping: tuple[claims.SelfStop, ...]
     alignment: tuple[claims.Aligned, ...]
@@ -149,7 +149,7 @@ def build_table2(
 
 
 def build_passing(targets: Targets) -> Table:
-    """Compare the state in which the parcel at 10 deg passes the one at 5 deg."""
+    """Compare the states in which the parcels at 10 deg and 5 deg have the same offset."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
@@ -166,7 +166,7 @@ def build_passing(targets: Targets) -> Table:
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
-    """Build Table 3: columns to sort, of cases in the order of the paper's sizes and speeds."""
+    """Build Table 3: columns to sort, for cases in the paper's order of sizes and speeds."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
     return Table(
         "table3",
@@ -181,7 +181,7 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
 
 
 def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
-    """Compare the speeds below which sorting fails."""
+    """Compare the smallest speeds at which sorting succeeds."""
     return Table(
         "slowest_sorted",
         "Section 5.1: slowest v0 [m/s] that sorts",
@@ -222,7 +222,7 @@ def build_table4(
 
 
 def build_slowing_ratios(targets: Targets) -> Table:
-    """Compare the shares of the speed that two columns leave."""
+    """Compare the ratios of exit to entry speed after two columns."""
     cells = []
     speed = targets.ratio_speed
     for angle, size in product(runs.ANGLES, runs.SIZES):
@@ -241,7 +241,7 @@ def build_slowing_ratios(targets: Targets) -> Table:
 
 
 def build_stopping(targets: Targets, track: claims.Track) -> Table:
-    """Compare the speed left behind Table 4's layout and one more column with the paper's 0."""
+    """Compare the speed after Table 4's layout and one more column with the paper's 0."""
     cells = []
     for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
         surface = runs.slowing_surface(size, layout, stops=True)
@@ -290,7 +290,7 @@ def count_agreements(targets: Targets, track: claims.Track) -> tuple[Agreement, 
 def compare_steps(
     rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
 ) -> StepSpread:
-    """Integrate the rows of Table 2 in several ways and compare where they end."""
+    """Integrate the rows of Table 2 in several ways and compare the end poses."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
     )
@@ -302,8 +302,8 @@ def run_turned(
 ) -> tuple[float, float, float]:
     """Run a row of Table 2 with all axes turned by `turn` [rad]; return its end [m, m, deg].
 
-    cos(90 deg) as float64 has it, 6e-17, is round-off of this kind. Rotors that lie across the
-    motion then drag sideways with all of mu_max, one way or the other, by its sign.
+    Round-off has the same effect: cos(90 deg) is 6e-17 in float64. Rotors across the motion then
+    drag sideways with full mu_max, in a direction that depends on its sign.
     """
     surface = layouts.sorting("S", row.side, tilt=math.radians(row.tilt))
     surface = replace(surface, axis=surface.axis + turn)
@@ -311,7 +311,7 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Find the largest distance [mm] and angle [deg] between ends of the same row."""
+    """Return the largest distance [mm] and angle [deg] between end poses of the same row."""
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),
@@ -320,7 +320,7 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 
 def to_json(reproduction: Reproduction) -> str:
-    """Write every number as JSON, unrounded; `ours` are in the order of `integrations`."""
+    """Return every number as JSON, unrounded; `ours` is in the order of `integrations`."""
     targets = runs.load_targets()
     report = {
         "source": targets.source,

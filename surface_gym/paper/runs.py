@@ -26,8 +26,8 @@ _KEYS = {"S": "s_box", "B": "b_box"}
 class SlowingLayout(NamedTuple):
     """An entry of Table 4."""
 
-    columns: int  # of the slowing area
-    angle: int  # [deg] 0, or 45 for +-45 in alternate rows
+    columns: int  # columns of the slowing area
+    angle: int  # [deg] 0, or 45 for +-45 deg in alternate rows
 
     def __str__(self) -> str:
         return f"{self.columns} at {'±' if self.angle else ''}{self.angle}°"
@@ -43,20 +43,20 @@ class SortingRun:
     x: float  # [m] displacement from the start
     y: float  # [m]
     theta: float  # [deg]
-    figure: str  # in which the paper draws it
+    figure: str  # figure of the paper
 
     @property
     def side(self) -> int:
-        """-1 for axes at +45 deg, which sort to y < 0; +1 for axes at -45 deg."""
+        """-1 for axes at +45 deg (sorted to y < 0), +1 for axes at -45 deg."""
         return 1 if self.y > 0.0 else -1
 
 
 @dataclass(frozen=True)
 class Passing:
-    """State of the parcel at 10 deg when it is as far aside as that at 5 deg, Section 5.1."""
+    """State of the parcel at 10 deg when its y equals the end of the run at 5 deg (Section 5.1)."""
 
     tilt: float  # [deg]
-    y: float  # [m] displacement at which the state is taken
+    y: float  # [m] displacement of the state
     x: float  # [m] displacement
     theta: float  # [deg]
     time: float  # [s]
@@ -64,25 +64,25 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables. Mappings go from a box's size, "S" or "B", to a value per speed."""
+    """The paper's tables. Mappings go from a box's size ("S" or "B") to one value per speed."""
 
     source: str
     sorting_runs: tuple[SortingRun, ...]  # Table 2
     passing: Passing
     sorting_speeds: tuple[float, ...]  # [m/s] of Table 3
     sorting_columns: dict[str, tuple[int | None, ...]]  # Table 3; None: the box is not sorted
-    slowest_sorted: dict[str, float]  # [m/s] below it, the box is not sorted
+    slowest_sorted: dict[str, float]  # [m/s] smallest speed at which the box is sorted
     slowing_speeds: tuple[float, ...]  # [m/s] of Table 4
     slowing_layouts: dict[str, tuple[SlowingLayout, ...]]  # Table 4
-    ratio_speed: float  # [m/s] of the slowing ratios in Section 5.2
+    ratio_speed: float  # [m/s] entry speed of the slowing ratios in Section 5.2
     ratio_columns: int
     slowing_ratios: dict[str, dict[int, float]]  # by size, then axis angle [deg]
-    medium_rates: tuple[float, float]  # [pcs/h] of torsional discs, Figure 8
+    medium_rates: tuple[float, float]  # [pcs/h] band of torsional discs in Figure 8
 
 
 @cache
 def load_data() -> dict[str, Any]:
-    """Read the file of the paper's numbers; those of Section 6 are under "validation"."""
+    """Read the file of the paper's numbers; Section 6 is under "validation"."""
     text = resources.files("surface_gym.paper").joinpath("data/targets.json").read_text("utf-8")
     return json.loads(text)
 
@@ -120,18 +120,18 @@ Value = int | float | SlowingLayout | None
 
 @dataclass(frozen=True)
 class Found:
-    """A value of ours, and the share of its run that Eq. (1) cannot balance."""
+    """One of our values, and the share of steps in which Eq. (1) has no solution."""
 
     value: Value
-    tipping: float | None  # [-] of the steps up to the value; None: there was no step
+    tipping: float | None  # [-] share of the steps up to the value; None: no step
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One value of the paper beside ours, all in the unit that its column names.
+    """One value of the paper and our values, in the unit that its column names.
 
-    Numbers agree if, rounded as the paper prints them, they differ by the tolerance at most;
-    other values agree if they are equal.
+    Numbers are rounded as in the paper, and agree if they differ by at most the tolerance. Other
+    values agree if they are equal.
     """
 
     row: str
@@ -139,11 +139,11 @@ class Cell:
     size: str  # of the box, "S" or "B"
     paper: Value
     ours: tuple[Found, ...]  # one per integration, in the order of `INTEGRATIONS`
-    decimals: int = 0  # that the paper prints
+    decimals: int = 0  # decimals printed in the paper
     tolerance: float = 0.0
 
     def agrees(self, integration: int) -> bool:
-        """Compare our value by the integration of that index with the paper's."""
+        """Return whether our value of one integration agrees with the paper."""
         ours = self.ours[integration].value
         if isinstance(ours, (int, float)) and isinstance(self.paper, (int, float)):
             difference = round(ours, self.decimals) - self.paper
@@ -153,19 +153,19 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the paper, or a sentence of it that states numbers."""
+    """A table of the paper, or a sentence with numbers."""
 
     key: str  # its name in the JSON report
     title: str
-    rule: str  # what is counted, and when a cell agrees
+    rule: str  # definition of the values, and of agreement
     cells: tuple[Cell, ...]
 
     def agreeing(self, integration: int) -> int:
-        """Count the cells that agree by the integration of that index."""
+        """Count the agreeing cells of one integration."""
         return sum(cell.agrees(integration) for cell in self.cells)
 
     def tipping(self, integration: int) -> dict[str, tuple[float, float]]:
-        """Find the range of the shares of a run's steps that would tip the box, by its size."""
+        """Return the range of shares of tipping steps, by size of the box."""
         shares: dict[str, list[float]] = {}
         for cell in self.cells:
             share = cell.ours[integration].tipping
@@ -174,10 +174,10 @@ class Table:
         return {size: (min(found), max(found)) for size, found in shares.items()}
 
 
-LONGEST = 6.0  # [s] that a box may take to be sorted, or through a slowing area
-ANGLES = (0, 45)  # [deg] of Table 4
-MOST_COLUMNS = 10  # of Table 4's layouts
-NONE = -1  # instead of a column, where no rotor lies under the base
+LONGEST = 6.0  # [s] maximum time to sort a box, or to cross a slowing area
+ANGLES = (0, 45)  # [deg] axis angles in Table 4
+MOST_COLUMNS = 10  # columns in Table 4's layouts
+NONE = -1  # column if no rotor lies under the base
 
 
 @dataclass(frozen=True)
@@ -192,29 +192,29 @@ class Integration:
 
     @expect_tipping()
     def run(self, surface: Surface, size: str, speed: float, duration: float) -> Trajectory:
-        """Start the "S" or "B" box where the paper does, at `speed` [m/s] along x."""
+        """Run the "S" or "B" box from the paper's start, at `speed` [m/s] along x."""
         return simulate(
             surface, layouts.box(size), layouts.start(size), (speed, 0.0, 0.0), duration, self.dt,
             self.method,
         )  # fmt: skip
 
 
-# The paper prints no step. That it was about 5 ms is our inference, from what its tables agree
-# with and from its run times; `reproduction.count_agreements` measures how little they tell.
+# The paper states no step. We infer about 5 ms from agreement with its tables and from its run
+# times; `reproduction.count_agreements` measures how weak this evidence is.
 COARSE = Integration("explicit", 5e-3)
-# The same equations in the limit; `reproduction.compare_steps` measures how near it is.
+# The limit of the same equations; `reproduction.compare_steps` measures its error.
 CONVERGED = Integration("explicit", 5e-5)
-# The method of the environments, which does not chatter: what tips a box in it is no chatter.
+# The method of the environments. It does not chatter, so chatter causes no tipping here.
 SMOOTH = Integration("implicit", 1e-3)
 INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
 Integrations = Sequence[Integration]
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
-    """Return the share [-] of the steps up to a row, or to the last, that would tip the parcel.
+    """Return the share [-] of tipping steps up to a row (default: the last).
 
-    Eq. (1) has no solution there; the simulation takes the forces that bear the weight and come
-    nearest to its moments. None where there is no step.
+    In a tipping step, Eq. (1) has no solution. The simulation then uses forces that carry the
+    weight with moments as close as possible. Returns None if there is no step.
     """
     steps = trajectory.tipping[1:] if end is None else trajectory.tipping[1 : end + 1]
     return float(steps.mean()) if len(steps) else None
@@ -246,9 +246,9 @@ def _find_columns(
 def rotor_columns(
     surface: Surface, size: str, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find the first and last column (T,) with a rotor under the "S" or "B" box at poses (T, 3).
+    """Return the first and last column (T,) with a rotor under a box at poses (T, 3).
 
-    They are NONE where only supports carry the box.
+    Both are NONE if only supports carry the box.
     """
     columns = np.empty((len(pose), 2), dtype=np.int64)
     _find_columns(surface.grid, layouts.box(size).body, pose, make_scratch(), columns)
@@ -262,14 +262,14 @@ def rotor_columns(
 class Sorted:
     """Result of sorting a box."""
 
-    columns: int | None  # touched, from the first inclined one on; None: it stays in the line
-    rate: float | None  # [pcs/h] of Figure 8; None: it stays within Figure 8's distance
-    tipping: float | None  # [-] share of the steps, until it is out of the line, that would tip it
+    columns: int | None  # touched columns from the first inclined one; None: it stays in the line
+    rate: float | None  # [pcs/h] rate in Figure 8; None: it does not reach Figure 8's distance
+    tipping: float | None  # [-] share of tipping steps until it is out of the line
 
 
 @dataclass(frozen=True)
 class SortingCase:
-    """A box sent through the sorting layout."""
+    """A box run through the sorting layout."""
 
     size: str  # "S" or "B"
     speed: float  # [m/s] at the start
@@ -284,7 +284,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
 
 
 def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Found]:
-    """Find displacement x [m], theta [deg] and time [s] where the displacement y is reached."""
+    """Return displacement x [m], theta [deg] and time [s] when displacement y is reached."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
     moved = trajectory.pose - trajectory.pose[0]
@@ -299,9 +299,10 @@ def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Foun
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sorted:
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
-    The columns are counted as Section 5.1 does: from the first inclined one to the last one the
-    box touches before only elements outside the line carry it. The rate is that of Figure 8: its
-    clock stops once |y - y0| >= h / 2 + hypot(b / 2, h / 2), clear of the line in any orientation.
+    Columns are counted as in Section 5.1: from the first inclined column to the last column that
+    the box touches before only elements outside the line carry it. The rate is defined in Figure 8:
+    time stops once |y - y0| >= h / 2 + hypot(b / 2, h / 2), where the box is clear of the line in
+    any orientation.
     """
     surface = layouts.sorting(size, side=-1, tilt=math.radians(tilt))
     trajectory = integration.run(surface, size, speed, LONGEST)
@@ -323,7 +324,7 @@ def sort_case(size: str, speed: float, tilt: float, integrations: Integrations) 
 
 
 def slowest_sorted(size: str, integration: Integration) -> Found:
-    """Find the first of the speeds 0.1, 0.2, ... m/s at which a box leaves the line."""
+    """Find the first speed among 0.1, 0.2, ... m/s at which a box leaves the line."""
     tenths = 1
     while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
@@ -334,9 +335,9 @@ def slowest_sorted(size: str, integration: Integration) -> Found:
 
 
 def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Surface:
-    """Build the layout with as many columns at 90 deg behind the slowing area as before it.
+    """Build the layout, with equal numbers of columns at 90 deg before and after the slowing area.
 
-    One that stops has one more column, at 0 deg, at the end of that area.
+    With `stops`, the area ends with one more column at 0 deg.
     """
     build = layouts.stopping if stops else layouts.slowing
     columns = layout.columns + stops + 2 * layouts.LEAD_IN[size]
@@ -346,12 +347,12 @@ def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Su
 class Exit(NamedTuple):
     """State of a box as it leaves the task's columns."""
 
-    speed: float  # [m/s] as its base leaves the last of them; 0 where it stops before
-    tipping: float | None  # [-] share of the steps until then that would tip it
+    speed: float  # [m/s] when its base leaves the last column; 0 if it stops before
+    tipping: float | None  # [-] share of tipping steps until then
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
-    """Send a box over the task's columns of a `slowing_surface`."""
+    """Run a box over the task's columns of a `slowing_surface`."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]
@@ -362,7 +363,7 @@ def leave(surface: Surface, size: str, speed: float, integration: Integration) -
 
 
 def smallest_layout(size: str, speed: float, integration: Integration) -> Found:
-    """Find the fewest columns with 0.5 v0 >= v_out > 0; None where no layout does that."""
+    """Find the smallest number of columns with 0.5 v0 >= v_out > 0; None if there is none."""
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)

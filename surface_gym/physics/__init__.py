@@ -1,1 +1,1 @@
-"""The only physics: compiled scalar functions, and slower references to check them against."""
+"""The physics as compiled scalar functions, with slower reference solvers for tests."""

@@ -13,11 +13,11 @@ from surface_gym.physics.types import Array, Bodies, Body, Booleans, Integers, S
 
 
 class World(NamedTuple):
-    """Parcels on one surface, a row each."""
+    """Parcels on one surface, one row per parcel."""
 
     state: Array  # (P, STATE_SIZE)
-    present: Booleans  # (P,) whether there is a parcel in the row
-    body: Integers  # (P,) its row in `bodies`
+    present: Booleans  # (P,) whether the row holds a parcel
+    body: Integers  # (P,) row of the parcel in `bodies`
     bodies: Bodies
 
 
@@ -29,12 +29,12 @@ class ContactMaterial(NamedTuple):
 
 
 class WorldScratch(NamedTuple):
-    """Scratch of a step of the whole world, for P parcels, and the results it leaves there."""
+    """Scratch memory and results of one step of a world of P parcels."""
 
-    tables: Array  # (P, TABLE_SIZE) a `Scratch` a parcel
+    tables: Array  # (P, TABLE_SIZE) one `Scratch` per parcel
     marks: Integers  # (P, MARKS_SIZE)
-    report: Integers  # (P,) of each parcel's step alone
-    rotors: Integers  # (P,) under each parcel in it
+    report: Integers  # (P,) report of each parcel's step alone
+    rotors: Integers  # (P,) number of rotors under each parcel
     pair: Integers  # (most pairs, 2) rows of parcels that pushed each other
     impulse: Array  # (most pairs,) [N s] along the normal
     before: Array  # (P, STATE_SIZE) states at the start
@@ -43,18 +43,18 @@ class WorldScratch(NamedTuple):
     reach: Array  # (P,) [m] from a centre of mass at the start to its base's farthest point
     place: Array  # (P, 5) `Transform` of each base at the start; [m] a corner moves by turning
     near: Integers  # (most pairs, 2) rows of parcels whose bases may touch
-    when: Array  # (most pairs,) [s] from which on they touch; infinite: they do not
+    when: Array  # (most pairs,) [s] time of first touch; infinite if they do not touch
     push: Array  # (most pairs,) [N s] impulse along the normal
-    since: Array  # (P,) [s] from which on each parcel touches another; infinite: it does not
-    root: Integers  # (P,) the island of each parcel: its least row
-    member: Integers  # (P,) this and the fields down to `point`: as in `Island`
+    since: Array  # (P,) [s] time of each parcel's first touch; infinite if none
+    root: Integers  # (P,) island of each parcel, named by its lowest row
+    member: Integers  # (P,) from here to `point`: see `Island`
     slot: Integers  # (P,)
     low: Integers  # (P,)
     contact: Integers  # (most points,)
     ends: Integers  # (most points, 3)
     point: Array  # (most points, POINT_SIZE)
     met: Array  # (P, 3) [m/s, m/s, rad/s] velocities where parcels first touch
-    start: Array  # (P, 3) the same, with the impulses of sides
+    start: Array  # (P, 3) the same plus the impulses between sides
     velocity: Array  # (P, 3)
     target: Array  # (P, 3)
     trial: Array  # (P, 3)
@@ -86,7 +86,7 @@ def make_world_scratch(parcels: int) -> WorldScratch:
 
 @inlined
 def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
-    """Return the i-th of scratches whose arrays have one more dimension, the first."""
+    """Return the i-th scratch of a stack whose arrays have one more leading dimension."""
     return WorldScratch(
         scratches.tables[i],
         scratches.marks[i],
@@ -123,14 +123,14 @@ def world_scratch(scratches: WorldScratch, i: int) -> WorldScratch:
 
 @inlined
 def invalidate_world(scratch: WorldScratch) -> None:
-    """Forget all contacts with elements: the surface is another one, or its axes have turned."""
+    """Discard all contacts with elements, after the surface or its axes have changed."""
     for k in range(scratch.marks.shape[0]):
         invalidate_contacts(Scratch(scratch.tables[k], scratch.marks[k]))
 
 
 @inlined
 def read_body(bodies: Bodies, site: int) -> Body:
-    """Read a row of the bodies as the physics of one parcel takes it."""
+    """Return one row of `bodies` as a `Body`."""
     row = bodies.body[site]
     return Body(
         bodies.edges[site],
@@ -142,12 +142,12 @@ def read_body(bodies: Bodies, site: int) -> Body:
     )
 
 
-LEAST_REST = 1e-9  # [s] that a step has left when two touch
+LEAST_REST = 1e-9  # [s] minimum time that remains in a step after a touch
 
 
 @linked
 def find_near_pairs(world: World, scratch: WorldScratch) -> int:
-    """Broad phase: write the pairs whose bases may touch in the step, and return their number."""
+    """Write the pairs whose bases may touch in this step (broad phase); return their number."""
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
     for k in range(rows):
@@ -179,9 +179,9 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
 
 @linked
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
-    """Write behind the near pairs those that only a push brought near; return the number of all.
+    """Append the pairs that only a push brought near; return the number of all pairs.
 
-    A parcel that is pushed goes farther than alone, which `find_near_pairs` goes by.
+    A pushed parcel moves farther than its step alone, which `find_near_pairs` uses.
     """
     before, after, reach = scratch.before, world.state, scratch.reach
     rows = world.present.shape[0]
@@ -205,7 +205,7 @@ def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
 
 @inlined
 def _place_base(world: World, scratch: WorldScratch, k: int, dt: float) -> None:
-    """Write where a base is at the start, and how far turning may move a corner in the step."""
+    """Write the pose of a base at the start, and how far turning may move its corners."""
     outline = sd.read_outline(world.bodies, world.body[k])
     motion = sd.sweep_between(scratch.before[k], world.state[k])
     pose = sd.transform_at(outline, motion, 0.0)
@@ -306,7 +306,7 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
 
 @inlined
 def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, y: float) -> None:
-    """Write the parcels that touch at (x, y), and the arms from each one's first touch."""
+    """Write the two parcels that touch at (x, y), and their arms at first touch."""
     scratch.ends[c, 2] = e
     for end in range(2):
         k = scratch.near[e, end]
@@ -326,7 +326,7 @@ def _write_point(world: World, scratch: WorldScratch, c: int, e: int, x: float, 
 def gather_island(scratch: WorldScratch, root: int, points: int) -> tuple[int, int]:
     """Write the members and the contact points of a root's island; return their numbers.
 
-    Members are sorted by x, so that parcels that touch have slots near each other.
+    Members are sorted by x, so touching parcels have neighbouring slots.
     """
     members = 0
     for k in range(scratch.root.shape[0]):

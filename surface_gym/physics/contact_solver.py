@@ -1,18 +1,18 @@
-"""One step of all parcels on a surface, which may push each other.
+"""One step of all parcels on a surface, with collisions between them.
 
-Each parcel first steps as if it were alone. Parcels whose bases meet on the way push each other;
-all others stay where their steps led, to the bit. Parcels that touch, directly or through others,
-form an island. In each island
-    1. sides that close fast rebound, with no time for friction below (`impact.py`);
-    2. the velocities after the step are solved, of all at once, so that no sides close on each
-       other (`island.py`), with friction for the rest of the step since the touch;
-    3. each parcel moves on with its new velocity from where it first touched.
-Overlaps that are left are then resolved.
+Each parcel first steps alone. Parcels whose bases meet on the way then push each other. All others
+keep the result of their step alone, to the bit. Parcels that touch, directly or through others,
+form an island. In each island:
+    1. sides that close fast rebound; the surface's friction has no time to act (`impact.py`);
+    2. the velocities after the step are solved together, so that no sides close on each other;
+       friction acts for the rest of the step (`island.py`);
+    3. each parcel moves on with its new velocity from its pose at first touch.
+Remaining overlaps are resolved last.
 
-The contacts with elements and their normal forces remain those of the steps alone. The acceleration
-in a state, which loads the elements, is that of friction and gravity: sides press at the height of
-the centre of mass and tip no parcel. A parcel that is pushed into a third in the same step is moved
-out of it, and pushes it in the next.
+Contacts with elements and their normal forces come from the steps alone. The acceleration in a
+state loads the elements in the next step; it includes friction and gravity only. Sides press at the
+height of the centre of mass, so they tip no parcel. A parcel that is pushed into a third one is
+moved out of it in the same step, and pushes it in the next.
 """
 
 import math
@@ -36,9 +36,9 @@ MAX_SWEEPS = 100
 
 @linked
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
-    """Move near pairs that overlap apart along their normals, the heavier one less.
+    """Separate near pairs that overlap along their normals; the heavier parcel moves less.
 
-    Their velocities stay. A chain of parcels takes several sweeps.
+    Velocities do not change. A chain of parcels takes several sweeps.
     """
     bodies, state = world.bodies, world.state
     for _ in range(MAX_SWEEPS):
@@ -69,7 +69,7 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
 
 
 RESTING = 0.02  # [m/s] Sides that close no faster do not rebound.
-PUSHED = 1e-8  # [m/s] that an impulse changes a speed by at least, or it is none
+PUSHED = 1e-8  # [m/s] impulses with a smaller change of speed do not count
 
 
 @linked
@@ -247,11 +247,11 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @linked
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move a parcel that is pushed: alone until it touches, then with its new velocity.
+    """Move a pushed parcel: alone until it touches, then with its new velocity.
 
     Args:
-        scratch: with its velocity at the touch, impulses added.
-        hit: whether velocities change at the touch, rather than over the step.
+        scratch: holds the velocity at the touch, impulses included.
+        hit: whether velocities change at the touch instead of over the step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]
     motion = sd.sweep_between(scratch.before[k], state)
@@ -267,7 +267,7 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
         start[1],
         start[2],
     )
-    # The mean, as in the implicit step, where sides that touched before press on.
+    # The mean velocity, as in the implicit step, if the sides touched before.
     new = 1.0 if hit else 0.5
     old = 1.0 - new
     state[ph.X] = motion.x + alone * motion.vx + rest * (new * vx + old * met[0])

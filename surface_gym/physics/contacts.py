@@ -9,22 +9,22 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 
 @inlined
 def bounded(value: float, least: float, most: float) -> float:
-    """Return a number within [least, most]; what is not a number becomes the least.
+    """Clip a number to [least, most]; NaN becomes `least`.
 
-    Every float goes through here before it becomes an index or a count. A processor makes anything
-    at all of one that an integer has no room for.
+    Use it before every conversion from float to an index or a count. The conversion is undefined
+    for floats outside the integer range.
 
     Args:
-        value: to be made an integer.
-        least: a whole number; what `value` becomes where it is below or not a number.
-        most: a whole number; what it becomes where it is above.
+        value: number to convert to an integer.
+        least: whole number, the result for smaller values and NaN.
+        most: whole number, the result for larger values.
     """
     if not value > least:
         return least
     return most if value > most else value
 
 
-EDGE_TOLERANCE = 1e-9  # [m] an element on the perimeter is a contact, whatever the round-off
+EDGE_TOLERANCE = 1e-9  # [m] elements on the perimeter count as contacts despite round-off
 
 
 @inlined
@@ -94,7 +94,7 @@ def _gather(grid: Grid, scratch: Scratch) -> int:
 
 @inlined
 def invalidate_contacts(scratch: Scratch) -> None:
-    """Forget all contacts: the surface is another one, or its axes have turned."""
+    """Discard all contacts, after the surface or its axes have changed."""
     scratch.marks[ph.SPANS] = -1
 
 
@@ -104,16 +104,16 @@ def find_contacts(
 ) -> Contacts:
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
-    Only the rows and columns around the base are looked at, so the cost does not depend on the
-    size of the surface. Writes the contacts' data into `scratch`, unless the same elements lay
-    under the base at the last call and `invalidate_contacts` was not called since.
+    The search covers only the rows and columns around the base, so its cost does not depend on the
+    size of the surface. The contacts' data in `scratch` are rewritten only if other elements lie
+    under the base than at the last call, or after `invalidate_contacts`.
     """
     table, marks = scratch.table, scratch.marks
     cosine = math.cos(theta)
     sine = math.sin(theta)
     offset_x = cosine * body.com_x - sine * body.com_y
     offset_y = sine * body.com_x + cosine * body.com_y
-    # Everything below is seen from the base frame's origin, in pitches for the grid's indices.
+    # Positions below are relative to the base frame's origin, in pitches for grid indices.
     per_pitch_x = 1.0 / grid.pitch_x
     per_pitch_y = 1.0 / grid.pitch_y
     grid_x = grid.x0 - (x - offset_x)
@@ -135,7 +135,7 @@ def find_contacts(
         to_column = bounded((high - grid_x) * per_pitch_x, -1.0, columns)
         first = max(0, math.ceil(from_column))
         last = min(columns - 1, math.floor(to_column))
-        last = min(last, first + ph.CAPACITY - 1 - count)  # whatever numbers came in
+        last = min(last, first + ph.CAPACITY - 1 - count)  # for any input
         if first > last:
             continue
         for column in range(first, last + 1):

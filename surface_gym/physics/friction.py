@@ -5,10 +5,10 @@ The paper's forces, Eq. (2)-(3), are minus the gradient of
            + sum over supports N_j mu_support |u_j|
 with u the velocity at the contact, a the axis and p its normal. One step is the convex problem
     v+ = argmin 1/2 |v - (v0 + dt g)|_M^2 + dt Phi(v)
-in three unknowns. It rests where friction holds and does not chatter.
+in three unknowns. The parcel stays at rest while friction holds it, and does not chatter.
 
-Each loop below either works on every contact by itself, or adds up in the order of the contacts:
-the first kind the compiler takes several at a time, and no sum depends on how many.
+Each loop below either treats every contact independently, or sums in the order of the contacts. The
+compiler vectorises loops of the first kind only, so no sum depends on the vector width.
 """
 
 import math
@@ -18,7 +18,7 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Contacts, Grid, Scratch
 
 MAX_SEARCHES = 60
-SEARCH_SLOPE = 0.01  # share of the starting slope that may be left
+SEARCH_SLOPE = 0.01  # [-] remaining share of the starting slope at which a line search ends
 
 
 @inlined
@@ -52,7 +52,7 @@ def _prepare(
         table[ph.RATE_ALONG + i] = along_rate
         table[ph.SLIDE_ACROSS + i] = across
         table[ph.RATE_ACROSS + i] = across_rate
-        # Where a rate is 0 these are infinite or not a number, so near to nothing.
+        # At a rate of 0 these are infinite or NaN, so they lie in no bracket.
         table[ph.KINK_1 + i] = (-rounding - along) / along_rate
         table[ph.KINK_2 + i] = (rounding - along) / along_rate
         table[ph.KINK_3 + i] = (-rounding - across) / across_rate
@@ -92,7 +92,7 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
 def _keep_kinks(scratch: Scratch, count: int) -> int:
     """Write the kinks within the search one after the other, and return their number.
 
-    A kink is where a contact passes between sliding and held.
+    At a kink, a contact passes between sliding and held.
     """
     table = scratch.table
     found = 0
@@ -106,7 +106,7 @@ def _keep_kinks(scratch: Scratch, count: int) -> int:
 
 @inlined
 def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) -> float:
-    """Return the kink nearest to the middle of (low, high); negative if there is none."""
+    """Return the kink closest to the middle of (low, high); negative if there is none."""
     middle = 0.5 * (low + high)
     distance = 0.5 * (high - low) * (1.0 - 1e-9)
     nearest = -1.0
@@ -136,8 +136,9 @@ def step_length(
 ) -> float:
     """Return the step length in (0, 1) at the minimum along a Newton direction (dx, dy, dw).
 
-    The slope increases and, over rotors, is linear between its kinks: bracket it between two
-    kinks and the secant is exact. Over supports it is nearly so, and the secant repeats.
+    The slope increases monotonically. Over rotors it is linear between its kinks, so a secant
+    between two neighbouring kinks is exact. Over supports it is almost linear, and the secant
+    repeats.
 
     Args:
         start: slope of the whole objective at 0, negative.
@@ -168,18 +169,18 @@ def step_length(
     return t
 
 
-# Phi is rounded (Huber) below this contact speed, a tenth of where the paper's tanh(5000 |V|)
-# bends: along and across its axis a contact that is held creeps by less than this.
+# Phi is rounded (Huber) below this contact speed. It is a tenth of the speed at which the paper's
+# tanh(5000 |V|) bends. A held contact creeps more slowly than this.
 ROUNDING = 1e-5  # [m/s]
-TOLERANCE = 1e-9  # [m/s] left of the optimality condition
+TOLERANCE = 1e-9  # [m/s] maximum residual of the optimality condition
 MAX_ITERATIONS = 100
-# A full Newton step may leave this share of the starting slope.
+# A full Newton step is accepted if at most this share of the starting slope remains.
 FULL_STEP_SLOPE = 0.5
 
 
 @inlined
 def load_contacts(scratch: Scratch, contacts: Contacts, dt: float) -> None:
-    """Write the most that friction can do at each contact in a step."""
+    """Write the largest friction impulse of each contact in a step."""
     table = scratch.table
     for i in range(contacts.total):
         load = dt * table[ph.NORMAL + i]
@@ -236,7 +237,7 @@ def friction_gradient(
 
 @inlined
 def _write_curvature(table: Array, i: int, kxx: float, kxy: float, kyy: float) -> None:
-    """Write a contact's part of the Hessian, from that of its velocity."""
+    """Write a contact's part of the Hessian from its second derivatives in contact velocity."""
     x = table[ph.ARM_X + i]
     y = table[ph.ARM_Y + i]
     kxw = x * kxy - y * kxx

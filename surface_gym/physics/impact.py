@@ -1,9 +1,9 @@
-"""Impacts between sides: they stop each other, then part, and rub all the time.
+"""Impacts between sides, with restitution and friction.
 
-Restitution acts along the normal, by Poisson's hypothesis: the impulse that parts two sides is e
-times the one that stopped them. Friction takes what Coulomb allows in either phase. So it stops
-slip and never turns it back; only the normal impulse can, where it turns the parcels. A hit at one
-point is integrated; of one at several points the two phases are solved. Neither gains energy.
+Restitution acts along the normal by Poisson's hypothesis: the impulse of restitution is e times the
+impulse of compression. Coulomb friction acts in both phases. It stops slip and never reverses it;
+only the normal impulse can reverse slip, by turning the parcels. A hit at one point is integrated.
+A hit at several points is solved phase by phase. Neither method gains energy.
 """
 
 import math
@@ -13,7 +13,7 @@ from surface_gym.physics import island as islands, types as ph
 from surface_gym.physics.island import Island
 from surface_gym.physics.types import Array
 
-PHASES = 4  # at most: slip stops once, compression ends, restitution ends
+PHASES = 4  # maximum: slip stops once, compression ends, restitution ends
 MAX_SWEEPS = 100
 
 
@@ -23,8 +23,8 @@ def integrate_impact(
 ) -> tuple[float, float]:
     """Integrate a hit at one point over its normal impulse, by Routh's method.
 
-    As long as the slip keeps its direction, the speeds along normal and side are linear in the
-    normal impulse. Where slip has stopped, the sides stick, or the normal impulse drives it on
+    While the slip keeps its direction, the speeds along normal and side are linear in the normal
+    impulse. Once slip has stopped, the sides stick, or the normal impulse makes them slip again
     (Wang and Mason, Journal of Applied Mechanics 59(3), 635-642, 1992).
 
     Args:
@@ -37,7 +37,7 @@ def integrate_impact(
     normal += island.point[c, ph.CLOSING]
     by_normal, coupling, by_side = islands.point_mobility(island, c)
     pn = pt = 0.0
-    end = math.inf  # [N s] normal impulse of the whole hit, known once compression has ended
+    end = math.inf  # [N s] normal impulse of the whole hit; known after compression
     for _ in range(PHASES):
         heading = slip if slip != 0.0 else coupling
         ratio = -math.copysign(friction, heading)
@@ -67,12 +67,12 @@ def integrate_impact(
 
 @linked
 def part_sides(island: Island, start: Array, friction: float, restitution: float) -> None:
-    """Turn the impulses that stopped the sides of an island at several points into those that part.
+    """Add the phase of restitution to an island's impulses of compression, for several points.
 
-    Normal impulses are multiplied by the restitution. With these given, friction minimises the
-    energy within its limits: point by point, sweep by sweep (projected Gauss-Seidel). It begins
-    with the impulses of compression, multiplied alike: they would return no more energy than the
-    parcels had, and each sweep takes from that.
+    Normal impulses are multiplied by the restitution. With these fixed, friction minimises the
+    energy within its limits, point by point in several sweeps (projected Gauss-Seidel). The sweeps
+    start from the tangential impulses of compression, multiplied by the same factor. This start
+    gains no energy, and every sweep reduces the energy.
 
     Args:
         start: (P, 3) velocities after compression.

@@ -1,17 +1,17 @@
-"""The velocities of an island of parcels that touch: one convex step for all of them.
+"""Velocities of an island of touching parcels, solved as one convex problem.
 
 `friction.py` finds the velocity of one parcel as the minimum of a convex potential. Parcels that
-touch share one: the sum of theirs, times their masses, and for each contact point
-    max(0, P - k (u + a))^2 / 2 k   and   the same of T - k w up to the limit mu P
-with u and w the velocities of the second parcel against the first along the normal and along the
-side, a the speed at which the point may still close, and P and T the impulses so far. Its
-derivatives are the impulses: at the minimum they follow from the velocities. Taken as the next P
-and T (augmented Lagrangian) they soon leave no closing speed. The friction limit lags one such
-round.
+touch share one potential: the sum of their own potentials times their masses, plus for each contact
+point
+    max(0, P - k (u + a))^2 / 2 k   and the same for T - k w up to the limit mu P
+with u and w the velocities of the second parcel relative to the first along normal and side, a the
+allowed closing speed, and P and T the impulses so far. The derivatives of these terms are impulses,
+which become the next P and T (augmented Lagrangian). After a few rounds no closing speed remains.
+The friction limit lags by one round.
 
-A Newton direction of the island is a symmetric system, solved by Cholesky's factors. Parcels far
-from each other share no derivatives. Each member's rows begin at the first member in contact with
-it, `Island.low`, and the factors fill no more than that.
+The Newton direction comes from a symmetric system, solved by a Cholesky factorisation. Parcels that
+do not touch share no derivatives. Each member's rows begin at its first touching member,
+`Island.low`, and the factors fill no more than these rows.
 """
 
 import math
@@ -22,37 +22,37 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.friction import friction_curvature, friction_gradient
 from surface_gym.physics.types import Array, Bodies, Contacts, Integers, Scratch
 
-STIFFNESS = 1e5  # [-] k over the mass that an impulse between free parcels moves
-VELOCITY_TOLERANCE = 1e-9  # [m/s] left of any condition
+STIFFNESS = 1e5  # [-] k divided by the effective mass of two free parcels
+VELOCITY_TOLERANCE = 1e-9  # [m/s] maximum residual of any condition
 
 
 class Island(NamedTuple):
-    """Parcels that touch directly or through others, of P parcels in the world."""
+    """Parcels that touch directly or through others, in a world of P parcels."""
 
-    members: int  # parcels in it
-    contacts: int  # points in it
+    members: int  # number of parcels in the island
+    contacts: int  # number of contact points in the island
     bodies: Bodies
     body: Integers  # (P,) row of each parcel in `bodies`
-    tables: Array  # (P, TABLE_SIZE) contacts with elements, as each step left them
+    tables: Array  # (P, TABLE_SIZE) contacts with elements after each parcel's step alone
     marks: Integers  # (P, MARKS_SIZE) the same
     floor: Integers  # (P,) contacts of each parcel with elements
-    member: Integers  # (P,) which parcels are in it
-    slot: Integers  # (P,) the index of each among them
-    low: Integers  # (P,) by slot: the first of those that it touches, or itself
-    contact: Integers  # (most points,) which points are in it
-    ends: Integers  # (most points, 3) the parcels each point lies between, and the pair they are
+    member: Integers  # (P,) rows of the island's parcels in the world
+    slot: Integers  # (P,) index of each parcel in `member`
+    low: Integers  # (P,) by slot: the first slot it touches, or its own
+    contact: Integers  # (most points,) indices of the island's points
+    ends: Integers  # (most points, 3) the two parcels of each point, and their pair
     point: Array  # (most points, POINT_SIZE)
     velocity: Array  # (P, 3) [m/s, m/s, rad/s]
-    target: Array  # (P, 3) of each with neither friction below nor contacts
-    trial: Array  # (P, 3) where the potential was last evaluated
-    gradient: Array  # (P, 3) [N s, N s, N m s] of the potential there
-    direction: Array  # (P, 3) of a search
+    target: Array  # (P, 3) velocity without friction and contacts
+    trial: Array  # (P, 3) velocity of the last evaluation
+    gradient: Array  # (P, 3) [N s, N s, N m s] gradient of the potential at `trial`
+    direction: Array  # (P, 3) direction of the line search
     matrix: Array  # (3 P, 3 P) second derivatives, the lower triangle
 
 
 @inlined
 def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, float]:
-    """Return the velocity of a point, the second against the first, along normal and side."""
+    """Return the velocity of the second parcel relative to the first at a point: normal, side."""
     point = island.point
     i = island.ends[c, 0]
     j = island.ends[c, 1]
@@ -67,7 +67,7 @@ def relative_velocity(island: Island, c: int, velocity: Array) -> tuple[float, f
 
 @inlined
 def contact_impulse(point: Array, c: int, normal: float, side: float) -> tuple[float, float]:
-    """Return the normal and tangential impulse of a point at these speeds."""
+    """Return the normal and tangential impulse of a point at the given speeds."""
     pn = point[c, ph.NORMAL_IMPULSE] - point[c, ph.NORMAL_STIFFNESS] * (
         normal + point[c, ph.CLOSING]
     )
@@ -96,10 +96,10 @@ def add_impulse(island: Island, c: int, pn: float, pt: float, values: Array, sig
 
 @inlined
 def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
-    """Return the speeds [1/kg] that an impulse of 1 N s makes at a point between free parcels.
+    """Return the speeds [1/kg] per unit impulse at a point between free parcels.
 
-    Along the normal by one along the normal, along either by one along the other, and along the
-    side by one along the side.
+    The three values are: normal speed per normal impulse, the coupling of normal and side, and
+    tangential speed per tangential impulse.
     """
     point = island.point
     first = island.bodies.body[island.body[island.ends[c, 0]]]
@@ -124,7 +124,7 @@ def point_mobility(island: Island, c: int) -> tuple[float, float, float]:
 
 @inlined
 def set_contact_stiffness(island: Island) -> None:
-    """Set the stiffness of each point by the mass it moves, and its impulses to zero."""
+    """Set each point's stiffness from its effective mass, and its impulses to zero."""
     point = island.point
     for m in range(island.contacts):
         c = island.contact[m]
@@ -138,9 +138,9 @@ def set_contact_stiffness(island: Island) -> None:
 
 @inlined
 def update_impulses(island: Island, friction: float, share: float) -> float:
-    """Take over the impulses at the velocities; return the largest residual [m/s].
+    """Set the impulses to their values at the velocities; return the largest residual [m/s].
 
-    The limits of friction go a share of the way to those of these impulses.
+    The limits of friction move by `share` towards the limits of the new impulses.
     """
     point = island.point
     most = 0.0
@@ -165,7 +165,7 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 
 @inlined
 def clear_matrix(island: Island) -> None:
-    """Find where each member's rows begin, and set them to zero from there on."""
+    """Find where each member's rows begin, and set them to zero."""
     low = island.low
     for n in range(island.members):
         low[n] = n
@@ -197,7 +197,7 @@ def _factorise(island: Island) -> None:
 
 @linked
 def solve_direction(island: Island) -> None:
-    """Write the direction along which the gradient would vanish; the matrix is used up."""
+    """Write the Newton direction; this overwrites the matrix."""
     matrix, low, direction, member = island.matrix, island.low, island.direction, island.member
     _factorise(island)
     size = 3 * island.members
@@ -214,10 +214,10 @@ def solve_direction(island: Island) -> None:
 
 
 MAX_ROUNDS = 60
-FULL_ROUNDS = 8  # after which limits go half the way, so that they do not oscillate
+FULL_ROUNDS = 8  # later rounds move the limits half the way, so that they do not oscillate
 MAX_ITERATIONS = 60
 MAX_TRIALS = 40
-# A full Newton step may leave this share of the starting slope, a search that.
+# Accepted share of the starting slope after a full Newton step, and after a search.
 FULL_STEP_SLOPE = 0.5
 SEARCHED_SLOPE = 0.05
 
@@ -338,11 +338,11 @@ def _residual(island: Island) -> float:
 
 @inlined
 def _search(island: Island, start: float, end: float) -> None:
-    """Find where the slope, which only grows, passes zero between no step and a full one.
+    """Find the zero of the increasing slope between steps 0 and 1.
 
     Args:
-        start: [J] slope at no step, negative.
-        end: [J] at a full one, positive.
+        start: [J] slope at step 0, negative.
+        end: [J] slope at step 1, positive.
     """
     low, high = 0.0, 1.0
     at_low, at_high = start, end
@@ -351,7 +351,7 @@ def _search(island: Island, start: float, end: float) -> None:
         slope = _slope(island, step)
         if abs(slope) <= -SEARCHED_SLOPE * start:
             break
-        # The end that stays counts half, so that it moves next time (Illinois).
+        # Halve the value of the end that stays (Illinois method), so that it moves next time.
         if slope < 0.0:
             low, at_low, at_high = step, slope, 0.5 * at_high
         else:
@@ -385,9 +385,9 @@ def _minimise(island: Island) -> None:
 def solve_velocities(island: Island, friction: float) -> int:
     """Solve the velocity constraints of an island: impulses at its points, and velocities.
 
-    They converge to 1e-9 m/s within some ten rounds; at a friction of 0.8 or more, one island of a
-    hundred is left off the limit of friction, by up to 1e-4 m/s. Whatever the rounds, the
-    velocities are those that the impulses make.
+    The residual falls to 1e-9 m/s in about ten rounds. At a friction coefficient of 0.8 or more,
+    one island in a hundred keeps a residual of up to 1e-4 m/s at the limit of friction. The
+    velocities always agree with the impulses.
 
     Returns:
         Number of rounds.

@@ -1,10 +1,9 @@
-"""Normal forces, Eq. (1), by its dual: three unknowns however many contacts there are.
+"""Normal forces by the dual of Eq. (1), with three unknowns for any number of contacts.
 
-The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off
-at zero, N_i = max(0, c + cx x_i + cy y_i). Elements of unequal stiffness k_i weigh the squares,
-sum N_i^2 / k_i, and then N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of
-Eq. (1) follows from vertical balance and N >= 0, so it never binds on its own. Forces are per unit
-mass throughout.
+The minimiser of |N|^2 under vertical and moment balance with N >= 0 is a pressure plane cut off at
+zero: N_i = max(0, c + cx x_i + cy y_i). With unequal stiffnesses k_i, the minimiser of sum N_i^2 /
+k_i is N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of Eq. (1) follows from
+vertical balance and N >= 0, so it never binds. All forces are per unit mass.
 """
 
 from surface_gym.compiler.jit import inlined, linked
@@ -12,13 +11,14 @@ from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, PRESSURE, STIFFNESS,
 
 MAX_ITERATIONS = 100
 MAX_SEARCHES = 100
-# The moment balance may miss by this times the plane's slope. That leaves a solution where none is
-# exact (the parcel tips), and moves an exact one by about 1e-8 of itself.
+# Allowed error of the moment balance per slope of the plane. It gives a solution also if none is
+# exact (the parcel tips), and changes an exact solution by about 1e-8 of its value.
 SLACK = 1e-8  # [pitch^2]
-COLLINEAR_SLACK = 1e-5  # [pitch^2] where the plane's slope across the line is arbitrary
-BALANCE_TOLERANCE = 1e-12  # [weight] left of the balance, and [weight * pitch] of the moments
-TIPPING_TOLERANCE = 1e-6  # [pitch] by which the load point may miss what the contacts can carry
-COLLINEAR_TOLERANCE = 1e-6  # [-] least product of the two spreads, over their sum squared
+# [pitch^2] for collinear contacts, where the slope across the line is arbitrary
+COLLINEAR_SLACK = 1e-5
+BALANCE_TOLERANCE = 1e-12  # residual of the balance [weight] and of the moments [weight * pitch]
+TIPPING_TOLERANCE = 1e-6  # [pitch] allowed distance of the load point from the contacts' hull
+COLLINEAR_TOLERANCE = 1e-6  # [-] minimum of the product of the two spreads over their sum squared
 
 
 @linked
@@ -37,13 +37,13 @@ def _minimise_along(
 ) -> float:
     """Return the step length in (0, 1) at the minimum of the dual along a change of the plane.
 
-    The slope increases and is linear between its kinks, where a contact is loaded or lifted:
-    bracket it between two neighbours and the secant is exact.
+    The slope increases and is linear between its kinks, where a contact is loaded or lifted. A
+    secant between two neighbouring kinks is therefore exact.
 
     Args:
         start: slope at 0, negative.
         end: slope at 1, positive.
-        slack: [m^2] of the moment balance.
+        slack: [m^2] allowed error of the moment balance per slope.
     """
     table = scratch.table
     low, high = 0.0, 1.0
@@ -55,7 +55,7 @@ def _minimise_along(
         change = dc + dx * table[ARM_X + i] + dy * table[ARM_Y + i]
         constant -= table[STIFFNESS + i] * change * max(0.0, pressure)
     for _ in range(MAX_SEARCHES):
-        # The kink nearest to the middle of the bracket.
+        # The kink closest to the middle of the bracket.
         middle = 0.5 * (low + high)
         distance = 0.5 * (high - low) * (1.0 - 1e-9)
         t = -1.0
@@ -109,22 +109,22 @@ def dual_normal_forces(
 
     Args:
         scratch: arms and stiffnesses of the contacts in, normal forces out.
-        contacts: their number, at least one.
+        contacts: number of contacts, at least one.
         weight: [m/s^2] normal load / mass.
-        load_x: [m] where the load acts, from the centre of mass.
-        load_y: [m].
+        load_x: [m] x from the centre of mass to the point where the load acts.
+        load_y: [m] y.
         pitch: [m] scale of the contacts' distances.
 
     Returns:
-        Whether the set is degenerate: fewer than three contacts, collinear, or the load point
-        outside their hull. Then vertical balance holds and the moments come as near as they can.
+        Whether the contacts are degenerate: fewer than three, collinear, or with the load point
+        outside their hull. Vertical balance then holds, and the moments are as close as possible.
     """
     table = scratch.table
     slack = SLACK * pitch * pitch
     for i in range(contacts):
         table[PRESSURE + i] = 1.0
-    # From a uniform pressure, which loads every contact, to the plane that balances the load on
-    # the contacts now loaded, and again until that lifts or loads none.
+    # Start with a uniform pressure, which loads every contact. Then repeat: find the plane that
+    # balances the load on the loaded contacts, until no contact is lifted or loaded.
     c, cx, cy = weight / contacts, 0.0, 0.0
     dc = dx = dy = 0.0
     start = 0.0
@@ -144,7 +144,7 @@ def dual_normal_forces(
         s, sx, sy, sxx, sxy, syy = _loaded_sums(scratch, contacts)
         if step == 0.0:
             slack *= s / contacts
-        # What is left of the balance: the gradient of the dual.
+        # The residual of the balance is the gradient of the dual.
         left = s * trial_c + sx * trial_cx + sy * trial_cy - weight
         left_x = sx * trial_c + (sxx + slack) * trial_cx + sxy * trial_cy - weight * load_x
         left_y = sy * trial_c + sxy * trial_cx + (syy + slack) * trial_cy - weight * load_y
@@ -177,7 +177,7 @@ def dual_normal_forces(
         dx = new_cx - cx
         dy = new_cy - cy
         start = left * dc + left_x * dx + left_y * dy
-        if start >= 0.0:  # round-off is all that is left
+        if start >= 0.0:  # only round-off remains
             break
         step = 1.0
     miss = slack * (abs(trial_cx) + abs(trial_cy))

@@ -1,8 +1,9 @@
 """Reference solvers of the normal forces, and the physics' functions for callers in Python.
 
-All take arms (n, 2) [m] from the centre of mass to the contacts, the normal load [m/s^2] per unit
-mass, the point (2,) [m] where it acts, and the contacts' stiffnesses (n,) [-]; and return normal
-forces (n,) [m/s^2] and whether the set is degenerate (see `dual_normal_forces`).
+All solvers take the arms (n, 2) [m] from the centre of mass to the contacts, the normal load
+[m/s^2] per unit mass, its point of action (2,) [m], and the contacts' stiffnesses (n,) [-]. They
+return normal forces (n,) [m/s^2] and whether the contacts are degenerate (see
+`dual_normal_forces`).
 """
 
 from collections.abc import Callable
@@ -28,11 +29,11 @@ advance_explicit = compiled(step.advance_explicit.py_func)
 
 Solver = Callable[[Array, float, Array, Array], tuple[Array, bool]]
 
-_MISS = 1e-6  # [of the arms' scale] moment left over that makes a set degenerate
+_MISS = 1e-6  # [arms' scale] residual moment from which contacts are degenerate
 
 
 def _balance(arms: Array, load: Array) -> tuple[Array, Array, float]:
-    """Return A_eq and b_eq of Eq. (1) with the load 1 and the arms' scale taken out."""
+    """Return A_eq and b_eq of Eq. (1), normalised by the load, and the arms' scale."""
     scale = max(float(np.abs(arms).max()), 1e-9)
     matrix = np.vstack([np.ones(len(arms)), arms.T / scale])
     return matrix, np.array([1.0, load[0] / scale, load[1] / scale]), scale
@@ -47,7 +48,7 @@ def _is_degenerate(matrix: Array, target: Array, share: Array) -> bool:
 def scipy_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve by SciPy's active-set `nnls`: the balance as heavy rows over the identity."""
+    """Solve Eq. (1) by SciPy's active-set `nnls`, with the balance as heavily weighted rows."""
     from scipy.optimize import nnls  # with osqp a third of the package's import time
 
     matrix, target, _ = _balance(arms, load)
@@ -63,7 +64,7 @@ def scipy_normal_forces(
 def osqp_normal_forces(
     arms: Array, weight: float, load: Array, stiffness: Array | None = None
 ) -> tuple[Array, bool]:
-    """Solve Eq. (1) by OSQP; where it is infeasible, with moments as near as they come."""
+    """Solve Eq. (1) by OSQP; if it is infeasible, with moments as close as possible."""
     matrix, target, _ = _balance(arms, load)
     n = len(arms)
     rows = np.vstack([matrix, np.eye(n)])
@@ -103,7 +104,7 @@ def _osqp(cost: Array, linear: Array, rows: Array, low: Array, high: Array) -> A
         eps_abs=1e-9,
         eps_rel=1e-9,
         max_iter=20_000,
-        adaptive_rho_interval=25,  # at its default some sets never converge
+        adaptive_rho_interval=25,  # some contacts never converge with the default
         polishing=True,
     )
     result = problem.solve(raise_error=False)

@@ -1,7 +1,7 @@
 """Runs of many steps, recorded or repeated from a record.
 
-A run records states alone. Each step depends on the state before it and nothing else, so the same
-functions lead from there to the same bits.
+A run records states only. Each step depends on the state before it and nothing else, so a repeated
+step gives the same bits.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ def run_implicit(
     """Fill states[1:] (steps + 1, STATE_SIZE) and reports[1:] from states[0].
 
     Returns:
-        The steps done; fewer than asked for where a report ended the run.
+        The number of steps done, fewer than requested if a report ended the run.
     """
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
@@ -50,12 +50,12 @@ def run_explicit(
 
 
 class Records(NamedTuple):
-    """Record of a run: a row a step, the start first; and a row a contact of two parcels."""
+    """Record of a run: one row per step from the start, and one per contact of two parcels."""
 
     state: Array  # (steps + 1, P, STATE_SIZE)
     report: Integers  # (steps + 1, P)
-    step: Integers  # (most contacts,) in which parcels pushed each other
-    pair: Integers  # (most contacts, 2) their rows
+    step: Integers  # (most contacts,) the step in which two parcels pushed each other
+    pair: Integers  # (most contacts, 2) rows of the two parcels
     impulse: Array  # (most contacts,) [N s] along the normal
 
 
@@ -71,15 +71,15 @@ def run_world(
     touches: int,
     dt: float,
 ) -> tuple[int, int]:
-    """Do the steps from `first` to `last`; a parcel that leaves the surface is present no more.
+    """Do the steps from `first` to `last`; parcels that leave the surface become absent.
 
     Args:
-        records: to be written from `first` on.
-        touches: contacts of parcels in the records already.
+        records: written from step `first` on.
+        touches: number of parcel contacts already in the records.
 
     Returns:
-        The next step to be done, at most `last` where the records may have no room for its
-        contacts; and the number of contacts of parcels in them.
+        The next step to do, and the number of parcel contacts in the records. The next step is
+        before the end if the records may have no room for its contacts.
     """
     rows = world.present.shape[0]
     for k in range(first, last + 1):
@@ -115,18 +115,18 @@ def distance_between(world: World, i: int, j: int) -> float:
 
 
 class RecordedSteps(NamedTuple):
-    """Steps of a run: step k leads from row k - 1 to row k, and step 0 is none."""
+    """Steps of a run: step k leads from row k - 1 to row k; step 0 does not exist."""
 
     before: Array  # (T, STATE_SIZE) the states recorded
     length: Array  # (T,) [s]
-    lead: Array  # (T,) [s] from a step's start to the pose whose contacts support it
-    first: Integers  # (T + 1,) the row of a step's first contact in what is observed
+    lead: Array  # (T,) [s] from a step's start to the pose at which contacts are found
+    first: Integers  # (T + 1,) row of a step's first contact in `ContactForces`
 
 
 class ContactForces(NamedTuple):
     """Contacts and forces of recorded steps, one step after the other, in the order of the grid."""
 
-    state: Array  # (T, STATE_SIZE) where each step leads
+    state: Array  # (T, STATE_SIZE) state after each step
     element: Integers  # (contacts, 2) row and column
     normal: Array  # (contacts,) [m/s^2] normal force / mass
     force: Array  # (contacts, 2) [m/s^2] friction on the parcel / mass, in x and y
@@ -136,7 +136,7 @@ class ContactForces(NamedTuple):
 def count_contacts(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, count: Integers
 ) -> None:
-    """Write the number of contacts of each step (T,); what follows needs at least one."""
+    """Write the number of contacts of each step (T,); the functions below need at least one."""
     for k in range(1, steps.before.shape[0]):
         contacts = step.find_support(grid, body, steps.before[k - 1], scratch, steps.lead[k])
         count[k] = contacts.total
@@ -204,7 +204,7 @@ def repeat_explicit(
     """Do the explicit steps with normal forces given, and record the friction at their starts.
 
     Args:
-        level: the grid without the pull of gravity along it, so that friction alone is left.
+        level: the grid without gravity along it, so that only friction accelerates.
         observed: normal forces in, all else out.
     """
     for k in range(1, steps.before.shape[0]):
@@ -216,7 +216,7 @@ def repeat_explicit(
         along_x = 0.0
         other_x = grid.gravity_x
         for i in range(contacts.total):
-            # The law for one contact at a time, which begins the tables.
+            # Apply the law to one contact: a scratch whose tables begin at it.
             one = Scratch(scratch.table[i:], scratch.marks[i:])
             fx, fy, _, _ = step.explicit_acceleration(
                 level, body.gyration, one, Contacts(1, 0), vx, before[ph.VY], before[ph.OMEGA]

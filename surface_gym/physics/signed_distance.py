@@ -1,8 +1,8 @@
 """Signed distance, contact manifold and time of impact of two bases.
 
-A base is a convex polygon by its corners, or a disc: a point with a radius. Polygons lie apart if
-and only if the normal of an edge of either separates them, so the sign of the distance of two
-polygons is exact. Where corner faces corner, the true distance is larger.
+A base is a convex polygon with corners, or a disc: a point with a radius. Two polygons are separate
+if and only if the normal of one of their edges separates them, so the sign of their distance is
+exact. If a corner faces a corner, the true distance is larger.
 """
 
 import math
@@ -16,9 +16,10 @@ from surface_gym.physics.types import Array, Bodies
 class Outline(NamedTuple):
     """Outline of a base in its own frame."""
 
-    corners: Array  # (corners, 2) [m] from the centroid, anti-clockwise; repeats are no edges
+    # (corners, 2) [m] from the centroid, anti-clockwise; repeated corners add no edge
+    corners: Array
     edges: Array  # (edges, 3) outward normal and distance [m] from the centroid; a disc has none
-    disc: float  # [m] radius of a disc, all of whose corners lie at the centroid; else 0
+    disc: float  # [m] radius of a disc, whose corners lie at the centroid; 0 for a polygon
     com_x: float  # [m] centre of mass from the centroid
     com_y: float  # [m]
 
@@ -49,7 +50,7 @@ class SignedDistance(NamedTuple):
     width: float  # [m] negative where they overlap
     nx: float  # unit normal from the first to the second
     ny: float
-    edge: int  # that faces the other: of the first, or of the second from `corners` on; -1: round
+    edge: int  # closest edge: of the first base, or of the second from `corners` on; -1: round
 
 
 @inlined
@@ -82,13 +83,13 @@ def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
 
 @inlined
 def sweep_at_rest(state: Array) -> Sweep:
-    """Return the sweep of a state that does not move."""
+    """Return the sweep of a state at rest."""
     return Sweep(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
 def sweep_between(before: Array, after: Array) -> Sweep:
-    """Return the sweep of a step, at the mean of its velocities as the implicit step's is."""
+    """Return the sweep of a step at its mean velocity, as in the implicit step."""
     return Sweep(
         before[ph.X],
         before[ph.Y],
@@ -205,9 +206,9 @@ def signed_distance(
 def facing_gap(
     outline: Outline, pose: Transform, other: Outline, other_pose: Transform
 ) -> SignedDistance:
-    """Return the distance of another base beyond the edge that faces its centroid most.
+    """Return the distance of another base from the edge closest to its centroid.
 
-    `signed_distance` looks at all edges: it takes longer, and is at least as large.
+    `signed_distance` checks all edges. It takes longer, and is at least as large.
     """
     dx = other_pose.x - pose.x
     dy = other_pose.y - pose.y
@@ -231,7 +232,7 @@ def facing_gap(
     return SignedDistance(most + nearest - other.disc, nx, ny, -1)
 
 
-CLEAR = 1e-4  # [m] beyond an edge: so far apart, two do not touch by `signed_distance` either
+CLEAR = 1e-4  # [m] margin beyond an edge at which `signed_distance` finds no touch either
 
 
 @inlined
@@ -244,12 +245,12 @@ def stay_clear(
     uy: float,
     turning: float,
 ) -> bool:
-    """Return whether an edge shows that two bases stay apart; where none does, they still may.
+    """Return whether an edge proves that two bases stay apart (sufficient, not necessary).
 
     Args:
-        ux: [m] by which the first moves on against the second, in x.
-        uy: [m] in y.
-        turning: [m] by which they may close by turning, at most.
+        ux: [m] motion of the first base relative to the second, in x.
+        uy: [m] the same in y.
+        turning: [m] maximum by which turning may close the gap.
     """
     gap = facing_gap(first, pose, second, other_pose)
     if max(0.0, gap.nx * ux + gap.ny * uy + turning) < gap.width - CLEAR:
@@ -264,7 +265,7 @@ class Manifold(NamedTuple):
     points: int
     x: float  # [m]
     y: float  # [m]
-    width: float  # [m] of the gap there
+    width: float  # [m] width of the gap at the point
     second_x: float  # [m]
     second_y: float  # [m]
     second_width: float  # [m]
@@ -278,7 +279,7 @@ def _corner(outline: Outline, pose: Transform, k: int) -> tuple[float, float]:
 
 @inlined
 def _opposite_edge(outline: Outline, pose: Transform, nx: float, ny: float) -> int:
-    """Return the edge whose normal is most against (nx, ny)."""
+    """Return the edge whose normal is most opposed to (nx, ny)."""
     corners = outline.corners
     own_x = pose.cosine * nx + pose.sine * ny
     own_y = pose.cosine * ny - pose.sine * nx
@@ -305,14 +306,14 @@ def _facing_edges(
     nx: float,
     ny: float,
 ) -> Manifold:
-    """Return the part of the other's opposite edge that lies over an edge of normal (nx, ny)."""
+    """Return the overlap of an edge of normal (nx, ny) with the other base's opposite edge."""
     x0, y0 = _corner(outline, pose, edge)
     x1, y1 = _corner(outline, pose, next_corner(outline.corners, edge))
     length = math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
     across = _opposite_edge(other, other_pose, nx, ny)
     ax, ay = _corner(other, other_pose, across)
     bx, by = _corner(other, other_pose, next_corner(other.corners, across))
-    # Along the edge and away from it; the edge itself runs along (-ny, nx).
+    # Coordinates along the edge, which runs along (-ny, nx), and away from it.
     a_along = nx * (ay - y0) - ny * (ax - x0)
     b_along = nx * (by - y0) - ny * (bx - x0)
     a_away = nx * (ax - x0) + ny * (ay - y0)
@@ -344,9 +345,9 @@ def _facing_edges(
 def find_manifold(
     first: Outline, pose: Transform, second: Outline, other_pose: Transform, gap: SignedDistance
 ) -> Manifold:
-    """Find the contact manifold of two bases: two points where edge meets edge, else one.
+    """Find the contact manifold of two bases: two points if edges meet, else one.
 
-    The gap is their `signed_distance`.
+    `gap` is their `signed_distance`.
     """
     corners = first.corners.shape[0]
     if gap.edge >= corners:
@@ -363,7 +364,7 @@ def find_manifold(
     return Manifold(1, x, y, gap.width, 0.0, 0.0, 0.0)
 
 
-CONTACT_DISTANCE = 1e-6  # [m] a gap below it is a contact; the overlap that may be left
+CONTACT_DISTANCE = 1e-6  # [m] smaller gaps are contacts; overlaps up to it may remain
 MAX_ADVANCES = 64
 
 
@@ -384,8 +385,9 @@ def time_of_impact(
 ) -> float:
     """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 
-    Conservative advancement: the bases close no faster than their centres of mass do along the
-    normal, plus their farthest corners by turning, so they may advance for the gap over that speed.
+    Conservative advancement: the closing speed is at most the speed of the centres of mass along
+    the normal, plus the speed of the farthest corners by turning. The bases may therefore advance
+    for the gap divided by this speed.
     """
     turning = abs(sweep.omega) * _reach(first) + abs(other_sweep.omega) * _reach(second)
     time = 0.0

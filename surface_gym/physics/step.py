@@ -15,14 +15,14 @@ from surface_gym.physics.types import Array, Body, Contacts, Grid, Scratch
 
 EIGHTH = 0.25 * math.pi  # [rad] 45 deg
 HALF_ROOT = math.sqrt(0.5)
-ROUND_OFF = 1e-15  # [-] of an angle: what float64 leaves of a multiple of 45 deg
+ROUND_OFF = 1e-15  # [-] relative round-off of a multiple of 45 deg in float64
 
 
 @inlined
 def axis_direction(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an axis angle [rad]; at multiples of 45 deg they are exact.
 
-    math.cos(pi / 2) is 6e-17, and a rotor across the motion would drag aside by its sign.
+    math.cos(pi / 2) is 6e-17, so a rotor across the motion would drag the parcel sideways.
     """
     eighths = math.floor(angle / EIGHTH + 0.5)
     if abs(angle - eighths * EIGHTH) > ROUND_OFF * abs(angle):
@@ -54,7 +54,7 @@ def axis_directions(angles: Array) -> Array:
 
 
 def map_floats(function: Callable[[float], float], values: Any) -> Any:
-    """Apply Python's own function to a number or to each of (count,).
+    """Apply a function of Python's math module to a number or to each entry of (count,).
 
     NumPy's functions differ in the last digit between machines.
     """
@@ -98,7 +98,7 @@ def com_states(centre: Array, pose: Array, velocity: Array) -> Array:
 
 
 STEEPNESS = 5000.0  # [s/m] k of Eq. (2), Section 6.1
-RESTART_SPEED = 1e-4  # [m/s] given to a parcel that stands or reverses, Figure 5b
+RESTART_SPEED = 1e-4  # [m/s] speed given to a parcel that stands or reverses, Figure 5b
 
 
 @inlined
@@ -108,14 +108,14 @@ def _sign(value: float) -> float:
 
 @inlined
 def held_share(along_x: float, other_x: float) -> float:
-    """Return the share of the forces along the axes that holds a parcel gravity does not move.
+    """Return the share of the forces along the axes that holds a parcel at rest.
 
-    sum F_x + m g sin(gamma) = 0 sets it. Friction along an axis cannot push, nor hold more than it
-    does where the parcel slides.
+    The share solves sum F_x + m g sin(gamma) = 0. It lies within [0, 1]: friction along an axis
+    cannot push, nor exceed sliding friction.
 
     Args:
-        along_x: [m/s^2] x of the forces along the axes, over the mass.
-        other_x: [m/s^2] x of all others, gravity's pull among them.
+        along_x: [m/s^2] x component of the forces along the axes, divided by the mass.
+        other_x: [m/s^2] x component of all other forces, gravity included.
     """
     return min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
 
@@ -133,7 +133,7 @@ def explicit_acceleration(
     """Return the acceleration (x, y, theta) by Eq. (2)-(4), with Figure 5b's rule for vx <= 0.
 
     Returns:
-        The acceleration, and the vx it starts from, which the rule changes.
+        The acceleration, and the vx to start from, which the rule may change.
     """
     standing = vx <= 0.0
     if standing:
@@ -181,7 +181,7 @@ BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 @inlined
 def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
-    """Return where the load acts, from the centre of mass: b_eq of Eq. (1) over m g cos(gamma)."""
+    """Return the point of action of the load from the centre of mass (b_eq / m g cos(gamma))."""
     per_weight = body.com_height / grid.gravity_normal
     load_x = (grid.gravity_x - state[ph.AX]) * per_weight
     load_y = (grid.gravity_y - state[ph.AY]) * per_weight
@@ -190,7 +190,7 @@ def load_point(grid: Grid, body: Body, state: Array) -> tuple[float, float]:
 
 @inlined
 def on_surface(grid: Grid, x: float, y: float) -> bool:
-    """Return whether a point is over the grid, half a pitch around its outer elements included."""
+    """Return whether a point is over the grid (up to half a pitch beyond outer elements)."""
     rows, columns = grid.rotor.shape
     right = 0.5 * grid.pitch_x * columns
     up = 0.5 * grid.pitch_y * rows
@@ -201,7 +201,7 @@ def on_surface(grid: Grid, x: float, y: float) -> bool:
 
 @inlined
 def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: float) -> Contacts:
-    """Find the contacts at the pose the parcel has `lead` seconds on; none off the surface."""
+    """Find the contacts at the pose after `lead` seconds; none off the surface."""
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
@@ -220,7 +220,7 @@ def explain_unsupported(grid: Grid, state: Array, lead: float) -> int:
 def support_load(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts
 ) -> bool:
-    """Solve the normal forces of the contacts in `scratch`; return whether they are degenerate."""
+    """Solve the normal forces of the contacts in `scratch`; return whether these are degenerate."""
     load_x, load_y = load_point(grid, body, state)
     return dual_normal_forces(
         scratch,
@@ -256,7 +256,7 @@ def advance_implicit(
 def advance_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, contacts: Contacts, dt: float
 ) -> None:
-    """Integrate Eq. (4) twice as the paper does: the velocity, then the position with it."""
+    """Integrate Eq. (4) twice as in the paper: first the velocity, then the position from it."""
     ax, ay, aw, vx = explicit_acceleration(
         grid, body.gyration, scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA]
     )
@@ -276,7 +276,7 @@ def step_implicit(
 ) -> tuple[int, Contacts]:
     """Do one implicit step; return its report and its contacts, which `scratch` holds.
 
-    The contacts are those of the pose half a step on.
+    Contacts are found at the pose after half the step.
     """
     contacts = find_support(grid, body, state, scratch, 0.5 * dt)
     if contacts.total == 0:
@@ -290,7 +290,7 @@ def step_implicit(
 def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
-    """Do one step of the paper's loop, Figure 5a, its stopping rule included."""
+    """Do one step of the paper's loop (Figure 5a), including its stopping rule."""
     if state[ph.VX] <= 0.0 and grid.gravity_x == 0.0:
         return STOPPED, Contacts(0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)

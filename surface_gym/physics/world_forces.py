@@ -1,4 +1,4 @@
-"""The forces of one step of all parcels on a surface: from elements below, and between sides."""
+"""Forces of one step of all parcels on a surface: on elements and between sides."""
 
 from typing import NamedTuple
 
@@ -14,18 +14,18 @@ from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
 
 class WorldForces(NamedTuple):
-    """Room for the forces of a step of P parcels."""
+    """Buffers for the forces of one step of P parcels."""
 
-    alone: Array  # (P, STATE_SIZE) where each parcel's step alone leads
-    first: Integers  # (P + 1,) the row of each parcel's first contact below
+    alone: Array  # (P, STATE_SIZE) state after each parcel's step alone
+    first: Integers  # (P + 1,) row of each parcel's first contact in `below`
     element: Integers  # (most contacts, 2) row and column
     below: Array  # (most contacts, 3) [N] normal force, and friction on the parcel in x and y
     pair: Integers  # (most pairs, 2) rows of parcels that push each other
-    push: Array  # (most pairs, 4) [m] place, and [N] force on the second, in x and y
+    push: Array  # (most pairs, 4) [m] point of action, and [N] force on the second, in x and y
 
 
 def make_world_forces(parcels: int) -> WorldForces:
-    """Make room for a number of parcels."""
+    """Make buffers for a number of parcels."""
     contacts, pairs = parcels * ph.CAPACITY, parcels * (parcels - 1) // 2
     return WorldForces(
         alone=np.zeros((parcels, ph.STATE_SIZE)),
@@ -46,10 +46,9 @@ def observe_world(
     dt: float,
     forces: WorldForces,
 ) -> int:
-    """Do one step as `step_world` does, and write its forces, means over the step.
+    """Do one step by `step_world`, and write its mean forces.
 
-    Of sides that rebound in the step the force is the whole blow's, but for the friction between
-    them in it.
+    For sides that rebound, the force includes the whole impact except its friction.
 
     Returns:
         Number of pairs that push each other.
@@ -72,7 +71,7 @@ def observe_world(
                     rows_below[i, 0] = mass * under.table[ph.NORMAL + i]
                     rows_below[i, 1] = rows_below[i, 2] = 0.0
                 _add_friction(under, contacts, forces.alone[k], mass / dt, rows_below)
-    scratch.ends[:, 2] = -1  # marks where the points of this step end
+    scratch.ends[:, 2] = -1  # marks the end of this step's points
     pushed = step_world(grid, world, material, scratch, dt)
     for k in range(rows):
         if _is_among(scratch, pushed, k):
@@ -98,7 +97,7 @@ def _write_elements(scratch: Scratch, element: Integers) -> None:
 def _add_friction(
     scratch: Scratch, contacts: Contacts, state: Array, scale: float, below: Array
 ) -> None:
-    """Add the friction at the velocity of a state, with the loads in the scratch, times a scale."""
+    """Add the friction at the velocity of a state and the loads in the scratch, times `scale`."""
     friction_gradient(scratch, contacts, state[ph.VX], state[ph.VY], state[ph.OMEGA])
     for i in range(contacts.total):
         below[i, 1] -= scale * scratch.table[ph.FORCE_X + i]
@@ -107,7 +106,7 @@ def _add_friction(
 
 @inlined
 def _is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
-    """Return whether a parcel is one of a pair that pushed each other."""
+    """Return whether a parcel belongs to a pair that pushed each other."""
     found = False
     for e in range(pushed):
         found |= scratch.pair[e, 0] == k or scratch.pair[e, 1] == k
@@ -118,7 +117,7 @@ def _is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
 def _share_friction(
     world: World, scratch: WorldScratch, k: int, dt: float, forces: WorldForces
 ) -> None:
-    """Let friction be that of the step alone until the parcel touches, then that of the push."""
+    """Mix friction before the touch (step alone) and after it (pushed), weighted by time."""
     below = forces.below[forces.first[k] : forces.first[k + 1]]
     for i in range(below.shape[0]):
         below[i, 1] *= scratch.since[k] / dt
@@ -131,13 +130,13 @@ def _share_friction(
 
 @inlined
 def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -> None:
-    """Write what the e-th pair does to each other, where the mean of its points' impulses is."""
+    """Write the force of the e-th pair, acting at the mean of its points weighted by impulse."""
     i, j = scratch.pair[e, 0], scratch.pair[e, 1]
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx
     y = motion.y + scratch.since[i] * motion.vy
     side = nx = ny = 0.0
-    for weighted in (True, False):  # by their impulses; where a blow left none, evenly
+    for weighted in (True, False):  # by impulse; evenly if an impact left none
         total = arm_x = arm_y = 0.0
         for c in range(scratch.ends.shape[0]):
             if scratch.ends[c, 2] < 0:

@@ -1,8 +1,8 @@
-"""Drawing: a `Scene` in, a picture out. Only this package imports pygame."""
+"""Drawing of a `Scene` as a picture. Only this package imports pygame."""
 
 import os
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # standard output belongs to the caller
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps standard output clean
 
 from surface_gym.rendering.painter import Painter, TilePainter, Window, draw, with_caption
 from surface_gym.rendering.scene import (

@@ -1,8 +1,8 @@
-"""Colours, and strokes, areas and letters drawn with them.
+"""Colours, and functions that draw strokes, areas and text.
 
-A smooth shape is painted several times larger on a layer around it, which is then scaled down, so
-that its edges are smooth and it can lie between pixels, as a slowly moving parcel must. Strokes are
-quicker and whole pixels wide, for what moves in great number. Texts are in pygame's own font.
+Smooth shapes are painted on an enlarged layer, which is then scaled down (anti-aliasing). So a
+slowly moving parcel can lie between pixels. Strokes are faster and whole pixels wide, for scenes
+with many parcels. Text uses pygame's default font.
 """
 
 import math
@@ -28,8 +28,8 @@ FAINT_INK: Colour = (108, 116, 128)
 PARCEL: Colour = (146, 152, 164)
 GOAL: Colour = (190, 24, 72)
 SENSED: Colour = (94, 60, 170)
-RUNS: Colour = (52, 60, 72)  # a conveyor after the surface
-STANDS: Colour = (172, 177, 185)  # the same while it stands
+RUNS: Colour = (52, 60, 72)  # a conveyor after the surface that runs
+STANDS: Colour = (172, 177, 185)  # the same conveyor at rest
 
 # Far from the four orientations' colours and from each other, for dichromats too.
 EXITS: tuple[Colour, ...] = (
@@ -38,8 +38,8 @@ EXITS: tuple[Colour, ...] = (
 )  # fmt: skip
 
 # The axis colours lie on an ellipse in Oklab (https://bottosson.github.io/posts/oklab). Its plane
-# holds lightness and the way from blue to orange, which dichromats see too: 0 deg is dark, 90 deg
-# light, 45 deg blue and -45 deg orange.
+# contains lightness and the axis from blue to orange, which dichromats see too: 0 deg is dark, 90
+# deg light, 45 deg blue and -45 deg orange.
 _CENTRE = np.array([0.620, 0.012, 0.005])
 _TO_ROLLING = np.array([0.170, -0.080, -0.005])  # from the centre to 90 deg
 _TO_PLUS = np.array([-0.055, -0.045, -0.125])  # to 45 deg
@@ -90,27 +90,27 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
 
 
 def exit_colour(index: int) -> Colour:
-    """Return the colour of an exit or a group; colours repeat where there are more of them."""
+    """Return the colour of an exit or a group; colours repeat for large indices."""
     return EXITS[index % len(EXITS)]
 
 
 def text_on(colour: Colour) -> Colour:
-    """Choose the colour in which to write on another."""
+    """Choose the colour of text on a background colour."""
     red, green, blue = colour
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 120.0 else PAPER
 
 
 Points = NDArray[np.float64]  # (points, 2) [px]
 
-_FINE, _COARSE = 8, 4  # samples a pixel and direction
-_LARGE = 20_000  # [px] in a layer from which the coarse number is used
-_DASH = 0.6  # share of a dash in its period
+_FINE, _COARSE = 8, 4  # samples per pixel and direction
+_LARGE = 20_000  # [px] larger layers use the coarse number of samples
+_DASH = 0.6  # share of the dash in a period
 _DASHES_AT_ONCE = 4
-_LETTER_SAMPLES = 2  # a pixel and direction: letters set at twice the size keep their spacing
+_LETTER_SAMPLES = 2  # per pixel and direction: letters at twice the size keep their spacing
 
 
 class _Layer:
-    """An enlarged patch of the canvas, transparent where nothing is painted on it."""
+    """An enlarged, initially transparent patch of the canvas."""
 
     def __init__(self, canvas: pygame.Surface, points: Points, grow: float, colour: Colour) -> None:
         (left, top), (right, bottom) = points.min(axis=0) - grow, points.max(axis=0) + grow
@@ -189,7 +189,7 @@ def lines(
     colour: Colour,
     opacity: float = 1.0,
 ) -> None:
-    """Draw several lines that lie near each other."""
+    """Draw several lines on one layer."""
     layer = _Layer(canvas, np.concatenate(pieces), width, colour)
     layer.lines(pieces, width)
     layer.press(opacity)
@@ -220,7 +220,7 @@ def dashes(
 
 
 def arrow(canvas: pygame.Surface, tail: Points, tip: Points, width: float, colour: Colour) -> None:
-    """Draw an arrow whose head is four widths long, or most of a short arrow."""
+    """Draw an arrow; its head is four widths long, or shorter in a short arrow."""
     length = math.hypot(*(tip - tail))
     if length == 0.0:
         return
@@ -262,7 +262,7 @@ def thinned(points: Points, step: float) -> Points:
 
 def stroke(canvas: pygame.Surface, points: Points, width: int, colour: Colour) -> None:
     """Stroke a line through points."""
-    ends = (points - 0.5).tolist()  # pygame counts from the first pixel's middle
+    ends = (points - 0.5).tolist()  # pygame's origin is the middle of the first pixel
     for start, end in pairwise(ends):
         pygame.draw.aaline(canvas, colour, start, end, width)
 
@@ -287,7 +287,7 @@ def dashed_border(
 
 
 def wash(canvas: pygame.Surface, corners: Points, colour: Colour, opacity: float) -> None:
-    """Fill a polygon quickly; a border has to cover its ragged edge."""
+    """Fill a polygon quickly; its edge is ragged, so draw a border over it."""
     corner = np.floor(corners.min(axis=0)) - 1.0
     size = np.ceil(corners.max(axis=0)) - corner + 2.0
     patch = pygame.Surface(size.tolist(), pygame.SRCALPHA)
@@ -310,7 +310,7 @@ def inset(corners: Points, depth: float) -> Points:
 
 @lru_cache(maxsize=512)
 def _letters(text: str, size: int, colour: Colour, room: int | None) -> pygame.Surface:
-    # A font kept would be lost when someone else calls pygame.quit(); its pictures are not.
+    # Cache pictures instead of fonts, which are lost when other code calls pygame.quit().
     pygame.font.init()
     font = pygame.font.Font(None, _LETTER_SAMPLES * size)
     shown = text
@@ -358,7 +358,7 @@ def write_on_plate(
 def draw_badge(
     canvas: pygame.Surface, text: str, size: int, colour: Colour, **place: tuple[int, int]
 ) -> pygame.Rect:
-    """Draw a text on a rounded label of a colour, placed as `write` places a text; the area."""
+    """Draw a text on a rounded, coloured label, placed as in `write`; return its area."""
     badge = _badge(text, size, colour)
     area = badge.get_rect(**place)
     canvas.blit(badge, area)

@@ -1,7 +1,7 @@
 """Marks of a picture: parcels, supports, zone, modules, goals, exits and queue.
 
-A parcel without a colour is drawn in grey with an arrow along its heading. A parcel of a stream is
-drawn in the colour of its exit or group, quickly, as there are many.
+A parcel without a colour is grey with an arrow along its heading. A parcel of a stream has the
+colour of its exit or group, and is drawn quickly, since there are many.
 """
 
 import math
@@ -16,13 +16,13 @@ from surface_gym.physics.types import Array
 from surface_gym.rendering import ink, scene as scenes
 from surface_gym.rendering.scene import Layout, Pose, Scene, SceneParcel, StopLine
 
-_FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a trail: faded, coloured
-_TRAIL_PIECE = 8  # points of one opacity
-_OPACITY = 0.55  # of a coloured base: the modules under it are seen
-_NEAR = 0.01  # [m] beyond the least distance, within which two parcels count as touching
+_FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a fading and of a coloured trail
+_TRAIL_PIECE = 8  # points with one opacity
+_OPACITY = 0.55  # of a coloured base, so that modules below it stay visible
+_NEAR = 0.01  # [m] points up to this much farther than the closest one count as touching
 _SPIKES = 8
-_FRONT = 0.32  # length of the triangle at a base's front, over the distance from its centre
-_ROOM = 1.2  # a label's width, at most, over the least distance from the centre to a corner
+_FRONT = 0.32  # length of the front triangle divided by the front's distance from the centre
+_ROOM = 1.2  # maximum width of a label divided by the smallest distance from the centre to a corner
 
 
 def centroid(outline: Array) -> Array:
@@ -41,7 +41,7 @@ def placed(points: Array, pose: Pose) -> Array:
 
 
 def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
-    """Draw the recent path of the centre: fading, or coloured and thinner towards the oldest."""
+    """Draw the recent path of the centre: fading, or coloured and thinner towards its start."""
     if len(parcel.trail) < 2:
         return
     index = parcel.colour_index
@@ -64,7 +64,7 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
 
 
 def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: SceneParcel) -> None:
-    """Draw the base: translucent with an arrow, or in its colour with front and label."""
+    """Draw the base: translucent with an arrow, or in its colour with a front mark and label."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
     if index is None:
@@ -99,7 +99,7 @@ def draw_heading(
 
 
 def draw_sensed(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
-    """Draw the outline of the base where the sensors see it."""
+    """Draw the outline of the base at the sensed pose."""
     if parcel.sensed_pose is not None:
         corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
         width = max(1, round(0.1 * layout.cell))
@@ -116,7 +116,7 @@ def draw_touch(
 
 
 def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
-    """Compute the middle (2,) [m] of the region where two bases are nearest to each other."""
+    """Compute the middle (2,) [m] of the region where two bases are closest."""
     one, other = placed(first.outline, first.pose), placed(second.outline, second.pose)
     distances, middles = [], []
     for points, corners in ((one, other), (other, one)):
@@ -147,7 +147,7 @@ def _draw_front(
 def _draw_label(
     canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, text: str, colour: ink.Colour
 ) -> None:
-    """Draw a label in the middle of a base that has room for it."""
+    """Draw a label in the middle of a base if it fits."""
     size, centre = layout.label_size, centroid(parcel.outline)
     clear = float(np.hypot(*(parcel.outline - centre).T).min())
     if text and ink.badge_width(text, size) <= _ROOM * layout.length(clear):
@@ -168,19 +168,19 @@ def _flash(radius: int) -> pygame.Surface:
     return picture
 
 
-ANGLES = 180  # pictures of a module in half a turn
+ANGLES = 180  # number of module pictures in half a turn
 _PALE = 0.62  # share of the plate's colour in a module that does not obey
 _BAND = 1.0  # [cells] thickness of a hatched exit
-_ARROW = 2.4  # [cells] length of the arrow through it
+_ARROW = 2.4  # [cells] length of the arrow through an exit
 _PATH_STEP = 2.0  # [px] between a path's points
-_QUEUE_SHOWN = 3  # parcels drawn at the entry, at most
+_QUEUE_SHOWN = 3  # maximum number of parcels drawn at the entry
 _BAR = 0.3  # [cells] thickness of the bar beside mouths
 _FAINT = 0.75  # share of the paper in an inlet
 _PALEST, _DARKEST = 0.86, 0.45  # shares of the plate in an exit, inside and outside
 
 
 class ModuleSprites:
-    """Pictures of a module, a disc with a bar along its axis, by angle; made when asked for."""
+    """Cached pictures of a module by angle: a disc with a bar along its axis."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
@@ -208,7 +208,7 @@ class ModuleSprites:
 
 
 def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
-    """Paint all that never changes: supports, zone, exits and the grounds of their labels."""
+    """Paint the constant background: supports, zone, exits and label grounds."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
     sheet.fill(ink.PAPER)
     sheet.set_clip(layout.plate)
@@ -225,7 +225,7 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
 
 
 def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
-    """Paint the supports' plate and the zone, of the size of the whole surface."""
+    """Paint the supports' plate and the zone at the size of the whole surface."""
     plate = pygame.Surface(layout.surface.size, depth=32)
     plate.fill(ink.PLATE)
     zone = None
@@ -246,7 +246,7 @@ def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
 def draw_modules(
     canvas: pygame.Surface, layout: Layout, sprites: ModuleSprites, scene: Scene
 ) -> None:
-    """Draw each rotor's module, pale where it does not obey."""
+    """Draw each rotor's module; modules that do not obey are pale."""
     row, column = np.nonzero(scene.rotor)
     steps = np.rint(scene.axis[row, column] * (ANGLES / math.pi)).astype(np.int64) % ANGLES
     pale = ~scene.obeys[row, column]
@@ -276,7 +276,7 @@ def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
 
 
 def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) -> None:
-    """Write what the goal asks beside it."""
+    """Write the label of the goal beside it."""
     goal = scene.goal
     if isinstance(goal, StopLine):
         top = _stop_line(layout, scene, goal)[1]
@@ -293,7 +293,7 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
 def draw_asked_heading(
     canvas: pygame.Surface, layout: Layout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
-    """Draw the base turned to the asked angle about its own centre, and the turn that is left."""
+    """Draw the base at the goal angle about its own centre, and the remaining turn."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
     local = centroid(outline)
     centre = placed(local, pose)
@@ -313,7 +313,7 @@ def draw_asked_heading(
 
 
 def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
-    """Write the counts of parcels: on the exits those delivered, at the entry those waiting."""
+    """Write the numbers of parcels delivered at the exits and waiting at the entry."""
     if scene.traffic is None:
         return
     for index, mark in enumerate(scene.exits):
@@ -326,7 +326,7 @@ def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
 
 
 def exit_colour(scene: Scene, index: int) -> ink.Colour:
-    """Return the colour of an exit: its own, or whether the conveyor after it runs."""
+    """Return the colour of an exit: its own, or the state of the conveyor after it."""
     runs = None if scene.traffic is None else scene.traffic.runs
     if runs is None:
         return ink.exit_colour(index)
@@ -357,7 +357,7 @@ def _gate(layout: Layout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[f
 
 
 def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) -> None:
-    """Draw a band to leave through: hatched, with an arrow outwards."""
+    """Draw an exit band: hatched, with an outward arrow."""
     band, outward = _gate(layout, scene, side)
     ends = {0: ("topleft", "bottomleft"), 1: ("bottomleft", "bottomright")}
     edge = np.array(
@@ -373,7 +373,7 @@ def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) 
 
 
 def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
-    """Compute the ends (2, 2) [px] of a line across the rotors and a little beyond, upwards."""
+    """Compute the ends (2, 2) [px] of a line across the rotors, extended upwards."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
     return np.array([[x, line.bottom], [x, line.top]])
@@ -382,7 +382,7 @@ def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
 def _paint_exit(
     canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
-    """Paint what never changes of an exit: its area, and the ground of its label."""
+    """Paint the constant part of an exit: its area, and the ground of its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
     _paint_fading(canvas, mouth, mark.side, colour)
     rail = max(2, cell // 6)
@@ -403,7 +403,7 @@ def _paint_exit(
 
 
 def _paint_closed(canvas: pygame.Surface, layout: Layout, exits: Sequence[scenes.ExitMark]) -> None:
-    """Paint a bar across the end of the rotors, where mouths take only some of it, but for them."""
+    """Paint a bar across the end of the rotors, with gaps at the mouths."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
         return
@@ -421,7 +421,7 @@ def _paint_closed(canvas: pygame.Surface, layout: Layout, exits: Sequence[scenes
 def _paint_inlet(
     canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, colour: ink.Colour
 ) -> None:
-    """Paint what never changes of an inlet: a pale area between two rails."""
+    """Paint the constant part of an inlet: a pale area between two rails."""
     area, rail = layout.inlet(mark), max(2, layout.cell // 8)
     canvas.fill(ink.mixed(colour, ink.PAPER, _FAINT), area)
     if mark.side == 0:
@@ -447,7 +447,7 @@ def _paint_fading(canvas: pygame.Surface, area: pygame.Rect, side: int, colour: 
 def _paint_chevron(
     canvas: pygame.Surface, mouth: pygame.Rect, side: int, cell: int, colour: ink.Colour
 ) -> None:
-    """Paint an outward angle in a chute that has room for it."""
+    """Paint an outward chevron in a chute if it fits."""
     if mouth.height < 2 * cell:
         return
     width = min(2.4 * cell, 0.4 * mouth.width)
@@ -470,7 +470,7 @@ def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour
 def _write_label(
     canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour, count: int
 ) -> None:
-    """Write an exit's name and its count of parcels; what has no room is cut."""
+    """Write an exit's name and its count of parcels, cut to the available room."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
     number, large = str(count), round(1.25 * size)
     if mark.side == 0:
@@ -512,7 +512,7 @@ def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
 def _write_queue(
     canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, count: int
 ) -> None:
-    """Write an inlet's name and the number of parcels that wait there, where they have room."""
+    """Write an inlet's name and its number of waiting parcels if they fit."""
     area, size, large = layout.inlet(mark), layout.label_size, round(1.25 * layout.label_size)
     colour = ink.INK if count else ink.FAINT_INK
     x, y = area.center

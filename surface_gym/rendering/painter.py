@@ -24,23 +24,23 @@ _GAP = 1.4  # [font sizes] between the readings of a stream
 
 
 class Strips:
-    """Writes above and below a surface, in sizes proportional to the picture's width."""
+    """Text above and below a surface, in sizes proportional to the picture's width."""
 
     def __init__(self, width: int, text: float = 1.0) -> None:
         unit = text * width / 960.0
         self.width = width
         self.head = round(62 * unit)  # [px] height above the surface
         self.foot = round(48 * unit)  # [px] height below it
-        self.margin = round(24 * unit)  # [px] least room beside the surface
+        self.margin = round(24 * unit)  # [px] minimum margin beside the surface
         self.small = round(18 * unit)  # [px] font sizes
         self.middle = round(22 * unit)
         self.large = round(27 * unit)
-        self._slot = round(104 * unit)  # [px] of a reading, at most
+        self._slot = round(104 * unit)  # [px] maximum width of a reading
         self._icons = marks.ModuleSprites(round(20 * unit))
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; with traffic also the parcels right and wrong."""
+        """Write title and readings above an area; with traffic also correct and wrong parcels."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -78,7 +78,7 @@ class Strips:
     def write_legend(
         self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
     ) -> None:
-        """Write the meaning of the scenes' colours below an area, of exits up to `end` [px]."""
+        """Write the legend of colours below an area, with exits up to `end` [px]."""
         x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
         if any(scene.goal is not None for scene in scenes):
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
@@ -99,7 +99,7 @@ class Strips:
     def _fitted_slots(
         self, area: pygame.Rect, numbers: Sequence[tuple[str, str, ink.Colour]], title: int
     ) -> tuple[list[int], list[int]]:
-        """Compute the x of each reading of a stream, and its room [px], at the right of an area."""
+        """Compute the x and width [px] of each reading of a stream, aligned right in an area."""
         widths = [
             max(
                 ink.text_width(label, self.small),
@@ -115,7 +115,7 @@ class Strips:
         return starts, [max(1, slot) for slot in slots]
 
     def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, zone: bool) -> int:
-        """Write the meaning of the modules' colours and of a zone's; the x at its end."""
+        """Write the legend of axis colours and of the zone; return the x of its end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         place = (area.left, middle)
         x = ink.write(canvas, "rotor axis", self.small, ink.FAINT_INK, midleft=place).right
@@ -137,7 +137,7 @@ class Strips:
     def _write_stroke(
         self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int
     ) -> int:
-        """Write the meaning of a dashed stroke after an x; the x at its end."""
+        """Write the legend of a dashed stroke from an x; return the x of its end."""
         middle, gap = self._middle_below(area), self._gap
         stroke = np.array([[x + 2 * gap, middle], [x + 4 * gap, middle]], dtype=np.float64)
         ink.dashes(canvas, stroke, 0.12 * self.small, colour, 0.5 * self.small)
@@ -145,7 +145,7 @@ class Strips:
         return ink.write(canvas, name, self.small, ink.INK, midleft=after).right
 
     def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: Layout) -> int:
-        """Draw the scale bar; the x where it begins."""
+        """Draw the scale bar; return the x of its start."""
         third = layout.columns * layout.pitch[0] / 3.0
         metres = next((length for length in _BARS if length <= third), _BARS[-1])
         width, middle, right = round(layout.length(metres)), self._middle_below(area), area.right
@@ -158,7 +158,7 @@ class Strips:
     def _write_tilt(
         self, canvas: pygame.Surface, tilt: float, direction: float, midright: tuple[int, int]
     ) -> int:
-        """Write the tilt with an arrow that points downhill; the x where it begins."""
+        """Write the tilt with an arrow that points downhill; return the x of its start."""
         text = f"downhill {abs(math.degrees(tilt)):.1f}°"
         area = ink.write(canvas, text, self.small, ink.INK, midright=midright)
         tip, begin = area.left - 8, area.left - 8 - 2 * self.small
@@ -175,21 +175,21 @@ class Strips:
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
-WIDTH, WIDE = 960, 1280  # [px] of a picture: usual, and with traffic or of many scenes
-_NARROWEST = 640  # [px] for the texts to be read
-_LEAST_CELL = 6  # [px] of an element, for its axis to be seen
-_LEAST_TILE_CELL = 2  # [px] of an element in a tile, for its colour to be seen
-_ASPECT = 1.6  # width / height aimed at with tiles
+WIDTH, WIDE = 960, 1280  # [px] default width of a picture, and with traffic or many scenes
+_NARROWEST = 640  # [px] minimum width for readable text
+_LEAST_CELL = 6  # [px] minimum size of an element for a visible axis
+_LEAST_TILE_CELL = 2  # [px] minimum size of an element in a tile for a visible colour
+_ASPECT = 1.6  # target of width / height with tiles
 _BETWEEN = 14  # [px] between tiles
-_CAPTION = (40, 28, 30)  # [px] height, font size and margin on the left
+_CAPTION = (40, 28, 30)  # [px] height, font size and left margin
 
 
 class Painter:
-    """Draws scenes, one after another, and keeps what stays the same.
+    """Painter of successive scenes, which caches their constant parts.
 
     Args:
-        width: [px] of the pictures, even, as video codecs want it; None: 960, 1280 with traffic.
-        text: size of what is written above and below, in times the usual.
+        width: [px] width of the pictures, even for video codecs; None: 960, or 1280 with traffic.
+        text: text size above and below, relative to the default.
     """
 
     def __init__(self, width: int | None = None, text: float = 1.0) -> None:
@@ -202,7 +202,7 @@ class Painter:
     def draw(self, scene: Scene) -> Picture:
         """Draw a scene as a picture (height, width, 3).
 
-        The height is even and follows from the shape of the surface, with traffic also from its
+        The height is even. It follows from the shape of the surface, with traffic also from its
         rotor rows.
         """
         field, strips = self._prepare(scene)
@@ -220,7 +220,7 @@ class Painter:
         return self._prepare(scene)[0].layout.metres(pixel)
 
     def _prepare(self, scene: Scene) -> tuple["_Field", Strips]:
-        """Return field and strips for a scene, those of the last picture if they fit."""
+        """Return field and strips for a scene; reuse the last ones if they fit."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -238,7 +238,7 @@ class Painter:
         return self._field, self._strips
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
-        """Return the canvas of the last picture, as cleaning is cheaper than making one."""
+        """Return the cleared canvas of the last picture, which is faster than a new one."""
         size = (width, height + height % 2)
         if self._canvas is None or self._canvas.get_size() != size:
             self._canvas = pygame.Surface(size, depth=32)
@@ -248,7 +248,7 @@ class Painter:
 
 
 class TilePainter:
-    """Draws scenes side by side, under their titles."""
+    """Painter of several scenes side by side, with titles."""
 
     def __init__(self, width: int = WIDE) -> None:
         self.width = _even_width(width)
@@ -306,7 +306,7 @@ class TilePainter:
         return _Plan(across, -(-len(scenes) // across), cell, caption, width, height + caption)
 
     def _prepare(self, scenes: Sequence[Scene], plan: "_Plan") -> None:
-        """Keep the fields of the last picture where their layouts stay."""
+        """Reuse the fields of the last picture with equal layouts."""
         left, top = (self.width - plan.width) // 2, self._strips.margin + plan.caption
         corners = [plan.corner(k) for k in range(len(scenes))]
         layouts = [
@@ -319,12 +319,12 @@ class TilePainter:
 
 
 def draw(scene: Scene, width: int | None = None) -> Picture:
-    """Draw a scene as a picture (height, width, 3); for many of them keep a `Painter`."""
+    """Draw a scene as a picture (height, width, 3). For many scenes, use one `Painter`."""
     return Painter(width).draw(scene)
 
 
 def with_caption(picture: Picture, text: str) -> Picture:
-    """Put a picture under a line of text, which is cut where it has no room."""
+    """Put a line of text above a picture; long text is cut."""
     height, size, margin = _CAPTION
     width = picture.shape[1]
     canvas = pygame.Surface((width, height))
@@ -334,7 +334,7 @@ def with_caption(picture: Picture, text: str) -> Picture:
 
 
 class _Field:
-    """Draws a scene at one layout, and keeps what stays from scene to scene."""
+    """Painter of scenes with one layout, which caches their constant parts."""
 
     def __init__(self, layout: Layout, sprites: marks.ModuleSprites) -> None:
         self.layout = layout
@@ -411,22 +411,23 @@ def _pixels(canvas: pygame.Surface) -> Picture:
     width, height = canvas.get_size()
     held = pygame.surfarray.pixels3d(canvas).swapaxes(0, 1)
     pixels = np.empty((height, width, 3), dtype=np.uint8)
-    for channel in range(3):  # four times as fast as all three at once
+    for channel in range(3):  # four times faster than all three at once
         pixels[..., channel] = held[..., channel]
     return pixels
 
 
-UNSEEN = ("dummy", "offscreen")  # drivers of SDL that show nothing; it takes one where it must
+# drivers of SDL without a display, which SDL selects as a last resort
+UNSEEN = ("dummy", "offscreen")
 
 
 class Window:
-    """Shows pictures at a frame rate, until the user or `close` closes it.
+    """Window that shows pictures at a frame rate, until the user or `close` closes it.
 
     The first picture opens it. pygame has one window per process.
 
     Args:
-        title: of the window.
-        frame_rate: [1/s] at most; `show` waits for it.
+        title: title of the window.
+        frame_rate: [1/s] maximum frame rate; `show` waits for it.
     """
 
     def __init__(self, title: str = "Smart surface", frame_rate: float = 25.0) -> None:
@@ -434,10 +435,10 @@ class Window:
         self._frame_rate = checks.positive("frame_rate", frame_rate)
         self._clock = pygame.time.Clock()
         self._screen: pygame.Surface | None = None
-        self.closed = False  # by the user or by `close`; it does not open again
+        self.closed = False  # closed by the user or `close`; does not reopen
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) and wait until the next is due; nothing if closed."""
+        """Show a picture (height, width, 3) and wait until the next is due; no effect if closed."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(
                 "picture must be an array of uint8 of the shape (height, width, 3), "
@@ -455,7 +456,7 @@ class Window:
             self.close()
 
     def close(self) -> None:
-        """Close the window; a second call does nothing."""
+        """Close the window; a second call has no effect."""
         self.closed = True
         if self._screen is not None:
             self._screen = None

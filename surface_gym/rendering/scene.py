@@ -1,4 +1,4 @@
-"""A scene of one parcel or many, and its layout on a picture."""
+"""A scene with parcels, and its layout in a picture."""
 
 import math
 from dataclasses import dataclass, field
@@ -14,13 +14,13 @@ from surface_gym import checks
 Zone: TypeAlias = tuple[int, int, int, int]  # first row, rows, first column and columns
 Pose: TypeAlias = tuple[float, float, float]  # [m, m, rad]
 
-_ROUNDING = 1e-9  # [m] by which a span may pass the surface's end or its neighbour's
+_ROUNDING = 1e-9  # [m] allowed overlap of a span with the surface's end or a neighbour
 _EVERYWHERE = (-math.inf, math.inf)  # [m]
 
 
 @dataclass(frozen=True)
 class ExitSide:
-    """The goal to leave the line on one side, or at its end."""
+    """Goal: leave the line on one side, or at its end."""
 
     side: int  # -1 for y < 0, +1 for y > 0, 0 for straight through
 
@@ -30,7 +30,7 @@ class ExitSide:
 
 @dataclass(frozen=True)
 class StopLine:
-    """The goal to come to rest with the centre on a line across the surface."""
+    """Goal: come to rest with the centre on a line across the surface."""
 
     x: float  # [m]
 
@@ -40,7 +40,7 @@ class StopLine:
 
 @dataclass(frozen=True)
 class ExitSpeed:
-    """The goal to leave the line's end at a share of the entry speed."""
+    """Goal: leave the line's end at a share of the entry speed."""
 
     ratio: float  # [-] exit speed / entry speed
     speed: float  # [m/s] exit speed
@@ -52,9 +52,9 @@ class ExitSpeed:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The goal to follow a curve with the centre."""
+    """Goal: follow a curve with the centre."""
 
-    points: Any  # (points, 2) [m], at least two; kept as an array
+    points: Any  # (points, 2) [m] at least two points, converted to an array
 
     def __post_init__(self) -> None:
         _set(self, points=checks.array("points", self.points, (None, 2)))
@@ -64,9 +64,9 @@ class Path:
 
 @dataclass(frozen=True)
 class Heading:
-    """The goal to turn to an angle."""
+    """Goal: turn to an angle."""
 
-    angle: float  # [rad] the asked theta
+    angle: float  # [rad] goal theta
 
     def __post_init__(self) -> None:
         _set(self, angle=checks.number("angle", self.angle))
@@ -79,15 +79,15 @@ Goal: TypeAlias = ExitSide | StopLine | ExitSpeed | Path | Heading
 class SceneParcel:
     """A parcel in a picture."""
 
-    outline: NDArray[np.float64]  # (points, 2) [m] of the base, in its own frame
-    pose: Pose  # of that frame
-    exit: int | None = None  # index of the exit that it is to leave by, if there are exits
+    outline: NDArray[np.float64]  # (points, 2) [m] outline of the base in its own frame
+    pose: Pose  # pose of the base's frame
+    exit: int | None = None  # index of the goal exit, if there are exits
     # (points, 2) [m] recent positions of the parcel's centre, oldest first
     trail: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     sensed_pose: Pose | None = None  # according to the sensors
-    label: str = ""  # written on it where it has room; empty: the name of its exit, if any
-    group: int | None = None  # index of its colour; None: that of its exit
-    wrong: bool = False  # it has left otherwise than it was to
+    label: str = ""  # text on the parcel if it fits; empty: the name of its exit, if any
+    group: int | None = None  # index of its colour; None: the colour of its exit
+    wrong: bool = False  # whether it departed by a wrong exit
 
     def __post_init__(self) -> None:
         _set(self, outline=checks.array("outline", self.outline, (None, 2)))
@@ -109,7 +109,7 @@ class SceneParcel:
 
     @property
     def colour_index(self) -> int | None:
-        """Index of its colour; None: it is grey."""
+        """Index of its colour; None: grey."""
         return self.exit if self.group is None else self.group
 
 
@@ -126,13 +126,13 @@ def _check_mark(mark: Any) -> None:
 
 @dataclass(frozen=True)
 class ExitMark:
-    """A chute beside the line, or the way straight on."""
+    """A chute beside the line, or the exit straight ahead."""
 
-    name: str  # short: it is written on the chute and on the parcels that are to leave there
-    side: int  # +1 to the left, y > 0; -1 to the right, y < 0; 0 straight on
-    first: float  # [m] x where it begins
-    last: float  # [m] x where it ends
-    # [m] y of a mouth straight on, least and greatest; None: all rotor rows
+    name: str  # short text on the chute and on parcels with this exit
+    side: int  # +1: left, y > 0; -1: right, y < 0; 0: straight ahead
+    first: float  # [m] start x
+    last: float  # [m] end x
+    # [m] smallest and largest y of a mouth straight ahead; None: all rotor rows
     span: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -148,7 +148,7 @@ class ExitMark:
         _set(self, span=(low, high))
 
     def overlaps(self, other: "ExitMark") -> bool:
-        """Return whether another exit of the same side takes some of its room."""
+        """Return whether another exit of the same side overlaps this one."""
         (low, high), (least, most) = (each.span or _EVERYWHERE for each in (self, other))
         return (
             self.side == other.side
@@ -159,12 +159,12 @@ class ExitMark:
 
 @dataclass(frozen=True)
 class InletMark:
-    """A place on the edge of the rotors where parcels come in, as wide as its span."""
+    """An inlet for parcels on the edge of the rotors, as wide as its span."""
 
-    name: str  # short: it is written there
-    side: int  # 0 at the start, where y spans it; +1 to the left, y > 0, where x does; -1 right
-    first: float  # [m] x or y where it begins
-    last: float  # [m] where it ends
+    name: str  # short text on the inlet
+    side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
+    first: float  # [m] start x or y
+    last: float  # [m] end x or y
 
     def __post_init__(self) -> None:
         _check_mark(self)
@@ -172,15 +172,15 @@ class InletMark:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The exits of a line, the queues at its entries, and the counts of a stream of parcels."""
+    """The exits of a line, the queues at its inlets, and a stream's counts of parcels."""
 
     exits: tuple[ExitMark, ...]
-    delivered: tuple[int, ...]  # for each exit, the parcels that rightly left there
-    missorted: int = 0  # parcels that left by another exit than asked
+    delivered: tuple[int, ...]  # correctly delivered parcels, by exit
+    missorted: int = 0  # parcels that departed by a wrong exit
     waiting: int = 0  # parcels at the entry
-    inlets: tuple[InletMark, ...] = ()  # none: parcels come in by the whole edge
-    queues: tuple[int, ...] = ()  # for each inlet, the parcels that wait there
-    # whether the conveyor after the exits, which then have no colours, runs; None: there is none
+    inlets: tuple[InletMark, ...] = ()  # empty: parcels enter over the whole edge
+    queues: tuple[int, ...] = ()  # waiting parcels, by inlet
+    # whether the conveyor after the exits runs (exits then have no colours); None: no conveyor
     runs: bool | None = None
 
     def __post_init__(self) -> None:
@@ -214,25 +214,25 @@ class Traffic:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One moment of a surface and of the parcels on it.
+    """Snapshot of a surface and its parcels.
 
-    With `traffic`, exits and queues are drawn beside the rotor rows, and parcels in the colours of
-    their exits or groups; without, the whole surface is drawn, and parcels in grey.
+    With `traffic`, the picture shows the rotor rows with exits and queues beside them, and parcels
+    in the colours of their exits or groups. Without, it shows the whole surface and grey parcels.
     """
 
     axis: NDArray[np.float64]  # (rows, columns) [rad] rotor axis from x, anti-clockwise
     rotor: NDArray[np.bool_]  # (rows, columns) an orientable rotor, else a support
-    parcels: tuple[SceneParcel, ...] = ()  # the last is drawn above the others
+    parcels: tuple[SceneParcel, ...] = ()  # drawn in this order
     traffic: Traffic | None = None
-    touching: tuple[tuple[int, int], ...] = ()  # indices of two parcels that touch now
+    touching: tuple[tuple[int, int], ...] = ()  # pairs of indices of touching parcels
     goal: Goal | None = None
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
     zone: Zone | None = None  # the modules that obey a controller; None: all do
     tilt: float = 0.0  # [rad] downhill towards `tilt_direction`
-    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
+    tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
     title: str = ""
-    readings: tuple[tuple[str, str], ...] = ()  # label and text of each number shown
+    readings: tuple[tuple[str, str], ...] = ()  # label and text of each displayed number
 
     def __post_init__(self) -> None:
         axis, rotor = checks.array("axis", self.axis, (None, None)), np.array(self.rotor)
@@ -271,7 +271,7 @@ class Scene:
 
     @property
     def obeys(self) -> NDArray[np.bool_]:
-        """(rows, columns) the elements in the zone; all without one."""
+        """(rows, columns) whether an element is in the zone; all are if there is none."""
         row, rows, column, columns = self.zone or (0, self.rows, 0, self.columns)
         obeys = np.zeros(self.axis.shape, dtype=bool)
         obeys[row : row + rows, column : column + columns] = True
@@ -320,7 +320,7 @@ class Scene:
 
 
 def _set(instance: Any, **fields: Any) -> None:
-    """Set fields of a frozen dataclass while it is made."""
+    """Set fields of a frozen dataclass during its construction."""
     for name, value in fields.items():
         object.__setattr__(instance, name, value)
 
@@ -352,9 +352,9 @@ def _check_readings(readings: Any) -> None:
         raise ValueError(f"readings must be pairs of label and text, got {readings!r}")
 
 
-_BESIDE = 0.5  # [m] shown on either side of the rotor rows, where there is traffic
-_ENTRY = 4.0  # [cells] room for the queue, before the surface
-_STRAIGHT = 6.0  # [cells] room for the way straight on, after it
+_BESIDE = 0.5  # [m] margin beside the rotor rows, with traffic
+_ENTRY = 4.0  # [cells] room for the queue before the surface
+_STRAIGHT = 6.0  # [cells] room for the exit straight ahead
 _LABEL = 2.0  # [cells] height of the chutes' labels
 
 
@@ -362,8 +362,8 @@ _LABEL = 2.0  # [cells] height of the chutes' labels
 class Layout:
     """Positions of a surface and of the marks beside it in a picture.
 
-    An element takes a whole number of pixels each way. With traffic, only the rotor rows and half
-    a metre on either side are shown, between the labels of the exits.
+    Elements are a whole number of pixels wide and high. With traffic, the picture shows only the
+    rotor rows and half a metre on either side, between the labels of the exits.
     """
 
     rows: int
@@ -372,15 +372,15 @@ class Layout:
     origin: tuple[float, float]  # [m] centre of element [0, 0]
     width: int  # [px] between elements, in x
     height: int  # [px] in y
-    left: int  # [px] of the corner of the whole surface, which may lie outside the picture
+    left: int  # [px] corner of the whole surface, possibly outside the picture
     top: int  # [px]
     line: tuple[int, int]  # first rotor row, and the number of rows to the last
-    band: tuple[int, int]  # first row shown, and their number
-    box: tuple[int, int, int, int]  # [px] left, top, width and height of all that is drawn
+    band: tuple[int, int]  # first visible row, and the number of visible rows
+    box: tuple[int, int, int, int]  # [px] left, top, width and height of the drawing
 
     @classmethod
     def of(cls, scene: Scene, cell: int, left: int, top: int) -> "Layout":
-        """Place a scene's surface at a corner, with elements `cell` pixels wide."""
+        """Return the layout of a scene at a corner, with elements `cell` pixels wide."""
         line, band = _shown_rows(scene)
         height = _element_height(scene, cell)
         box = (left, top, *cls.extent(scene, cell))
@@ -402,12 +402,12 @@ class Layout:
 
     @staticmethod
     def cells_across(scene: Scene) -> int:
-        """Count the elements that would take the same width."""
+        """Return the width of a scene's drawing in elements."""
         return scene.columns if scene.traffic is None else round(_ENTRY + scene.columns + _STRAIGHT)
 
     @property
     def cell(self) -> int:
-        """Side [px] of the largest square that an element has room for."""
+        """Side [px] of the largest square within an element."""
         return min(self.width, self.height)
 
     @property
@@ -438,7 +438,7 @@ class Layout:
 
     @property
     def passable(self) -> pygame.Rect:
-        """The area from the entry to the line's end, in which the parcels of a stream are drawn."""
+        """The area from the entry to the line's end, which contains the parcels of a stream."""
         plate, left = self.plate, self.box[0]
         return pygame.Rect(left, plate.top, plate.right - left, plate.height)
 
@@ -519,7 +519,7 @@ def _element_height(scene: Scene, width: int) -> int:
 
 
 def _shown_rows(scene: Scene) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Find the rotor rows and the rows shown, each as the first and their number."""
+    """Return the rotor rows and the visible rows, each as first row and number of rows."""
     everything = (0, scene.rows)
     rotors = np.flatnonzero(scene.rotor.any(axis=1))
     if len(rotors) == 0:

@@ -1,7 +1,7 @@
-"""A second opinion on the physics: Section 6 of the paper with MuJoCo in the place of Adams.
+"""Validation of the physics by MuJoCo: Section 6 of the paper, with MuJoCo instead of Adams.
 
-`build` and `simulate` take the surfaces and parcels of `surface_gym`, so that any layout can be
-checked; `python -m surface_gym.validation` repeats the paper's comparison.
+`build` and `simulate` take surfaces and parcels of `surface_gym`, so they can check any layout.
+`python -m surface_gym.validation` repeats the paper's comparison.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ __all__ = ["Recipe", "Scene", "build", "reachable", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name when it is asked for; the command's help needs none."""
+    """Import a name on first use, since the command's help needs no import."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from surface_gym.validation import simulation

@@ -14,12 +14,12 @@ from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 
 @dataclass(frozen=True)
 class Options:
-    """Compare the analytic model with MuJoCo, as Section 6 of the paper does with Adams.
+    """Compare the analytic model with MuJoCo, as Section 6 of the paper compares it with Adams.
 
-    Prints Table 7 for Adams as printed and for MuJoCo, Adams's displacements as far as they are
-    printed, from which tilt the sort completes, how far MuJoCo itself has converged, and how fast
-    each method is. Takes about a minute on two cores, with --heights two more, with --touching
-    eight.
+    Prints Table 7 for Adams and for MuJoCo, Adams's displacements where the paper states them, the
+    smallest tilt that completes the sort, the convergence of MuJoCo, and the speed of each method.
+    Takes about a minute on two cores, two minutes more with --heights, and eight minutes more with
+    --touching.
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -27,21 +27,21 @@ class Options:
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Write every number to this file."""
     heights: bool = False
-    """Study supports that differ by micrometres in height, or in stiffness, as well."""
+    """Also study supports that differ by micrometres in height, or in stiffness."""
     touching: bool = False
-    """Study parcels that push each other as well: two that meet, and crowds held and let go."""
+    """Also study parcels that push each other: two that meet, and crowds held and released."""
     workers: int = usable_cores()
-    """Processes that run at once."""
+    """Number of parallel processes."""
     cluster: str | None = None
-    """Address of a Ray cluster to run on instead, "auto" for this machine's."""
+    """Address of a Ray cluster to use instead; "auto" for a local cluster."""
     tilts: tuple[float, ...] = tuple(5.0 + 0.25 * k for k in range(37))
     """Tilts of the sweep [deg], within Table 5's 5 to 15."""
     seed: int = 0
-    """Of the drawn supports and parcels."""
+    """Seed of the random supports and parcels."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error ends it with one line and status 2."""
+    """Run the command; an error prints one line and exits with status 2."""
     options = tyro.cli(
         Options,
         prog=typed("validation"),
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def compare(options: Options) -> None:
-    """Check the options, run the comparison, print it and write the files asked for."""
+    """Check the options, run the comparison, print it and write the requested files."""
     import json
 
     from rich.console import Console
@@ -79,7 +79,7 @@ def compare(options: Options) -> None:
         options.figures.mkdir(parents=True, exist_ok=True)
         from surface_gym.validation.report import draw_all
     if options.json is not None:
-        options.json.open("a").close()  # fails now rather than after the runs
+        options.json.open("a").close()  # fail before the runs
     progress = Console(stderr=True)
     study = run_study(
         options.tilts, options.heights, options.touching, workers, options.seed, progress

@@ -1,4 +1,4 @@
-"""The runs of Section 6 and their errors: one box, one sorting layout, 37 tilts and one push."""
+"""The runs of Section 6 and their errors: one box and one layout with 37 tilts and one push."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,8 +20,8 @@ from surface_gym.validation import simulation
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
 IMPLICIT = Integration("implicit", 1e-3)
-EXPLICIT = COARSE  # the step that we infer Section 5 took
-UNIT = np.array([1e3, 1e3, 1.0])  # [m, m, deg] in [mm, mm, deg]
+EXPLICIT = COARSE  # our inferred step of Section 5
+UNIT = np.array([1e3, 1e3, 1.0])  # factors from [m, m, deg] to [mm, mm, deg]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Run:
     explicit: Trajectory  # at 5 ms
 
 
-Model = Callable[[Run], Trajectory]  # picks one of a run's trajectories
+Model = Callable[[Run], Trajectory]  # selects one trajectory of a run
 
 
 def run_case(case: Case) -> Run:
@@ -91,13 +91,13 @@ def displacement(trajectory: Trajectory) -> Array:
 
 
 def is_sorted(case: Case, trajectory: Trajectory) -> bool:
-    """Check that no rotor is left under the base at the end: it is out of the sorting zone."""
+    """Return whether no rotor is under the base at the end: it is out of the sorting zone."""
     under = simulation.elements_under(case.surface, PARCEL, trajectory.pose[-1])
     return not (under & case.surface.rotor).any()
 
 
 def sorts_from(runs: Sequence[Run], model: Model) -> float | None:
-    """Find the least tilt [deg] from which on every run is sorted; None if the steepest is not."""
+    """Return the smallest tilt [deg] from which every run is sorted, or None."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, model(run)):
@@ -108,7 +108,7 @@ def sorts_from(runs: Sequence[Run], model: Model) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A Table 7: rows are mean and standard deviation, columns x, y and theta."""
+    """Values of Table 7: rows are mean and standard deviation, columns x, y and theta."""
 
     title: str
     percent: Array  # (2, 3) [%]
@@ -117,10 +117,10 @@ class Summary:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """MuJoCo's displacements less the analytic model's, run by run."""
+    """MuJoCo's displacements minus the analytic model's, by run."""
 
     absolute: Array  # (runs, 3) [mm, mm, deg] Eq. (5a)
-    percent: Array  # (runs, 3) [%] of MuJoCo's, Eq. (5b)
+    percent: Array  # (runs, 3) [%] relative to MuJoCo's, Eq. (5b)
 
     def summary(self, title: str) -> Summary:
         """Compute mean and standard deviation over the runs."""
@@ -133,7 +133,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[Run], model: Model) -> Errors:
-    """Compute the errors of one of the analytic trajectories of the runs."""
+    """Compute the errors of one analytic model over the runs."""
     mujoco = np.array([displacement(run.mujoco) for run in runs])
     difference = mujoco - np.array([displacement(model(run)) for run in runs])
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -141,7 +141,7 @@ def compute_errors(runs: Sequence[Run], model: Model) -> Errors:
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
-    """Errors of Adams against MATLAB that Section 6.2 prints."""
+    """Errors between Adams and MATLAB in Section 6.2."""
 
     table7: Summary
     tilted: Errors  # one run: 10 deg
@@ -150,7 +150,7 @@ class PaperErrors:
 
 
 def load_paper_errors() -> PaperErrors:
-    """Read Table 7 and the sentences of Section 6.2 from the package's copy of them."""
+    """Read Table 7 and numbers of Section 6.2 from the package's data file."""
     printed = load_data()["validation"]
     rows = [printed["table7"][row] for row in ("mean", "sd")]
     percent = [[row[f"e{axis}_percent"] for axis in ("x", "y", "theta")] for row in rows]
@@ -164,10 +164,10 @@ def load_paper_errors() -> PaperErrors:
 
 
 def adams_displacement(run: str) -> tuple[Array, Array]:
-    """Return bounds (3,) [m, m, deg] of Adams's displacement without sign, by its printed errors.
+    """Return bounds (3,) [m, m, deg] of Adams's absolute displacement from its printed errors.
 
-    Section 6.2 prints the error |e| and |e %| = 100 |e| / |displacement by Adams| of the runs
-    "gamma10", 10 deg, and "v09", 0.9 m/s on the level.
+    Section 6.2 states the errors |e| and |e %| = 100 |e| / |displacement by Adams| for two runs:
+    "gamma10" (tilt 10 deg) and "v09" (0.9 m/s on a level surface).
     """
     numbers = load_data()["validation"][run]
     errors, percents = np.abs(numbers["abs"]), np.abs(numbers["percent"])
@@ -179,6 +179,6 @@ def adams_displacement(run: str) -> tuple[Array, Array]:
 
 
 def _half_digits(values: Array) -> Array:
-    """Return half a unit of the last digit that is printed."""
+    """Return half a unit of the last printed digit."""
     digits = [Decimal(repr(value)).as_tuple().exponent for value in values.tolist()]
     return np.array([0.5 * 10.0 ** int(digit) for digit in digits])

@@ -1,9 +1,9 @@
-"""Crowds on a slope in MuJoCo and in the model: held by axes that brake, and let go in two parts.
+"""Crowds on a slope in MuJoCo and in the model, held by braking axes and released in two parts.
 
-Parcels are scattered over rotors that let them roll, and pile up before others that brake. So they
-start at rest, most of them in touch. Then the rear rolls and presses against the front, which
-brakes; the front is let go first, and the rear is held; at last the rear is let go and runs into
-the front, which brakes again.
+Parcels are scattered over rolling rotors, and pile up before braking rotors. So they start at rest,
+and most of them touch. In phase 1, the front brakes, and the rear rolls and presses against it. In
+phase 2, the front is released and the rear is held. In phase 3, the rear is released and hits the
+front, which brakes again.
 """
 
 import math
@@ -30,16 +30,17 @@ BRAKE, ROLL = 0.0, math.pi / 2  # [rad] axes along the slope, and across it
 GATE = 28  # column from which on axes brake while the crowd gathers
 GATHERING, STOPPING = 2.5, 0.5  # [s]
 LEAST, MOST = 6, 12  # parcels
-PHASES = (0.0, 0.2, 0.5)  # [s] front brakes, rear rolls; front rolls, rear brakes; as at first
+# [s] start of: front brakes, rear rolls; front rolls, rear brakes; front brakes, rear rolls
+PHASES = (0.0, 0.2, 0.5)
 DURATION = 1.0  # [s]
-# A fifth of the speed at which what has hit is stopped in meetings, so that the step may be longer:
-# crowds close by less than 0.5 m/s. Sides that are pressed give way as little.
+# Impacts are stopped five times more slowly than in meetings, which allows a longer step. Crowds
+# close by less than 0.5 m/s. Pressed sides yield as little as in meetings.
 RECIPE = Recipe().lighter_rotors(1000.0)
 SIDES = Sides(damping=1e3, creep_damping=0.5)
 
 
 def draw_parcel(rng: np.random.Generator) -> Parcel:
-    """Draw a parcel: of six four are rectangles, one is a polygon and one a disc."""
+    """Draw a parcel: four in six are rectangles, one is a polygon and one a disc."""
     kind = rng.integers(6)
     base: Base
     if kind == 0:
@@ -60,7 +61,7 @@ def scatter(
     high: tuple[float, float, float],
     gap: float,
 ) -> Array:
-    """Draw poses (parcels, 3) between two, each again until no parcel is within a gap [m]."""
+    """Draw poses (parcels, 3) between two corners; repeat each until parcels keep a gap [m]."""
     count = len(parcels)
     poses = np.zeros((count, 3))
     present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
@@ -76,20 +77,20 @@ def scatter(
 
 @dataclass(frozen=True, eq=False)
 class Pile:
-    """Parcels at rest, before the axes turn."""
+    """Parcels at rest before the axes turn."""
 
     parcels: tuple[Parcel, ...]
     poses: Array  # (parcels, 3) [m, m, rad]
 
     @cached_property
     def surfaces(self) -> tuple[Surface, ...]:
-        """One for each phase. Half of the parcels have their centres over the front."""
+        """One surface per phase. Half of the parcels have their centres over the front."""
         columns = 0.05 + 0.1 * np.arange(SHAPE[1])
         front = columns > np.median(self.poses[:, 0])
         return _surface(front), _surface(~front), _surface(front)
 
     def analytic(self, dt: float) -> tuple[Encounter, ...]:
-        """Run the phases, one after the other, at a step [s]."""
+        """Run the phases one after the other, with step `dt` [s]."""
         poses, velocities = self.poses, np.zeros_like(self.poses)
         runs = []
         for surface, begin, end in zip(self.surfaces, PHASES, (*PHASES[1:], DURATION), strict=True):
@@ -100,7 +101,7 @@ class Pile:
         return tuple(runs)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run all phases in MuJoCo, its step divided and its sides harder by a factor."""
+        """Run all phases in MuJoCo, with a step smaller and sides harder by a factor."""
         first, *others = self.surfaces
         within = np.zeros(SHAPE, dtype=bool)
         for run in self.analytic(STEPS[0]):
@@ -117,13 +118,13 @@ class Pile:
 
 @dataclass(frozen=True)
 class Crowd:
-    """A drawn crowd of 6 to 12 parcels on a slope of 6 deg."""
+    """A random crowd of 6 to 12 parcels on a slope of 6 deg."""
 
     seed: int
 
     @cached_property
     def pile(self) -> Pile:
-        """The first pile drawn in which all stay on the surface, and none tips once axes turn."""
+        """The first random pile in which all parcels stay on the surface and none tips later."""
         rng = np.random.default_rng(self.seed)
         while True:
             parcels = tuple(draw_parcel(rng) for _ in range(rng.integers(LEAST, MOST + 1)))
@@ -142,23 +143,23 @@ class Crowd:
 
 
 def _surface(brakes: Booleans) -> Surface:
-    """Make a slope of rotors of which some columns brake."""
+    """Make a slope of rotors with some braking columns."""
     axis = np.broadcast_to(np.where(brakes, BRAKE, ROLL), SHAPE)
     return Surface(axis, np.ones(SHAPE, dtype=bool), tilt=TILT)
 
 
 @dataclass(frozen=True, eq=False)
 class CrowdRun:
-    """Differences of a crowd's ends from MuJoCo's, [mm, mm, deg]."""
+    """Differences of a crowd's end poses from MuJoCo's [mm, mm, deg]."""
 
     crowd: Crowd
-    analytic: Array  # (steps, parcels, 3) by the analytic model's step
-    harder: Array  # (parcels, 3) of MuJoCo with half the step and sides twice as hard
-    tips: bool  # MuJoCo's parcels come more than 1 mrad out of level
+    analytic: Array  # (steps, parcels, 3) analytic model, by step
+    harder: Array  # (parcels, 3) MuJoCo with half the step and sides twice as hard
+    tips: bool  # whether MuJoCo's parcels tilt by more than 1 mrad
 
 
 def run_crowd(crowd: Crowd) -> CrowdRun:
-    """Run a crowd in MuJoCo, twice, and by the analytic model."""
+    """Run a crowd in MuJoCo (twice) and by the analytic model."""
     mujoco = crowd.pile.mujoco()
     reference = ends(mujoco)
     analytic = [ends(crowd.pile.analytic(dt)[-1].trajectories) for dt in STEPS]

@@ -1,16 +1,16 @@
-"""Drawn surfaces in MuJoCo and in the model: uneven supports, and parcels that push each other.
+"""Random surfaces in MuJoCo and in the model: uneven supports, and colliding parcels.
 
-Uneven supports. Eq. (1) is what a rigid flat base does on equal springs: the minimum of the sum of
-N^2 / (2 k) under the balance of forces. If a spring's top stands h above the plane, it is pressed
-in h further, and
+Uneven supports. Eq. (1) describes a rigid flat base on equal springs: it minimises the sum of N^2 /
+(2 k) under the balance of forces. If a spring's top is h above the plane, it is compressed by h
+more, and the problem is
     minimise  sum of N_i^2 / (2 k_i) - N_i h_i   under vertical and moment balance,  N >= 0,
 so that N_i = max(0, k_i (plane_i + h_i)): the pressure plane of Eq. (1) with an offset k h at each
-contact. With all h equal and all k equal it is Eq. (1); where k h spreads far beyond the mean load,
-three contacts carry all.
+contact. With all h equal and all k equal it is Eq. (1). If k h varies much more than the mean load,
+three contacts carry everything.
 
-Heights are compared with this law, run quasi-statically. Stiffnesses are compared with
-`surface_gym.simulate` itself, whose `Surface.stiffness` is the way to randomise a load
-distribution; beside the heights they show which spread of it stands for how many micrometres.
+Uneven heights are compared with this law, run quasi-statically. Uneven stiffnesses are compared
+with `surface_gym.simulate`, where `Surface.stiffness` randomises the load distribution. The two
+studies together show which spread of stiffness corresponds to how many micrometres.
 """
 
 import math
@@ -39,15 +39,16 @@ CASES = (Case(10.0), PUSHED)
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces (n,) [m/s^2] over mass of contacts of unequal height and stiffness.
+    """Compute the normal forces / mass (n,) [m/s^2] of contacts of unequal height and stiffness.
 
-    The weight [m/s^2] acts at the load (2,) [m]; arms (n, 2) [m] are those of the contacts, both
-    from the centre of mass; heights (n,) [m] are above the plane, stiffness (n,) [1/s^2] is over
-    mass. Where the parcel tips, the moments come as near to balance as they can.
+    The weight [m/s^2] acts at `load` (2,) [m], and `arms` (n, 2) [m] lead to the contacts, both
+    from the centre of mass. Heights (n,) [m] are above the plane, stiffness (n,) [1/s^2] is per
+    mass. If the parcel tips, the moments are as close to balance as possible.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])
-    # The least sum of (N_i - k_i h_i)^2 / k_i, in N_i / root k_i, the balance as heavy rows above.
+    # Minimise the sum of (N_i - k_i h_i)^2 / k_i over N_i / sqrt(k_i), with heavily weighted
+    # balance rows.
     heavy = np.array([1e6, 1e4, 1e4])
     balance = heavy[:, np.newaxis] * np.vstack([np.ones(len(arms)), arms.T / scale])
     mean = stiffness.mean()
@@ -62,10 +63,10 @@ def end_pose(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float,
     heights: ArrayLike, stiffness: float, dt: float = 1e-3,
 ) -> Array:  # fmt: skip
-    """Run the implicit model with the normal forces of uneven supports to its end pose (3,).
+    """Run the implicit model with the normal forces of uneven supports; return the end pose (3,).
 
-    The arguments are those of `simulate`, heights (rows, columns) [m] of the elements' tops, and
-    the stiffness [1/s^2] of a contact over the parcel's mass, which the surface's own multiplies.
+    Takes the arguments of `simulate`, the heights (rows, columns) [m] of the elements' tops, and
+    the stiffness [1/s^2] of a contact per parcel mass, which the surface's stiffness multiplies.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body
@@ -76,7 +77,7 @@ def end_pose(
         if contacts.total == 0:
             raise ValueError(f"duration must end on the surface, left it after {step * dt:g} s")
         arms = np.column_stack([table_row(scratch, row, contacts.total) for row in (ARM_X, ARM_Y)])
-        # The element under each contact: its place half a step on, as find_support sees it.
+        # The element of each contact, at the pose of `find_support` after half a step.
         place = state[:2] + 0.5 * dt * state[3:5] + arms - surface.origin
         column, row = np.rint(place / (surface.pitch_x, surface.pitch_y)).astype(np.int64).T
         load = load_point(grid, body, state)
@@ -94,7 +95,7 @@ class Unevenness:
     """Spread of the elements' heights or stiffnesses."""
 
     height: float = 0.0  # [m] standard deviation
-    stiffness: float = 0.0  # [-] standard deviation of its logarithm
+    stiffness: float = 0.0  # [-] standard deviation of the logarithm
 
     @property
     def name(self) -> str:
@@ -112,7 +113,7 @@ UNEVEN = (
 
 @dataclass(frozen=True)
 class Draw:
-    """A case on a drawn surface."""
+    """A case on a random surface."""
 
     case: Case
     unevenness: Unevenness
@@ -120,14 +121,14 @@ class Draw:
 
     @property
     def surface(self) -> Surface:
-        """The case's surface, its stiffness drawn."""
+        """The case's surface with random stiffness."""
         return replace(
             self.case.surface, stiffness=np.exp(self.unevenness.stiffness * self._normal(1))
         )
 
     @property
     def heights(self) -> Array:
-        """(rows, columns) [m] of the tops of the elements."""
+        """(rows, columns) [m] heights of the elements' tops."""
         return self.unevenness.height * self._normal(0)
 
     def _normal(self, stream: int) -> Array:
@@ -138,7 +139,7 @@ class Draw:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Differences of the end poses on drawn surfaces from those on the even one."""
+    """Differences of the end poses on random surfaces from the end pose on the even surface."""
 
     case: Case
     unevenness: Unevenness
@@ -147,7 +148,7 @@ class Spread:
 
 
 def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
-    """List for each case the even surface, then `draws` surfaces for each unevenness."""
+    """List the even surface, then `draws` surfaces per unevenness, for each case."""
     return tuple(
         Draw(case, unevenness, seed + k)
         for case in CASES
@@ -157,7 +158,7 @@ def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
 
 
 def run_draw(draw: Draw) -> Array:
-    """Run MuJoCo and the analytic model to their end poses (2, 3) [m, m, rad]."""
+    """Run MuJoCo and the analytic model; return their end poses (2, 3) [m, m, rad]."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
@@ -169,7 +170,7 @@ def run_draw(draw: Draw) -> Array:
 
 
 def compare_draws(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spread, ...]:
-    """Compare the end poses (2, 3) of the draws, as `run_draw` gives them."""
+    """Compare the end poses (2, 3) of the draws from `run_draw`."""
     table = np.array(results) * [1e3, 1e3, 180.0 / math.pi]
 
     def ends_of(case: Case, unevenness: Unevenness) -> Array:
@@ -189,15 +190,15 @@ def root_mean_square(shifts: Array) -> tuple[float, float]:
 
 
 DURATION = 0.5  # [s]
-STEPS = (1e-3, 5e-3)  # [s] of the analytic model
-COM_HEIGHT = 0.05  # [m] of both, so that they press at one height
-MARGIN = 0.12  # [m] beyond the analytic model's paths within which elements are built
-UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # [m, m, rad] in [mm, mm, deg]
+STEPS = (1e-3, 5e-3)  # [s] steps of the analytic model
+COM_HEIGHT = 0.05  # [m] of both parcels, so that they press at one height
+MARGIN = 0.12  # [m] elements are built up to this distance from the analytic model's paths
+UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # factors from [m, m, rad] to [mm, mm, deg]
 
 
 @dataclass(frozen=True)
 class Meeting:
-    """A drawn surface and two drawn parcels, one of which runs into the other at 0.5 to 2 m/s."""
+    """A random surface and two random parcels; one runs into the other at 0.5 to 2 m/s."""
 
     seed: int
 
@@ -205,7 +206,7 @@ class Meeting:
     def drawn(self) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
         """Surface, parcels, poses (2, 3) and velocities (2, 3).
 
-        They are the first drawn with which parcels touch, stay on the surface and do not tip.
+        Returns the first draw in which the parcels touch, stay on the surface and do not tip.
         """
         rng = np.random.default_rng(self.seed)
         while True:
@@ -220,7 +221,7 @@ class Meeting:
         return simulate_together(*self.drawn, DURATION, dt)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run the meeting in MuJoCo, its step divided and its sides harder by a factor."""
+        """Run the meeting in MuJoCo, with a step smaller and sides harder by a factor."""
         surface, parcels, poses, velocities = self.drawn
         within = np.zeros((surface.rows, surface.columns), dtype=bool)
         paths = self.analytic(STEPS[0]).trajectories
@@ -269,16 +270,16 @@ def _draw_parcel(rng: np.random.Generator) -> Parcel:
 
 @dataclass(frozen=True, eq=False)
 class MeetingRun:
-    """Differences of a meeting's ends from MuJoCo's, [mm, mm, deg]."""
+    """Differences of a meeting's end poses from MuJoCo's [mm, mm, deg]."""
 
     meeting: Meeting
-    analytic: Array  # (steps, 2, 3) by the analytic model's step and by parcel
-    harder: Array  # (2, 3) of MuJoCo with half the step and sides twice as hard
-    tips: bool  # MuJoCo's parcels come more than 1 mrad out of level
+    analytic: Array  # (steps, 2, 3) analytic model, by step and parcel
+    harder: Array  # (2, 3) MuJoCo with half the step and sides twice as hard
+    tips: bool  # whether MuJoCo's parcels tilt by more than 1 mrad
 
 
 def run_meeting(meeting: Meeting) -> MeetingRun:
-    """Run a meeting in MuJoCo, twice, and by the analytic model."""
+    """Run a meeting in MuJoCo (twice) and by the analytic model."""
     mujoco = meeting.mujoco()
     reference = ends(mujoco)
     analytic = [ends(meeting.analytic(dt).trajectories) for dt in STEPS]
@@ -293,6 +294,6 @@ def ends(trajectories: tuple[Trajectory, ...]) -> Array:
 
 
 def apart(differences: Array) -> tuple[float, float]:
-    """Return distance [mm] and angle [deg] of the worse of two differences (2, 3) [mm, mm, deg]."""
+    """Return distance [mm] and angle [deg] of the larger of two differences (2, 3)."""
     distance = np.hypot(differences[:, 0], differences[:, 1])
     return float(distance.max()), float(np.abs(differences[:, 2]).max())

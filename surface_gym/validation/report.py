@@ -1,4 +1,4 @@
-"""The comparison with MuJoCo, printed, drawn and written."""
+"""Tables, figures and data of the comparison with MuJoCo."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -143,7 +143,7 @@ def _meetings(runs: Sequence[MeetingRun]) -> Table:
 
 
 def _crowds(runs: Sequence[CrowdRun]) -> Table:
-    """Tabulate how far each parcel of all crowds ends from where it does in MuJoCo."""
+    """Tabulate the distances of all crowds' end poses from MuJoCo's."""
     parcels = sum(len(run.harder) for run in runs)
     table = make_table(
         f"Crowds held and let go, {len(runs)} drawn, {parcels} parcels, {DURATION:g} s: distance "
@@ -185,7 +185,7 @@ def _table7(summaries: Iterable[comparison.Summary], runs: int) -> Table:
 
 
 def _single_runs(study: Study) -> Table:
-    """Tabulate the errors of the two runs for which the paper prints them."""
+    """Tabulate the errors of the two runs with errors stated in the paper."""
     table = make_table(
         "Single runs: errors without sign, as Section 6.2 prints them", "", *ABSOLUTE, *PERCENT
     )
@@ -211,7 +211,7 @@ def _single_runs(study: Study) -> Table:
 
 
 def _beside_adams(study: Study) -> Table:
-    """Tabulate displacements after 1 s: Adams's, as far as they are printed, and ours."""
+    """Tabulate displacements after 1 s: Adams's bounds and ours."""
     table = make_table(
         "Displacements after 1 s, without sign; Adams's are what its printed errors in mm, deg "
         "and % leave open",
@@ -243,7 +243,7 @@ def _beside_adams(study: Study) -> Table:
 
 
 def _printed_runs(study: Study) -> list[comparison.Run]:
-    """Select the runs of Figure 12a, if the sweep holds it, and 12b."""
+    """Select the runs of Figure 12a (if in the sweep) and 12b."""
     return [*(run for run in study.sweep if run.case.tilt == 10.0), study.pushed]
 
 
@@ -253,7 +253,7 @@ def _numbers(values: Iterable[float], digits: int = 2) -> list[str]:
 
 
 def as_data(study: Study) -> dict[str, Any]:
-    """List a study as numbers, strings, lists and mappings; displacements in m and degrees."""
+    """Return a study as numbers, strings, lists and mappings; displacements in m and degrees."""
     paper = comparison.load_paper_errors()
     return {
         "table7": [_summary_data(summary) for summary in (paper.table7, *study.summaries)],
@@ -368,7 +368,7 @@ def trajectories(study: Study) -> Figure:
 
 
 def final_positions(study: Study) -> Figure:
-    """Draw Figure 13: where the box ends in each run that completes the sort."""
+    """Draw Figure 13: end positions of the runs that complete the sort."""
     figure = Figure(figsize=(10.0, 4.3), layout="constrained")
     sides: tuple[tuple[str, str, comparison.Model], ...] = (
         ("MuJoCo", MUJOCO, lambda run: run.mujoco),
@@ -386,7 +386,7 @@ def final_positions(study: Study) -> Figure:
 
 
 def compared_trajectories(study: Study) -> Figure:
-    """Draw Figure 14: the paths of Figure 12a and 12b over the analytic model's."""
+    """Draw Figure 14: the paths of Figure 12a and 12b, and of the analytic model."""
     runs = _printed_runs(study)
     figure = Figure(figsize=(5.5 * len(runs), 4.6), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):
@@ -432,7 +432,7 @@ def displacement_errors(study: Study) -> Figure:
 
 
 def end_places(spreads: Sequence[Spread]) -> Figure:
-    """Draw end places on uneven supports, joined by a line where the supports are the same."""
+    """Draw end positions on uneven supports; lines join runs with the same supports."""
     rows = math.ceil(len(spreads) / 3)
     figure = Figure(figsize=(12.0, 3.6 * rows), layout="constrained")
     grid = figure.subplots(rows, 3, sharex=True, sharey=True)

@@ -1,4 +1,4 @@
-"""The scene of Tables 5 and 6 in MuJoCo, and runs of parcels in it."""
+"""MuJoCo's scene of Tables 5 and 6, and runs of parcels in it."""
 
 import math
 from collections.abc import Sequence
@@ -18,41 +18,43 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
 MAX_TILT = math.radians(15.0)  # [rad] end of Table 5's range
-# MuJoCo reserves memory with the square of the degrees of freedom: 0.9 GB for this many.
+# MuJoCo's memory grows with the square of the degrees of freedom: 0.9 GB for these limits.
 MAX_ROTORS = 4_000
 MAX_ELEMENTS = 40_000
 
 BASE = "base"  # name of the first parcel's shape
-BELT = 0.01  # [m] of a parcel's height, around its centre of mass, at which its sides touch
-LEAST_BODY_HEIGHT = 0.02  # [m] of the parcel's shape; only its underside touches anything
+BELT = 0.01  # [m] height of the belt around the centre of mass by which parcels touch
+# [m] minimum height of the parcel's shape; only its underside touches anything
+LEAST_BODY_HEIGHT = 0.02
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """The rotors of Table 5, and contact parameters by which MuJoCo converges to Coulomb's law on
-    stiff springs.
+    """Rotors of Table 5, and contact parameters for Coulomb's law on stiff springs.
 
-    MuJoCo's contact is a spring and damper behind an impedance d: with d near 0 the penetration
-    sets the force, so that every contact has the same stiffness, as Eq. (1) assumes. With the
-    defaults, d near 1, the friction cone lifts sliding contacts.
+    MuJoCo's contact is a spring and damper behind an impedance d. With d near 0, the penetration
+    determines the force, so every contact has the same stiffness, as Eq. (1) assumes. With the
+    default, d near 1, the friction cone lifts sliding contacts.
     """
 
     step: float = 1e-4  # [s]
-    # [1/s^2] of a contact / parcel mass; 3e6 N/m under 5.48 kg. The surface's own `stiffness`, a
-    # ratio, multiplies it.
+    # [1/s^2] contact stiffness / parcel mass; 3e6 N/m for 5.48 kg. It is multiplied by
+    # `Surface.stiffness`, which is a ratio.
     stiffness: float = 5.474e5
-    damping: float = 391.5  # [1/s] of a contact / parcel mass
-    impedance: float = 1e-4  # [-] d of a contact, MuJoCo's least
-    # [1/s] by which a contact comes to hold, in impedance / creep_damping = 2 ms. A sliding one
-    # carries mu creep_damping v more per unit mass, the rest of what lifts it.
+    damping: float = 391.5  # [1/s] contact damping / parcel mass
+    impedance: float = 1e-4  # [-] d of a contact, MuJoCo's minimum
+    # [1/s] damping of a held contact, with time constant impedance / creep_damping = 2 ms. A
+    # sliding contact carries mu creep_damping v more per unit mass, since the friction cone still
+    # lifts it slightly.
     creep_damping: float = 0.05
     friction_stiffening: float = 1e5  # [-] MuJoCo's impratio
     bearing_impedance: float = 0.9999  # [-] d of a rotor's bearing friction
-    tolerance: float = 1e-12  # [-] of the constraint solver
+    tolerance: float = 1e-12  # [-] tolerance of the constraint solver
     rotor_radius: float = 0.01  # [m] Table 5
     rotor_mass: float = 8.61e-3  # [kg] Table 5
     rotor_inertia: float = 4.30e-7  # [kg m^2] about the axis, Table 5
-    rotor_cross_inertia: float = 2.87e-7  # [kg m^2] across it; Table 5 prints e-2 for y, a misprint
+    # [kg m^2] across the axis; Table 5 prints e-2 for y, a misprint
+    rotor_cross_inertia: float = 2.87e-7
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -62,17 +64,17 @@ class Recipe:
             checks.within(name, getattr(self, name), 1e-4, 0.9999)
 
     def stiffer(self, factor: float) -> "Recipe":
-        """Multiply the contact stiffness, at the same damping ratio."""
+        """Multiply the contact stiffness by a factor, at the same damping ratio."""
         return replace(
             self, stiffness=factor * self.stiffness, damping=math.sqrt(factor) * self.damping
         )
 
     def finer(self, factor: float) -> "Recipe":
-        """Divide the step."""
+        """Divide the step by a factor."""
         return replace(self, step=self.step / factor)
 
     def lighter_rotors(self, factor: float) -> "Recipe":
-        """Divide the rotors' inertia, which the model of Eq. (2)-(4) leaves out."""
+        """Divide the rotors' inertia by a factor; Eq. (2)-(4) neglect this inertia."""
         return replace(
             self,
             rotor_mass=self.rotor_mass / factor,
@@ -83,16 +85,17 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Sides:
-    """Contact parameters between the sides of parcels, by which they hit without rebound.
+    """Contact parameters between the sides of parcels, for impacts without rebound.
 
-    Springs behind the recipe's low impedance, as under the base, but damped so much that what has
-    hit stays: the damper stops a closing speed v within 1 / damping, the sides then v / damping
-    deep in each other, and the spring pushes them out at v stiffness / damping^2.
+    Springs have the recipe's low impedance, as under the base, but enough damping to prevent a
+    rebound. The damper stops a closing speed v within 1 / damping, at a penetration of v / damping.
+    The spring then separates the sides at v stiffness / damping^2.
     """
 
-    stiffness: float = 1e5  # [1/s^2] of a contact / effective mass
-    damping: float = 5e3  # [1/s] of a contact / effective mass
-    creep_damping: float = 2.5  # [1/s] sides come to hold in impedance / creep_damping = 0.04 ms
+    stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
+    damping: float = 5e3  # [1/s] contact damping / effective mass
+    # [1/s] damping of held sides; time constant impedance / creep_damping = 0.04 ms
+    creep_damping: float = 2.5
     friction: float = 0.3  # [-]
 
     def __post_init__(self) -> None:
@@ -101,7 +104,7 @@ class Sides:
             object.__setattr__(self, field.name, allowed(field.name, getattr(self, field.name)))
 
     def harder(self, factor: float) -> "Sides":
-        """Divide the time in which what has hit is stopped."""
+        """Divide the duration of impacts by a factor."""
         return replace(
             self,
             stiffness=factor * self.stiffness,
@@ -122,7 +125,7 @@ class Scene:
     """
 
     model: Any  # mujoco.MjModel
-    rotor_dof: Integers  # (geoms,) degree of freedom of the rotor, -1 for others
+    rotor_dof: Integers  # (geoms,) degree of freedom of a rotor, -1 for other geoms
 
 
 def load_mujoco() -> ModuleType:
@@ -142,17 +145,17 @@ def build(
 ) -> Scene:  # fmt: skip
     """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
 
-    The tops of the spheres lie in the plane z = 0 and the surface's tilt is in the direction of
-    gravity, as in Section 6.1. Several parcels push each other by belts at the height of their
-    centres of mass, where the analytic model has them do so.
+    The tops of the spheres lie in the plane z = 0, and the direction of gravity represents the
+    tilt, as in Section 6.1. Parcels touch each other by belts at the height of their centres of
+    mass, as in the analytic model.
 
     Args:
         surface: the surface.
-        parcels: the parcel or parcels; prisms twice as high as their centres of mass.
+        parcels: one parcel or several; prisms twice as high as their centres of mass.
         recipe: rotors and contact parameters.
-        heights: (rows, columns) [m] of the tops of the elements above the plane; None: flat.
-        within: (rows, columns) the elements to build; None: all. `reachable` gives those that a
-            run can touch.
+        heights: (rows, columns) [m] heights of the elements' tops above the plane; None: flat.
+        within: (rows, columns) elements to build; None: all. `reachable` returns the elements that
+            a run can touch.
         sides: contact parameters between parcels.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
@@ -201,7 +204,7 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
     option.timestep = recipe.step
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly (mended in 4.0.1, its issue 3767).
+    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly (fixed in 4.0.1, its issue 3767).
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = recipe.friction_stiffening
@@ -211,8 +214,8 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
-    """Add a prism on its base. Only its vertical inertia is the parcel's; the others decide how
-    fast it settles, not where it goes, and are those of a prism of even density.
+    """Add a prism on its base. Its vertical inertia is the parcel's. Its other inertias assume even
+    density; they affect how fast it settles, but not its motion.
     """
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -231,7 +234,7 @@ def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
 def _add_prism(
     mujoco: Any, spec: Any, body: Any, base: Base, name: str, low: float, height: float
 ) -> None:
-    """Add a shape to a body; it touches only what it is paired with."""
+    """Add a shape to a body; it touches only shapes paired with it."""
     half = 0.5 * height
     shape: dict[str, Any]
     if isinstance(base, Rectangle):
@@ -254,8 +257,8 @@ def _add_prism(
 
 
 def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
-    """Add the shape that touches other parcels. A disc has a sphere, whose equator is at that
-    height and whose contacts MuJoCo finds to the last digit, where a cylinder's normals may be off.
+    """Add the shape that touches other parcels. A disc gets a sphere with its equator at that
+    height: MuJoCo finds contacts of spheres exactly, but normals of cylinders may be inexact.
     """
     if isinstance(parcel.base, Disc):
         body.add_geom(
@@ -271,7 +274,7 @@ def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str],
 ) -> None:  # fmt: skip
-    """Add a sphere, on a hinge along the rotor's axis or fixed, that touches only the bases."""
+    """Add a sphere that touches only the bases, hinged along the rotor's axis or fixed."""
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
     sphere = {"name": name, "size": [recipe.rotor_radius, 0, 0], "contype": 0, "conaffinity": 0}
@@ -307,12 +310,12 @@ def _add_element(
 
 
 def _constant_impedance(impedance: float) -> list[float]:
-    """Return MuJoCo's solimp of an impedance that does not depend on the penetration."""
+    """Return MuJoCo's `solimp` for an impedance independent of the penetration."""
     return [impedance, impedance, 0.001, 0.5, 2.0]
 
 
-TIPPING = 1e-3  # [rad] out of level; the contacts' springs give way by some 1e-5
-# The sides stop each other within 0.2 ms. Rotors without inertia, as the analytic model has none.
+TIPPING = 1e-3  # [rad] tilt of the base; the contacts' springs yield by about 1e-5
+# Impacts last 0.2 ms. Rotors have almost no inertia, since the analytic model has none.
 TOGETHER_RECIPE = Recipe(step=2e-5).lighter_rotors(1000.0)
 
 
@@ -325,11 +328,11 @@ def simulate(
     recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None,
 ) -> Trajectory:
-    """Move a parcel over a surface as `surface_gym.simulate` does, whose arguments these are.
+    """Move a parcel over a surface, with the arguments of `surface_gym.simulate`.
 
-    The tops of the elements lie at `heights` (rows, columns) [m] above the plane; None: in it. Only
-    the elements that the parcel can reach are built. There is a row for each step of the recipe.
-    `tipping` says where the base is more than 1 mrad out of level.
+    The tops of the elements are `heights` (rows, columns) [m] above the plane; None: 0. Only
+    elements within the parcel's reach are built. The trajectory has one row per step of the recipe.
+    Its `tipping` marks rows with the base tilted by more than 1 mrad.
 
     Raises:
         ValueError: an argument is not allowed, the start is off the surface, the step is too
@@ -344,7 +347,7 @@ def simulate(
     if not bearing.any() or not _is_over(surface, parcel, start[np.newaxis])[0]:
         raise ValueError(f"pose must be on the surface, got {tuple(start.tolist())}")
     stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
-    # The parcel bounces without end where a step is longer than its springs' swing.
+    # The parcel bounces endlessly if the step is longer than the period of its springs.
     longest = 1.0 / math.sqrt(stiffness.sum())
     if recipe.step > longest:
         raise ValueError(
@@ -370,10 +373,10 @@ def simulate_together(
     sides: Sides = SIDES,
     turns: Sequence[tuple[float, Array]] = (),
 ) -> tuple[Trajectory, ...]:
-    """Move parcels that push each other, as `surface_gym.simulate_together` does.
+    """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
-    `within` (rows, columns) are the elements to build. At each time [s] of `turns` the axes turn to
-    (rows, columns) [rad].
+    `within` (rows, columns) selects the elements to build. At each time [s] in `turns`, the axes
+    turn to (rows, columns) [rad].
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
@@ -389,7 +392,7 @@ def simulate_together(
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
-    """Find the elements (rows, columns) under a base at a pose: Section 3.2's F_lambda <= 0."""
+    """Find the elements (rows, columns) under a base at a pose: F_lambda <= 0 (Section 3.2)."""
     x, y, theta = np.asarray(pose, dtype=np.float64)
     dx, dy = np.meshgrid(surface.x - x, surface.y - y)
     cosine, sine = math.cos(theta), math.sin(theta)
@@ -400,7 +403,7 @@ def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Boolean
 def reachable(
     surface: Surface, parcel: Parcel, pose: ArrayLike, velocity: ArrayLike, duration: float
 ) -> Booleans:
-    """Find the elements (rows, columns) that a parcel's energy can take it to, without friction."""
+    """Find the elements (rows, columns) that a parcel could reach without friction."""
     x, y, _ = np.asarray(pose, dtype=np.float64)
     vx, vy, omega = np.asarray(velocity, dtype=np.float64)
     arm = math.hypot(*parcel.centre_of_mass)
@@ -411,7 +414,7 @@ def reachable(
     outline = parcel.base.outline
     base = float(np.hypot(outline[:, 0], outline[:, 1]).max())
     pitch = max(surface.pitch_x, surface.pitch_y)
-    # Twice the arm: the base's frame is one arm from the centre of mass at either end of the path.
+    # Twice the arm: the frame may be one arm away from the centre of mass at both ends.
     distance = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
     return np.asarray(distance <= path + base + 2.0 * arm + pitch)
 
@@ -419,17 +422,17 @@ def reachable(
 def static_sag(tops: Array, stiffness: Array, weight: float) -> float:
     """Return the depth [m] below the plane at which the springs under a level base carry it.
 
-    The tops (contacts,) are in [m] above the plane, stiffness and weight over the parcel's mass.
+    Tops (contacts,) are in [m] above the plane; stiffness and weight are per parcel mass.
     """
     highest_first = np.argsort(tops)[::-1]
     k = stiffness[highest_first]
-    # Carried by the highest few alone it would sink to here; the least is where no other helps.
+    # Depths if only the highest few springs carry; the smallest depth is the solution.
     alone = (weight - np.cumsum(k * tops[highest_first])) / np.cumsum(k)
     return float(alone.min())
 
 
 def normal_forces(data: Any) -> tuple[Integers, Array]:
-    """Return the geoms (contacts, 2) of the pairs that touch, and their normal forces [N]."""
+    """Return the geoms (contacts, 2) of touching pairs, and their normal forces [N]."""
     contact = data.contact
     row = contact.efc_address
     touching = row >= 0
@@ -441,7 +444,7 @@ def _run(
     sags: Sequence[float], duration: float, recipe: Recipe,
     turns: Sequence[tuple[float, Array]] = (),
 ) -> tuple[Trajectory, ...]:  # fmt: skip
-    """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to its end."""
+    """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to the end."""
     mujoco = load_mujoco()
     model, count = scene.model, len(parcels)
     data = mujoco.MjData(model)
@@ -454,7 +457,7 @@ def _run(
     steps = whole + (rest > 1e-6 * recipe.step)
     time = np.zeros(steps + 1)
     place, speed = np.zeros((steps + 1, count, 7)), np.zeros((steps + 1, count, 6))
-    # A bearing's friction grows with the load its rotor carries, which MuJoCo has no name for.
+    # A bearing's friction is proportional to its rotor's load, which MuJoCo does not support.
     loss_per_newton = float(surface.mu_min) * recipe.rotor_radius
     turned = {round(when / recipe.step): axis for when, axis in turns}
     for k in range(steps + 1):
@@ -496,7 +499,7 @@ def _turn_axes(scene: Scene, axis: Array) -> None:
 def _make_trajectory(
     surface: Surface, parcel: Parcel, theta: float, time: Array, place: Array, speed: Array
 ) -> Trajectory:
-    """Make the trajectory in the plane, up to where the centre of mass leaves the surface."""
+    """Make the trajectory in the plane, until the centre of mass leaves the surface."""
     w, i, j, k = place[:, 3:].T
     turned = np.unwrap(np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k)))
     turned += theta - turned[0]
@@ -510,12 +513,12 @@ def _make_trajectory(
 
 
 def _is_over(surface: Surface, parcel: Parcel, pose: Array) -> Booleans:
-    """Check at poses (T, 3) whether the centre of mass is over the surface, (T,)."""
+    """Return (T,) whether the centre of mass is over the surface at poses (T, 3)."""
     com_x, com_y = parcel.centre_of_mass
     cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     x = pose[:, 0] + cosine * com_x - sine * com_y
     y = pose[:, 1] + sine * com_x + cosine * com_y
-    # An element stands for the square of one pitch around it.
+    # An element covers the square of one pitch around it.
     half_length = 0.5 * surface.pitch_x * surface.columns
     half_width = 0.5 * surface.pitch_y * surface.rows
     along = np.abs(x - surface.x.mean()) <= half_length

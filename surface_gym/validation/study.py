@@ -1,4 +1,4 @@
-"""The whole comparison: the runs of Section 6, MuJoCo's own convergence, and the methods' speed."""
+"""The whole comparison: runs of Section 6, convergence of MuJoCo, and speed of the methods."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -18,9 +18,9 @@ from surface_gym.validation.comparison import Case, Run, Summary
 from surface_gym.validation.crowds import Crowd, CrowdRun, run_crowd
 from surface_gym.validation.simulation import RECIPE, Recipe
 
-DRAWS = 20  # surfaces for each unevenness
-MEETINGS = 30  # of two parcels that push each other
-CROWDS = 24  # held and let go
+DRAWS = 20  # surfaces per unevenness
+MEETINGS = 30  # number of meetings of two parcels
+CROWDS = 24  # number of crowds
 
 CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
 VARIANTS = {
@@ -36,12 +36,12 @@ JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A case with the recipe changed."""
+    """A case with a changed recipe."""
 
     case: Case
     change: str
-    shift: Array  # (3,) [mm, mm, deg] from the end by the recipe as it is
-    error: Array  # (3,) [mm, mm, deg] from the end by the implicit method
+    shift: Array  # (3,) [mm, mm, deg] difference from the unchanged recipe
+    error: Array  # (3,) [mm, mm, deg] difference from the implicit method
 
 
 def run_variant(job: tuple[Case, Recipe]) -> Array:
@@ -65,13 +65,13 @@ def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
     )
 
 
-ACCURACY = 1.0  # [%] of the displacement in x, y and theta, against the method's own fine step
-LEAST_TIME = 0.5  # [s] for which a method is timed
+ACCURACY = 1.0  # [%] of the displacement in x, y and theta, relative to the method's own fine step
+LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to run a case at a step, the steps to try and one to hold them against."""
+    """A method to run a case, with steps to try and a reference step."""
 
     name: str
     run: Callable[[Case, float], trajectory.Trajectory]
@@ -85,7 +85,7 @@ class Speed:
 
     method: str
     step: float  # [s]
-    error: float  # [%] the worst of the cases and of x, y and theta
+    error: float  # [%] largest over the cases and over x, y and theta
     rate: float  # [-] simulated seconds per second
 
 
@@ -112,7 +112,7 @@ METHODS = (
 
 
 def measure(method: Method) -> Speed:
-    """Time a method at the largest step up to which every step tried is accurate."""
+    """Time a method at its largest step up to which every tried step is accurate."""
     fine = _ends(method, method.fine)
     step, error = 0.0, np.inf
     for trial in method.steps:
@@ -134,7 +134,7 @@ def _ends(method: Method, step: float) -> Array:
 
 
 def _rate(method: Method, step: float) -> float:
-    """Measure the simulated seconds per second, the best of the rounds."""
+    """Measure the simulated seconds per second; return the best round."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
         start = time.perf_counter()
@@ -147,16 +147,16 @@ def _rate(method: Method, step: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """MuJoCo beside the analytic model, as `python -m surface_gym.validation` reports it."""
+    """Results of `python -m surface_gym.validation`."""
 
-    sweep: tuple[Run, ...]  # a run a tilt
+    sweep: tuple[Run, ...]  # one run per tilt
     pushed: Run  # v0 = 0.9 m/s on the level
     long: Run  # Figure 12c
     convergence: tuple[Variant, ...]
     speeds: tuple[Speed, ...]
-    spreads: tuple[drawn.Spread, ...]  # empty if not asked for
-    meetings: tuple[drawn.MeetingRun, ...] = ()  # empty if not asked for
-    crowds: tuple[CrowdRun, ...] = ()  # empty if not asked for
+    spreads: tuple[drawn.Spread, ...]  # empty unless requested
+    meetings: tuple[drawn.MeetingRun, ...] = ()  # empty unless requested
+    crowds: tuple[CrowdRun, ...] = ()  # empty unless requested
 
     @property
     def summaries(self) -> tuple[Summary, Summary]:
@@ -170,7 +170,7 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """[deg] the least tilt from which on the sort completes, by method."""
+        """[deg] smallest tilt from which the sort completes, by method."""
         return {
             "MuJoCo": comparison.sorts_from(self.sweep, lambda run: run.mujoco),
             "implicit": comparison.sorts_from(self.sweep, lambda run: run.implicit),
@@ -182,7 +182,7 @@ def run_study(
     tilts: tuple[float, ...], with_unevenness: bool, with_touching: bool, workers: parallel.Workers,
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
-    """Run the comparison in parallel, then the timing alone."""
+    """Run the comparison in parallel, then the timing on one core."""
     cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
