@@ -11,7 +11,8 @@ from typing import Any
 
 from gymnasium.spaces import Discrete
 
-from surface_gym.config import ENV_TASKS, EnvConfig
+from surface_gym import registration
+from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.task import ACTIONS, StreamTask
@@ -189,7 +190,7 @@ def environment_page() -> str:
 
 def stream_page(name: str) -> str:
     """Write the Markdown page of a task's environment of many parcels."""
-    kind, title = ENV_TASKS[name], env_id(name)
+    kind, title = registration.TASKS[name], env_id(name)
     assert issubclass(kind, StreamTask)
     return _join(
         _opening(kind, title, _film(name, f"A stream of {title}"), _overview(name)),

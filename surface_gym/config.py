@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -15,19 +15,18 @@ from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
 from surface_gym.flow.exits import Exits, exits_option
 from surface_gym.flow.inlets import Entrance, Inlets, find_entrance
-from surface_gym.flow.merge import Merge
-from surface_gym.flow.sequence import Sequence
-from surface_gym.flow.singulate import Singulate
-from surface_gym.flow.task import Flow, StreamTask
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.randomisation import Actuators, Randomisation
+from surface_gym.registration import DEFAULT_TASK, TASKS
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
 from surface_gym.state import Timing
-from surface_gym.tasks import TASKS, Sort, Task
-from surface_gym.tasks.base import Feature, draws_default_parcels
+from surface_gym.tasks.base import Feature, Task
 from surface_gym.tasks.planning import Observed
 from surface_gym.tasks.start import Start
+
+if TYPE_CHECKING:
+    from surface_gym.flow.task import StreamTask
 
 
 @dataclass(frozen=True)
@@ -105,10 +104,6 @@ LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # that `info` carries on request
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
-# that have an environment, by name
-ENV_TASKS: dict[str, type[Task]] = {
-    **TASKS, "flow": Flow, "singulate": Singulate, "merge": Merge, "sequence": Sequence,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, init=False)
@@ -127,7 +122,7 @@ class EnvConfig:
         TypeError: neither the environment nor the task has an argument of that name.
     """
 
-    task: Task = Sort()  # a task's name, or a task with parameters of its own; set by the id
+    task: Task  # a task's name, or a task with parameters of its own; set by the id
     actions: str = "modules"  # kind of action
     # `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors`
     sensors: Sensor = Exact()
@@ -147,7 +142,11 @@ class EnvConfig:
     observe: tuple[str, ...] = ()
 
     def __init__(
-        self, task: str | Task = "sort", *, preset: str | Preset | None = None, **arguments: Any
+        self,
+        task: str | Task = DEFAULT_TASK,
+        *,
+        preset: str | Preset | None = None,
+        **arguments: Any,
     ) -> None:
         own = {
             each.name: arguments.pop(each.name, each.default)
@@ -181,10 +180,8 @@ class EnvConfig:
                     f"got {preset.name!r} and {getattr(self, name)!r}"
                 )
             object.__setattr__(self, name, getattr(preset, name))
-        task = self.task
-        drawn = not isinstance(task, StreamTask) and draws_default_parcels(task)
-        if preset.parcels and drawn:
-            object.__setattr__(self, "task", replace(task, parcels=preset.parcels))
+        if preset.parcels:
+            object.__setattr__(self, "task", self.task.with_parcels(preset.parcels))
 
     def _check(self) -> None:
         set_field = object.__setattr__
@@ -207,10 +204,7 @@ class EnvConfig:
             checks.some_of(name, getattr(self, name), allowed_names)
         set_field(self, "observe", tuple(name for name in GROUPS if name in self.observe))
         self._check_places()
-        if isinstance(self.task, StreamTask):
-            self.task.check(self)
-        else:
-            self._check_size()
+        self.task.check(self)
         _ = self.action_kind, self.draws
 
     def _check_places(self) -> None:
@@ -259,23 +253,11 @@ class EnvConfig:
                 f"its centre leaves the surface, got {self.zone!r}"
             )
 
-    def _check_size(self) -> None:
-        """Raise a ValueError where a parcel of the task may be larger than the line allows."""
-        for parcel in self.task.parcels:
-            try:
-                self.chosen_line.site(self.randomisation.largest(parcel.base), self.zone)
-                self.randomisation.least(parcel.base)
-            except ValueError as error:
-                raise ValueError(
-                    f"size must leave room for every parcel, got {self.randomisation.size!r}: "
-                    f"{error}"
-                ) from None
-
     @property
     def task_name(self) -> str:
-        """The name of the package's task that it is or inherits from; else its own."""
-        kinds = (name for name, kind in ENV_TASKS.items() if isinstance(self.task, kind))
-        return next(kinds, self.task.name)
+        """The name of the registered task that it is or inherits from; else its own."""
+        kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
+        return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
     @property
     def chosen_line(self) -> BaseLine:
@@ -292,13 +274,17 @@ class EnvConfig:
     @property
     def action_kind(self) -> ActionKind:
         """The kind of action, which turns actions into commands."""
-        choices = 0 if self.orientations == ANY else len(self.chosen_orientations)
-        if isinstance(self.task, StreamTask):
-            steps = self.timing.steps
-            return self.task.action_kind(self.actions, choices, self.site.zone, steps)
+        own: ActionKind | None = self.task.action_kind(self)
+        if own is not None:
+            return own
         line = self.chosen_line
         columns = line.zone_columns if self.zone is None else self.zone[1] - self.zone[0] + 1
-        return ActionKind(self.actions, choices, line.zone_rows, columns)
+        return ActionKind(self.actions, self.choices, line.zone_rows, columns)
+
+    @property
+    def choices(self) -> int:
+        """How many orientations are on offer; 0: any angle is."""
+        return 0 if self.orientations == ANY else len(self.chosen_orientations)
 
     @property
     def timing(self) -> Timing:
@@ -309,31 +295,21 @@ class EnvConfig:
     @property
     def periods(self) -> int:
         """Control periods of an episode at most."""
-        if isinstance(self.task, StreamTask):
-            return math.ceil(self.task.duration / self.control_period - 1e-9)
-        return self.task.periods
+        return self.task.count_periods(self.control_period)
 
     @property
     def rows(self) -> int:
-        """Rows of parcels of an environment: one, or those of a stream."""
-        return self.task.rows if isinstance(self.task, StreamTask) else 1
-
-    @property
-    def parcel_terms(self) -> tuple[str, ...]:
-        """Terms of the reward that a parcel earns."""
-        return self.task.parcel_terms if isinstance(self.task, StreamTask) else self.task.terms
+        """Rows of parcels of an environment: one, or the rows of a stream."""
+        return self.task.rows
 
     @property
     def draws(self) -> int:
         """Rows of noise that the sensor of a parcel uses at most in a control period."""
-        used = self.sensors.draws(self.timing.dt, self.timing.steps)
-        return self.task.noise_rows(used) if isinstance(self.task, StreamTask) else used
+        return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
     def features(self) -> tuple[Feature, ...]:
         """Features of a parcel's observation."""
-        if isinstance(self.task, StreamTask):
-            return self.task.features
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -369,23 +345,21 @@ class EnvConfig:
         return self.task.decode_start(self._observed(observation))
 
     def _observed(self, observations: ArrayLike) -> Observed:
-        sensors, spreads = self.sensors, (0.0, 0.0)
-        if isinstance(sensors, AdaptiveCamera):
-            spreads = sensors.friction_spread, sensors.load_spread
         return Observed(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
             {feature.name: k for k, feature in enumerate(self.features)},
             self.chosen_line,
             self.zone,
-            *spreads,
+            *self.sensors.learned_spreads,
         )
 
     def observation_space(self) -> spaces.Box:
         """Make the space of an environment's observation: of a stream, a row a parcel."""
         row = self.row_space()
-        if not isinstance(self.task, StreamTask):
+        if not self.task.is_stream:
             return row
-        return spaces.Box(np.tile(row.low, (self.rows, 1)), np.tile(row.high, (self.rows, 1)))
+        rows = (self.rows, 1)
+        return spaces.Box(np.tile(row.low, rows), np.tile(row.high, rows))
 
     def action_space(self) -> spaces.Space[Any]:
         """Make the space of an environment's action."""
@@ -394,11 +368,11 @@ class EnvConfig:
     # Of tasks on a stream of parcels alone.
 
     @property
-    def stream_task(self) -> StreamTask:
+    def stream_task(self) -> "StreamTask":
         """The task on a stream of parcels."""
-        if not isinstance(self.task, StreamTask):
+        if not self.task.is_stream:
             raise ValueError(f"task must be one on a stream of parcels, got {self.task!r}")
-        return self.task
+        return cast("StreamTask", self.task)
 
     @cached_property
     def site(self) -> Site:
@@ -445,9 +419,9 @@ class EnvConfig:
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
     """Make a task by its name, or with other fields, or raise an error that lists these."""
     if isinstance(task, str):
-        kind = ENV_TASKS[checks.one_of("task", task, ENV_TASKS)]
+        kind = TASKS.find(task)
     else:
-        kind = type(checks.instance("task", task, Task, f"one of {', '.join(ENV_TASKS)} or a Task"))
+        kind = type(checks.instance("task", task, Task, f"one of {', '.join(TASKS)} or a Task"))
     known = [each.name for each in fields(kind) if each.init]
     for name in arguments:
         if name not in known:
@@ -465,7 +439,8 @@ def with_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
     """Show the arguments of `EnvConfig` in the signature of a function that takes them all."""
     signature = inspect.signature(function)
     named = [each for each in signature.parameters.values() if each.kind != each.VAR_KEYWORD]
-    defaults = {each.name: each.default for each in fields(EnvConfig)} | {"preset": None}
+    defaults = {each.name: each.default for each in fields(EnvConfig)}
+    defaults |= {"task": DEFAULT_TASK, "preset": None}
     more = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default)
         for name, default in defaults.items()

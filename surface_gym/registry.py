@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TypeVar
+from types import MappingProxyType
+from typing import TypeVar, cast
 
 from surface_gym import checks
 
@@ -29,24 +30,38 @@ class Registry(Mapping[str, Value]):
     Args:
         kind: of the values, as the argument is called that takes such a name.
         modules: of this package, each of which registers values as it is imported.
+        imports: places of values by name, as "module:Class". A value is imported when it is first
+            asked for.
     """
 
-    def __init__(self, kind: str, *modules: str) -> None:
+    def __init__(
+        self, kind: str, *modules: str, imports: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         self._kind = kind
         self._modules = modules
-        self._values: dict[str, Value] = {}
+        self._own = frozenset(imports)  # names that stay as they are
+        self._imports = dict(imports)  # of values that were not asked for
+        self._values: dict[str, Value | None] = dict.fromkeys(imports)
         self._complete = False
 
-    def register(self, name: str, value: Value) -> Value:
+    def register(self, name: str, value: Value, replace: bool = False) -> Value:
         """Register a value by a name and return it.
+
+        Args:
+            name: of the value.
+            value: to register.
+            replace: whether it replaces a value of that name that another package registered, as
+                where a file is loaded again.
 
         Raises:
             ValueError: the name is another value's.
         """
-        if self._values.setdefault(name, value) is not value:
+        if replace and name not in self._own:
+            self._values.pop(name, None)
+        if name in self._imports or self._values.setdefault(name, value) is not value:
             raise ValueError(
                 f"{self._kind} must have a name of its own, got {name!r}, "
-                f"which is {self._values[name]!r}"
+                f"which is {self._get(name)!r}"
             )
         return value
 
@@ -64,7 +79,11 @@ class Registry(Mapping[str, Value]):
 
     def __getitem__(self, name: str) -> Value:
         self._load()
-        return self._values[name]
+        return self._get(name)
+
+    def __contains__(self, name: object) -> bool:
+        self._load()
+        return name in self._values
 
     def __iter__(self) -> Iterator[str]:
         self._load()
@@ -73,6 +92,14 @@ class Registry(Mapping[str, Value]):
     def __len__(self) -> int:
         self._load()
         return len(self._values)
+
+    def _get(self, name: str) -> Value:
+        """Return a value, which is imported if it was not yet."""
+        if name in self._imports:
+            module, _, attribute = self._imports[name].partition(":")
+            self._values[name] = getattr(import_module(module), attribute)
+            del self._imports[name]
+        return cast(Value, self._values[name])
 
     def _load(self) -> None:
         if not self._complete:

@@ -1,125 +1,26 @@
 """The vector environments: many environments in one batch, on the CPU or on a GPU."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.env import RENDER_FPS, make_batch, make_outcomes, warn_of_no_render_mode
+from surface_gym.env import BaseVectorEnv, make_batch, make_outcomes, warn_of_no_render_mode
 from surface_gym.parallel import check_count
 from surface_gym.physics.types import Booleans, Integers
+from surface_gym.registration import DEFAULT_TASK
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
-from surface_gym.tasks.start import check_options
+
+DEVICES = ("cpu", "cuda")
 
 Observations = NDArray[np.float32]
-
-
-class ResetArguments(NamedTuple):
-    """Arguments of a reset, checked."""
-
-    mask: Booleans  # (num_envs,) environments that begin
-    chosen: Integers  # (count,) the same by their indices
-    seeds: list[int | None]  # of all environments
-    options: list[dict[str, Any]]  # of those that begin; empty: none has any
-
-
-class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """A vector environment of any device: its arguments and those of its resets, checked."""
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
-
-    def __init__(
-        self,
-        num_envs: int,
-        autoreset_mode: AutoresetMode | str,
-        max_episode_steps: int | None,
-        render_mode: str | None,
-    ) -> None:
-        self.num_envs = checks.integer("num_envs", num_envs, least=1)
-        if max_episode_steps is not None:
-            checks.integer("max_episode_steps", max_episode_steps, least=1)
-        modes = [mode.value for mode in AutoresetMode]
-        if not isinstance(autoreset_mode, AutoresetMode):
-            checks.one_of("autoreset_mode", autoreset_mode, modes)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        pictures = (None, *type(self).metadata["render_modes"])
-        self.render_mode = checks.one_of("render_mode", render_mode, pictures)
-        self._limit = np.iinfo(np.int64).max if max_episode_steps is None else max_episode_steps
-        self._started = False
-
-    def _set_spaces(self, observations: gym.Space[Any], actions: gym.Space[Any]) -> None:
-        """Take the spaces of one environment."""
-        self.single_observation_space = observations
-        self.single_action_space = actions
-        self.observation_space = batch_space(observations, self.num_envs)
-        self.action_space = batch_space(actions, self.num_envs)
-
-    def _check_reset(
-        self,
-        seed: int | Sequence[int | None] | None,
-        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None,
-        allowed: tuple[str, ...],
-    ) -> ResetArguments:
-        """Check the arguments of a reset, whose options are among the `allowed`."""
-        mask = np.ones(self.num_envs, dtype=np.bool_)
-        if isinstance(options, dict) and "reset_mask" in options:
-            mask = self._checked_mask(options["reset_mask"])
-            options = {name: value for name, value in options.items() if name != "reset_mask"}
-        elif not self._started and seed is None:
-            seed = int(np_random()[0].integers(2**31))
-        if not self._started and not mask.all():
-            raise gym.error.ResetNeeded(
-                "The first reset must be of every environment, without reset_mask."
-            )
-        seeds = self._seed_of_each(seed)
-        given = self._options_of_each(options, allowed)
-        chosen = np.nonzero(mask)[0]
-        some = [given[i] for i in chosen.tolist()] if any(given) else []
-        return ResetArguments(mask, chosen, seeds, some)
-
-    def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + i for i in range(self.num_envs)]
-        if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
-        return list(seed)
-
-    def _options_of_each(
-        self,
-        options: dict[str, Any] | Sequence[dict[str, Any] | None] | None,
-        allowed: tuple[str, ...],
-    ) -> list[dict[str, Any]]:
-        if options is None or isinstance(options, dict):
-            return [check_options(options, allowed)] * self.num_envs
-        if not isinstance(options, Sequence) or len(options) != self.num_envs:
-            raise ValueError(
-                f"options must be a dict or {self.num_envs} of dict or None, got {options!r}"
-            )
-        return [check_options(choice, allowed) for choice in options]
-
-    def _checked_mask(self, mask: Any) -> Booleans:
-        if not (
-            isinstance(mask, np.ndarray)
-            and mask.dtype == np.bool_
-            and mask.shape == (self.num_envs,)
-            and mask.any()
-        ):
-            raise ValueError(
-                f"reset_mask must be a boolean array of shape ({self.num_envs},) "
-                f"with a True in it, got {mask!r}"
-            )
-        return mask
 
 
 class SmartSurfaceVectorEnv(BaseVectorEnv):
@@ -143,7 +44,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: str | Task = "sort",
+        task: str | Task = DEFAULT_TASK,
         *,
         max_episode_steps: int | None = None,
         threads: int = 1,
@@ -255,3 +156,40 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
             self._renderer = Renderer(self.batch)
         for i in chosen.tolist():
             self._renderer.record(i, begins)
+
+
+def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) -> Any:
+    """Make the vector environment of `gym.make_vec`, on the CPU or on a GPU.
+
+    Args:
+        num_envs: number of environments.
+        device: "cpu" or "cuda".
+        arguments: those of `SmartSurfaceVectorEnv`.
+
+    Raises:
+        ValueError: an argument is not allowed, or not on this device.
+        DeviceMissing: there is no GPU, or a library to use it is missing.
+    """
+    if checks.one_of("device", device, DEVICES) == "cpu":
+        return SmartSurfaceVectorEnv(num_envs, **arguments)
+    from surface_gym.cuda import check_device
+
+    check_device()
+    return make_device_env(num_envs, device, **arguments)
+
+
+def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
+    """Make the vector environment of tensors on a device of torch.
+
+    Raises:
+        ValueError: an argument is not allowed, or not on this device.
+    """
+    import torch
+
+    from surface_gym.cuda.env import CudaVectorEnv
+
+    for name, only in (("threads", 1), ("render_mode", None)):
+        given = arguments.pop(name, only)
+        if given != only:
+            raise ValueError(f"{name} must be {only} where device is {device!r}, got {given!r}")
+    return CudaVectorEnv(num_envs, device=torch.device(device), **arguments)

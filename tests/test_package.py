@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym import registration
 from surface_gym.cli import COMMANDS
-from surface_gym.config import ENV_TASKS
 from surface_gym.flow.task import StreamTask
-from surface_gym.registration import PERIODS
 from surface_gym.tasks import TASKS
 from tests.environments import IDS, TWINS, every_id
 
@@ -31,7 +30,7 @@ HELP = "from surface_gym.cli import main\ntry: main([{!r}, '--help'])\nexcept Sy
 @pytest.mark.parametrize(
     ("program", "most", "needed"),
     [
-        ("import surface_gym", 3, set()),
+        ("import surface_gym", 4, set()),
         (SIMULATE, 65, set()),
         *((HELP.format(name), 16, {"tyro", "rich"}) for name in COMMANDS),
     ],
@@ -92,9 +91,9 @@ def test_every_task_has_its_id():
     assert [f"SmartSurface/{name.capitalize()}-v0" for name in sorted(TASKS)] == IDS
     limits = {
         name: None if issubclass(kind, StreamTask) else kind.periods
-        for name, kind in ENV_TASKS.items()
+        for name, kind in registration.TASKS.items()
     }
-    assert list(limits.items()) == list(PERIODS.items())
+    assert list(limits.items()) == list(registration.PERIODS.items())
 
 
 @every_id

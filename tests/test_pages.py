@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import gymnasium as gym
 import pytest
 
-from surface_gym.config import ENV_TASKS
+from surface_gym import registration
 
 DOCS = Path(__file__).parent.parent / "docs" / "environments"
 pages = SimpleNamespace(**runpy.run_path(str(DOCS.with_name("pages.py"))))
@@ -25,7 +25,7 @@ def test_pages_are_those_the_docstrings_give(name):
 
 def test_a_page_lists_every_feature_term_option_and_argument():
     tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
-    streams = [(pages.stream_page(name), ENV_TASKS[name]) for name in pages.STREAMS]
+    streams = [(pages.stream_page(name), registration.TASKS[name]) for name in pages.STREAMS]
     for page, features, words in (
         *((page, task.features, (*task.terms, *task.options)) for page, task in tasks),
         *(
@@ -38,7 +38,7 @@ def test_a_page_lists_every_feature_term_option_and_argument():
 
 
 def test_every_environment_has_a_page():
-    assert {*pages.TASKS, *pages.STREAMS} == {*ENV_TASKS}
+    assert {*pages.TASKS, *pages.STREAMS} == {*registration.TASKS}
 
 
 @pytest.mark.parametrize("task", [*pages.TASKS, *pages.STREAMS])

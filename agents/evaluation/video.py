@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.task import StreamTask
 from surface_gym.player import replay
 from surface_gym.recorder import RecordReplay
 from surface_gym.rendering import with_caption
@@ -83,7 +82,7 @@ def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
 def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
     """Make the environment of a film."""
     env: gym.Env[Any, Any] = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
-    if isinstance(config.task, StreamTask):  # which ends by itself
+    if config.task.is_stream:  # which ends by itself
         return env
     return gym.wrappers.TimeLimit(env, config.periods)
 

@@ -153,7 +153,7 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.Pa
         command=kind.size,
         choices=kind.choices,
         observation=len(config.features),
-        terms=len(config.parcel_terms),
+        terms=len(task.parcel_terms),
         goals=task.goals,
         memories=task.memories,
         metrics=len(task.metrics),

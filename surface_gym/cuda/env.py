@@ -14,15 +14,14 @@ from gymnasium.vector import AutoresetMode
 from surface_gym.config import EnvConfig
 from surface_gym.cuda.batch import BaseCudaBatch, CudaBatch, CudaStreamBatch
 from surface_gym.cuda.memory import DelayedCopy
-from surface_gym.flow.task import StreamTask
+from surface_gym.env import BaseVectorEnv
 from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
-from surface_gym.vector_env import BaseVectorEnv
 
 
 def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
     """Make the batch of a device: of one parcel for each environment, or of streams."""
     check_config(config)
-    kind = CudaStreamBatch if isinstance(config.task, StreamTask) else CudaBatch
+    kind = CudaStreamBatch if config.task.is_stream else CudaBatch
     return kind(config, num_envs, device)
 
 
@@ -35,7 +34,7 @@ def check_config(config: EnvConfig) -> None:
             f"sensors must be one without noise, such as Exact(), where device is 'cuda', "
             f"got {config.sensors!r}"
         )
-    stream = isinstance(config.task, StreamTask)
+    stream = config.task.is_stream
     varies, share = config.randomisation, config.actuators.stuck_share
     for name, refused, allowed, value in (
         ("info", bool(config.info), "()", config.info),

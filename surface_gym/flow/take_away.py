@@ -17,7 +17,7 @@ from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import HOUR, Poisson
 from surface_gym.flow.exits import PITCH, RUN_OUT
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import StreamTask
+from surface_gym.flow.task import SURFACE_TERMS, StreamTask
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import (
@@ -330,8 +330,7 @@ class TakeAwayTask(StreamTask):
 
     line = slope_line()
     features = FEATURES
-    parcel_terms = PARCEL_TERMS
-    terms = (*PARCEL_TERMS, "waiting", "jam")
+    terms = (*PARCEL_TERMS, *SURFACE_TERMS)
     waiting_reward: ClassVar[float] = 0.0
     goals = fs.GOALS + 7
     memories = 2

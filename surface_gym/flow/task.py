@@ -18,6 +18,7 @@ from surface_gym.flow.exits import flow_line
 from surface_gym.flow.inlets import EDGE, inlets_option
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
@@ -136,8 +137,8 @@ class StreamTask(Task):
     ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
     patience: float = 2.0  # [s] without motion that make a jam
 
+    is_stream = True
     line = flow_line()
-    parcel_terms: ClassVar[tuple[str, ...]]  # of the reward, that each parcel earns
     waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
     outcomes = ("jam",)
@@ -233,6 +234,10 @@ class StreamTask(Task):
         return np.zeros(0)
 
     @property
+    def parcel_terms(self) -> tuple[str, ...]:
+        return self.terms[: -len(SURFACE_TERMS)]
+
+    @property
     def rows(self) -> int:
         """Rows of the observed table: for parcels on the line, and with a gate for those waiting."""
         return self.max_parcels + (self.queue if self.gate else 0)
@@ -242,11 +247,21 @@ class StreamTask(Task):
         """Material of parcels' sides where they touch."""
         return ContactMaterial(self.restitution, self.side_friction)
 
-    def action_kind(self, actions: str, choices: int, zone: Any, steps: int) -> StreamActions:
+    def action_kind(self, config: Any) -> StreamActions:
         """Return the kind of action: a choice for each module of a zone, or two for each parcel."""
-        parcels = actions == "parcels"
-        rows, columns = (self.max_parcels, HALVES) if parcels else (zone[1], zone[3])
-        return StreamActions("modules", choices, rows, columns, 1 + steps if self.gate else 0)
+        _, rows, _, columns = config.site.zone
+        if config.actions == "parcels":
+            rows, columns = self.max_parcels, HALVES
+        gates = 1 + config.timing.steps if self.gate else 0
+        return StreamActions("modules", config.choices, rows, columns, gates)
+
+    def with_parcels(self, parcels: tuple[Parcel, ...]) -> "StreamTask":
+        """Return the same task: its parcels are those of the stream."""
+        del parcels
+        return self
+
+    def count_periods(self, control_period: float) -> int:
+        return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
         """Rows of noise for a parcel in a control period: those that it uses, and those of a start."""
@@ -526,7 +541,6 @@ class Flow(StreamTask):
     """
 
     features = FEATURES
-    parcel_terms = PARCEL_TERMS
     terms = TERMS
     memories = 2
 

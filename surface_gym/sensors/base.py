@@ -52,6 +52,11 @@ class Sensor:
         del dt, steps
         return 0
 
+    @property
+    def learned_spreads(self) -> tuple[float, float]:
+        """Return the scales of what it learns, of friction [-] and of the load [m]; 0: nothing."""
+        return 0.0, 0.0
+
     def friction(self, line: BaseLine) -> Array:
         """Return the friction (rows, columns, 3) [-] that `update` may predict by."""
         return line.friction

@@ -198,6 +198,10 @@ class AdaptiveCamera(Camera):
         checks.positive("friction_spread", self.friction_spread, *checks.LEARNED_SPREAD)
         checks.positive("load_spread", self.load_spread, *checks.LEARNED_SPREAD)
 
+    @property
+    def learned_spreads(self) -> tuple[float, float]:
+        return self.friction_spread, self.load_spread
+
     def numbers(self, dt: float) -> tuple[float, ...]:
         """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)

@@ -1,7 +1,7 @@
 """The base class of tasks, and what tasks on a line share: entry, features, way out, failures."""
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -77,6 +77,9 @@ class Task:
     memories: ClassVar[int] = 0  # numbers of `state.memory`
     has_path: ClassVar[bool] = False  # whether its starts come with a path
     leaves_zone: ClassVar[bool] = False  # whether its end is that the parcel's rear leaves the zone
+    # whether goals at y < 0 are observed in a mirror, so that actions have to be mirrored, too
+    mirrored: ClassVar[bool] = False
+    is_stream: ClassVar[bool] = False  # whether it is a `StreamTask`, of many parcels at once
     periods: ClassVar[int] = 100  # control periods after which an episode is truncated
 
     def __post_init__(self) -> None:
@@ -102,6 +105,45 @@ class Task:
         """Draw as many starts as `draw` has numbers for."""
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
+
+    @property
+    def rows(self) -> int:
+        """Return the rows of parcels of an environment."""
+        return 1
+
+    @property
+    def parcel_terms(self) -> tuple[str, ...]:
+        """Return the terms of the reward that a parcel earns."""
+        return self.terms
+
+    def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
+        """Return the same task, with other parcels where it draws the default ones of its class."""
+        return replace(self, parcels=parcels) if draws_default_parcels(self) else self
+
+    def count_periods(self, control_period: float) -> int:
+        """Return the control periods [s] of an episode at most."""
+        del control_period
+        return self.periods
+
+    def noise_rows(self, used: int) -> int:
+        """Return the rows of noise for a parcel, of which a control period uses so many at most."""
+        return used
+
+    def action_kind(self, config: Any) -> Any:
+        """Return the task's own kind of action in an environment; None: those of every task."""
+        del config
+
+    def check(self, config: Any) -> None:
+        """Raise a ValueError where an environment's configuration does not suit the task."""
+        randomisation = config.randomisation
+        for parcel in self.parcels:
+            try:
+                config.chosen_line.site(randomisation.largest(parcel.base), config.zone)
+                randomisation.least(parcel.base)
+            except ValueError as error:
+                raise ValueError(
+                    f"size must leave room for every parcel, got {randomisation.size!r}: {error}"
+                ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
         """`start`, with parcels entering `entry_offset` aside and turned by `entry_turn`."""

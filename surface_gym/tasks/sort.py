@@ -126,6 +126,7 @@ distance from the line's middle takes its place |
     features = FEATURES
     terms = TERMS
     outcomes = OUTCOMES
+    mirrored = True
     options = ("speed", "parcel", "side")
     draws = 4
     goals = 1

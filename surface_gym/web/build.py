@@ -44,11 +44,10 @@ def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
     """
     from surface_gym.config import EnvConfig
     from surface_gym.core.actions import GROUPS
-    from surface_gym.flow.task import StreamTask
     from surface_gym.sensors import Camera, Exact
 
     config = EnvConfig(task, sensors=Camera() if has_camera else Exact())
-    if isinstance(config.task, StreamTask):
+    if config.task.is_stream:
         return config
     return config.replace(observe=tuple(GROUPS))
 

@@ -12,8 +12,8 @@ from surface_gym import cuda
 from surface_gym.config import EnvConfig
 from surface_gym.cuda import DeviceMissing, check_device
 from surface_gym.cuda.env import TensorActions
-from surface_gym.registration import DEVICES, make_device_env, make_vector_env
 from surface_gym.sensors import Camera
+from surface_gym.vector_env import DEVICES, make_device_env, make_vector_env
 from tests.cuda.cases import needs_numba_cuda
 
 SORT = "SmartSurface/Sort-v0"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from surface_gym.registration import make_vector_env
+from surface_gym.vector_env import make_vector_env
 from tests.cuda.cases import CASES, STREAMS, every_case, sample_actions
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")

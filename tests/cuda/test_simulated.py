@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 import surface_gym as sg
 from surface_gym.flow.batch import list_figures
 from surface_gym.flow.task import Flow
-from surface_gym.registration import make_device_env
+from surface_gym.vector_env import make_device_env
 from tests.cuda.cases import CASES, STREAMS, needs_numba_cuda, sample_actions
 
 LIMIT, PERIODS = 5, 12  # control periods of an episode, and of a comparison

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.config import ENV_TASKS, EnvConfig
+from surface_gym import registration
+from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.arrivals import Arrival, Schedule, Trace
@@ -21,7 +22,7 @@ from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk, bulk_parcels
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import GRAVITY, VX, X
 
-TASKS = [name for name, kind in ENV_TASKS.items() if issubclass(kind, TakeAwayTask)]
+TASKS = [name for name, kind in registration.TASKS.items() if issubclass(kind, TakeAwayTask)]
 BOX = Parcel(Rectangle(0.4, 0.2))
 ROLL, BRAKE = 3, 0
 
@@ -188,7 +189,7 @@ class TestEnvironments:
         assert info["episode_delivered"] == info["right"] + info["wrong"]
 
     def test_rows_say_where_parcels_are(self, task: str) -> None:
-        batch = rolled(begun(ENV_TASKS[task]().stream, task), 3.0)
+        batch = rolled(begun(registration.TASKS[task]().stream, task), 3.0)
         end = batch.config.rotors_end
         for k in np.nonzero(batch.streams.present[0])[0].tolist():
             row, (x, y, theta, vx, vy, omega) = batch.observation[0, k], batch.parcels.truth[k]
