@@ -1,12 +1,13 @@
 """Independent jobs carried out in parallel: by processes of this machine, or by a Ray cluster.
 
-`map_jobs` runs the loop: it submits jobs to an executor, passes on what they report, and submits a
-job again if its process or node dies. Results do not depend on the number of workers.
+`map_jobs` submits jobs to an executor, passes on their reports, and submits a job again if its
+process or node dies. Results do not depend on the number of workers.
 """
 
 import os
 import pickle
 import signal
+import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sized
@@ -23,14 +24,14 @@ from surface_gym import checks
 Result = TypeVar("Result")
 Result_co = TypeVar("Result_co", covariant=True)
 Report = Callable[[Any], None]  # called by a job with its progress
-OnReport = Callable[[int, Any], None]  # called with a job's index and what it reported
-Message = tuple[str, Any]  # its kind, and the report, the result, the error, or how it was lost
+OnReport = Callable[[int, Any], None]  # called with a job's index and its report
+Message = tuple[str, Any]  # its kind, and the report, the result, the error, or the loss
 Event = tuple[int, str, Any]  # a job's index, and its message
 
 REPORTED, DONE, FAILED, LOST = "reported", "done", "failed", "lost"
-READY = "ready"  # a local worker has unpacked its job
 MAX_LOSSES = 10  # processes that one job may cost without a report in between
 POLL = 0.2  # [s] that an executor waits for events at most
+GRACE = 60.0  # [s] for interrupted jobs to write their files and to report
 
 # Spawned, not forked: a fork copies the locks of threads of libraries that are loaded here.
 _SPAWN = get_context("spawn")
@@ -70,40 +71,39 @@ def map_jobs(
 ) -> Iterator[tuple[int, Result]]:
     """Carry jobs out, and yield the index and the result of each as it is done, in any order.
 
-    A job whose process or node dies is started again, from its beginning or from what it left on
-    disk. An interrupt, or any other end of this iteration, interrupts the running jobs and waits
-    for their last reports.
+    A job whose process or node dies is started again, from its beginning or from its files. An
+    interrupt, or any other end of this iteration, interrupts the running jobs and waits for their
+    last reports.
 
     Args:
         jobs: each called with one argument, `report`. The next one is taken from the iterable only
             when a worker is free.
         workers: number of processes, or a cluster; with one process, jobs run in this process.
-        on_report: called with a job's index and what it reported.
+        on_report: called with a job's index and its report.
 
     Raises:
         WorkFailed: a job has cost `MAX_LOSSES` processes without a report, or a node has another
             version of the package.
         ValueError: there is no cluster at the address.
     """
-    if not isinstance(workers, Cluster):
-        check_count("workers", workers)
-        known = len(jobs) if isinstance(jobs, Sized) else workers
-        if min(workers, known) <= 1:
-            for index, job in enumerate(jobs):
-                yield index, job(partial(on_report, index))
-            return
-    executor: Any  # a `ProcessExecutor`, or one that does the same on other machines
+    executor: Any  # `Processes`, or the same on other machines
     if isinstance(workers, Cluster):
         from surface_gym.ray_executor import RayExecutor
 
         executor = RayExecutor(workers)
     else:
-        executor = ProcessExecutor(workers)
+        known = len(jobs) if isinstance(jobs, Sized) else workers
+        if min(check_count("workers", workers), known) <= 1:
+            for index, job in enumerate(jobs):
+                yield index, job(partial(on_report, index))
+            return
+        executor = Processes(workers)
     try:
         yield from _map(enumerate(jobs), executor, on_report)
     except BaseException:
         executor.interrupt()
-        while executor.running:
+        deadline = time.monotonic() + GRACE
+        while executor.running and time.monotonic() < deadline:
             for index, kind, value in executor.events():
                 if kind == REPORTED:
                     on_report(index, value)
@@ -118,17 +118,14 @@ def _map(
     running: dict[int, Job[Result]] = {}
     lost: deque[int] = deque()
     losses = Counter[int]()
-    exhausted = False
     while True:
         for _ in range(executor.free):
             if lost:
                 index = lost.popleft()
+            elif (following := next(jobs, None)) is not None:
+                index, running[following[0]] = following
             else:
-                following = None if exhausted else next(jobs, None)
-                if following is None:
-                    exhausted = True
-                    break
-                index, running[following[0]] = following[0], following[1]
+                break
             executor.submit(index, running[index])
         if not running:
             return
@@ -145,7 +142,8 @@ def _map(
                     raise WorkFailed(f"a job has cost {MAX_LOSSES} processes; the last: {value}")
                 lost.append(index)
             else:
-                raise value
+                error, where = value
+                raise error from RemoteTraceback(where)
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
@@ -171,7 +169,7 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return what a command's options name: a cluster if there is an address, else processes."""
+    """Return the workers of a command's options: a cluster with an address, else processes."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 
@@ -190,51 +188,26 @@ class RemoteTraceback(Exception):
         return f"\n{self.args[0]}"
 
 
-def run_remotely(job: Job[Any], report: Report) -> Message:
-    """Run a job in the process it was sent to, and return its last message."""
+def run_packed(packed: bytes, report: Report) -> Message:
+    """Run a job in the process that it was sent to, and return its last message."""
     try:
-        return DONE, job(report)
+        return DONE, pickle.loads(packed)(report)
     except BaseException as error:
-        return FAILED, (_picklable(error), traceback.format_exc())
+        where = traceback.format_exc()
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            return FAILED, (RuntimeError(f"{type(error).__name__}: {error}"), where)
+        return FAILED, (error, where)
 
 
-def received(message: Message) -> Message:
-    """Return a message as it is passed on: an error gets its traceback as the cause."""
-    kind, value = message
-    if kind != FAILED:
-        return message
-    error, where = value
-    error.__cause__ = RemoteTraceback(where)
-    return kind, error
-
-
-def _picklable(error: BaseException) -> BaseException:
-    """Return the error, or one of the same text if it cannot be sent to another process."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return RuntimeError(f"{type(error).__name__}: {error}")
-    return error
-
-
-class _Worker:
-    """A process that does one job after the other."""
-
-    def __init__(self) -> None:
-        self.is_ready = False  # its first job is unpacked, with all imports that this takes
-        self.pipe, theirs = _SPAWN.Pipe()
-        self.process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
-        self.process.start()
-        theirs.close()
-
-
-class ProcessExecutor:
-    """Processes of this machine, started as they are needed."""
+class Processes:
+    """An executor of processes of this machine, started as they are needed."""
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._idle: list[_Worker] = []
-        self._busy: dict[Any, tuple[_Worker, int]] = {}  # by pipe: the worker and the job's index
+        self._idle: list[Any] = []  # a process and the pipe to it
+        self._busy: dict[Any, tuple[Any, int]] = {}  # by pipe: the process and the job's index
 
     @property
     def free(self) -> int:
@@ -247,66 +220,64 @@ class ProcessExecutor:
         return len(self._busy)
 
     def submit(self, index: int, job: Job[Any]) -> None:
-        worker = self._idle.pop() if self._idle else _Worker()
-        self._busy[worker.pipe] = worker, index
+        process, pipe = self._idle.pop() if self._idle else _start_process()
+        self._busy[pipe] = process, index
         with suppress(OSError):  # it died while idle, which `events` reports
-            worker.pipe.send_bytes(pickle.dumps(job))
+            pipe.send_bytes(pickle.dumps(job))
 
     def events(self) -> Iterator[Event]:
-        """Yield what has happened to the jobs; wait for it for `POLL` at most."""
-        for pipe in wait(list(self._busy), POLL):
-            worker, index = self._busy[pipe]
+        """Yield the messages of jobs; wait for one for `POLL` at most."""
+        ready: list[Any] = wait(list(self._busy), POLL)
+        for pipe in ready:
+            process, index = self._busy[pipe]
             try:
-                message = worker.pipe.recv()
+                kind, value = pipe.recv()
             except (EOFError, OSError):
+                process.join()
+                kind, value = LOST, f"exit code {process.exitcode}"
+            if kind != REPORTED:
                 del self._busy[pipe]
-                worker.process.join()
-                yield index, LOST, f"exit code {worker.process.exitcode}"
-                continue
-            worker.is_ready = True
-            if message[0] not in (REPORTED, READY):
-                del self._busy[pipe]
-                self._idle.append(worker)
-            if message[0] != READY:
-                yield index, *received(message)
+            if kind in (DONE, FAILED):
+                self._idle.append((process, pipe))
+            yield index, kind, value
 
     def interrupt(self) -> None:
         """Interrupt all running jobs, as Ctrl-C would."""
         if os.name == "posix":  # elsewhere Ctrl-C has reached them already
-            for worker, _ in self._busy.values():
-                if worker.is_ready and worker.process.pid is not None:
-                    os.kill(worker.process.pid, signal.SIGINT)
-                else:
-                    worker.process.terminate()
+            for process, _ in self._busy.values():
+                os.kill(process.pid, signal.SIGINT)
 
     def close(self) -> None:
         """End all running jobs, and the processes."""
-        for worker, _ in self._busy.values():
-            worker.process.terminate()
-        for worker in [*self._idle, *(worker for worker, _ in self._busy.values())]:
-            worker.pipe.close()
-            worker.process.join()
+        for process, _ in self._busy.values():
+            process.terminate()
+        busy = [(process, pipe) for pipe, (process, _) in self._busy.items()]
+        for process, pipe in [*self._idle, *busy]:
+            pipe.close()
+            process.join()
+
+
+def _start_process() -> tuple[Any, Any]:
+    """Start a process that listens to interrupts from its first job on."""
+    ours, theirs = _SPAWN.Pipe()
+    process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+    if os.name == "posix":
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    process.start()
+    if os.name == "posix":
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    theirs.close()
+    return process, ours
 
 
 def _work(pipe: "Connection[Any, Any]") -> None:
     """Do jobs until the process that submits them closes the pipe or ends."""
-    if os.name == "posix":
-        os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once
-        # What a shell starts in the background does not listen to it by itself.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
+        if os.name == "posix":
+            os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once
+            # A process that a shell starts in the background ignores SIGINT.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         while True:
-            job = partial(_unpack_and_run, pipe.recv_bytes(), pipe)
-            pipe.send(run_remotely(job, partial(_report, pipe)))
-    except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
-        return
-
-
-def _unpack_and_run(packed: bytes, pipe: "Connection[Any, Any]", report: Report) -> Any:
-    job = pickle.loads(packed)
-    pipe.send((READY, None))
-    return job(report)
-
-
-def _report(pipe: "Connection[Any, Any]", value: Any) -> None:
-    pipe.send((REPORTED, value))
+            packed = pipe.recv_bytes()
+            pipe.send(run_packed(packed, lambda value: pipe.send((REPORTED, value))))

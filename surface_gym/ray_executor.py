@@ -12,54 +12,37 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 from surface_gym import parallel
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
 AHEAD = 2  # jobs submitted at a time for each processor of the cluster
-POLICY_FILES = (".safetensors", ".yaml")
+OF_RESULTS = (
+    ".py",
+    ".yml",
+    ".yaml",
+    ".json",
+    ".safetensors",
+)  # endings of files that results depend on
 
 
 @lru_cache(maxsize=1)
 def own_build() -> str:
-    """Return version and digests of the package that this process has."""
+    """Return the version of this process's package, and a digest of its code and policies."""
     from surface_gym import __version__
 
-    code, policies = _digest((".py", ".yml", ".json")), _digest(POLICY_FILES)
-    return f"version {__version__} (code {code}, policies {policies})"
-
-
-def check_build(wanted: str) -> None:
-    """Refuse work from a process of another build."""
-    if own_build() != wanted:
-        raise parallel.WorkFailed(
-            f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
-            f"machine {wanted}: install the same on both"
-        )
-
-
-def _digest(endings: tuple[str, ...]) -> str:
+    found = {}  # by names that are the same in a checkout and in an installation
+    for package in ("surface_gym", "surface_gym.agents"):
+        spec = find_spec(package)
+        for place in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for file in Path(place).rglob("*"):
+                if file.suffix in OF_RESULTS:
+                    name = file.relative_to(place).as_posix()
+                    found[f"{package.replace('.', '/')}/{name}"] = file.read_bytes()
     total = hashlib.sha256()
-    for name, file in sorted(_package_files().items()):
-        if file.suffix in endings:
-            total.update(f"{name} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
-    return total.hexdigest()[:8]
-
-
-def _package_files() -> dict[str, Path]:
-    """Files of the package and its agents, by names that are the same in every installation."""
-    files = {}
-    for package, label in (
-        (__package__, "surface_gym"),
-        ("surface_gym.agents", "surface_gym/agents"),
-    ):
-        found = find_spec(package)
-        for place in found.submodule_search_locations or () if found is not None else ():
-            root = Path(place)
-            for file in root.rglob("*"):
-                files[f"{label}/{file.relative_to(root).as_posix()}"] = file
-    return files
+    for name, content in sorted(found.items()):
+        total.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+    return f"version {__version__} (files {total.hexdigest()[:8]})"
 
 
 class RayExecutor:
@@ -73,7 +56,7 @@ class RayExecutor:
         self._ray = _connect(cluster)
         self._work, self._mailbox = _remote_parts(self._ray.get_runtime_context().get_job_id())
         self._counted, self._processors = -COUNT_EVERY, 0
-        self._busy: dict[Any, tuple[str, int]] = {}  # by reference: attempt and the job's index
+        self._busy: dict[Any, int] = {}  # by reference: the job's index
 
     @property
     def free(self) -> int:
@@ -87,32 +70,28 @@ class RayExecutor:
         return len(self._busy)
 
     def submit(self, index: int, job: parallel.Job[Any]) -> None:
-        attempt = uuid4().hex
-        work = self._work.remote(own_build(), pickle.dumps(job), attempt, self._mailbox)
-        self._busy[work] = attempt, index
+        work = self._work.remote(own_build(), pickle.dumps(job), self._mailbox)
+        self._busy[work] = index
 
     def events(self) -> Iterator[parallel.Event]:
         busy = list(self._busy)
         self._ray.wait(busy, timeout=parallel.POLL)
         over, _ = self._ray.wait(busy, num_returns=len(busy), timeout=0)
         lasts = [self._last_message(reference) for reference in over]
-        if not over or any(has_reported for has_reported, _ in lasts):
-            indices = dict(self._busy.values())  # without attempts that were given up
-            for attempt, packed in self._ray.get(self._mailbox.empty.remote()):
-                if attempt in indices:
-                    yield indices[attempt], parallel.REPORTED, pickle.loads(packed)
-        for reference, (_, message) in zip(over, lasts, strict=True):
-            _, index = self._busy.pop(reference)
-            yield index, *parallel.received(message)
+        by_task = {reference.task_id().hex(): index for reference, index in self._busy.items()}
+        for task, packed in self._ray.get(self._mailbox.empty.remote()):
+            if task in by_task:  # else its node was given up
+                yield by_task[task], parallel.REPORTED, pickle.loads(packed)
+        for reference, message in zip(over, lasts, strict=True):
+            yield self._busy.pop(reference), *message
 
-    def _last_message(self, reference: Any) -> tuple[bool, parallel.Message]:
-        """Return whether a job that is over has reported before, and its last message."""
+    def _last_message(self, reference: Any) -> parallel.Message:
         try:
-            last: tuple[bool, parallel.Message] = self._ray.get(reference)
+            last: parallel.Message = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError:  # raised outside the job: no loss
             raise
         except self._ray.exceptions.RayError as loss:
-            return True, (parallel.LOST, type(loss).__name__)
+            return parallel.LOST, type(loss).__name__
         return last
 
     def interrupt(self) -> None:
@@ -130,31 +109,28 @@ class _Mailbox:
     def __init__(self) -> None:
         self._letters: list[tuple[str, bytes]] = []
 
-    def put(self, attempt: str, packed: bytes) -> None:
-        self._letters.append((attempt, packed))
+    def put(self, task: str, value: bytes) -> None:
+        self._letters.append((task, value))
 
     def empty(self) -> list[tuple[str, bytes]]:
         letters, self._letters = self._letters, []
         return letters
 
 
-def _work(build: str, packed: bytes, attempt: str, mailbox: Any) -> tuple[bool, parallel.Message]:
-    """Do a job on a node; return whether it reported, which has arrived, and its last message."""
+def _work(build: str, packed: bytes, mailbox: Any) -> parallel.Message:
+    """Do a job on a node, unless the node has another build."""
     import ray
 
-    has_reported = False
-
-    def report(value: Any) -> None:
-        nonlocal has_reported
-        has_reported = True
-        ray.get(mailbox.put.remote(attempt, pickle.dumps(value)))
-
-    def job(report: Any) -> Any:
-        check_build(build)
-        return pickle.loads(packed)(report)
-
-    message = parallel.run_remotely(job, report)
-    return has_reported, message
+    if own_build() != build:
+        error = parallel.WorkFailed(
+            f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
+            f"machine {build}: install the same on both"
+        )
+        return parallel.FAILED, (error, "")
+    task = ray.get_runtime_context().get_task_id()
+    return parallel.run_packed(
+        packed, lambda value: ray.get(mailbox.put.remote(task, pickle.dumps(value)))
+    )
 
 
 @lru_cache(maxsize=1)
@@ -178,29 +154,23 @@ def _connect(cluster: parallel.Cluster) -> Any:
         raise ValueError(
             "cluster must not be given without Ray: pip install 'surface_gym[cluster]'"
         ) from None
-    if not ray.is_initialized():
+    if ray.is_initialized():
+        return ray
+    with tempfile.TemporaryDirectory() as folder:
+        for file in cluster.files:  # which nodes need, at the same relative paths
+            if not file.is_absolute():
+                (Path(folder) / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, Path(folder) / file)
         try:
-            with tempfile.TemporaryDirectory() as folder:
-                ray.init(
-                    cluster.address,
-                    runtime_env=_runtime_env(cluster, Path(folder)),
-                    log_to_driver=False,
-                    logging_level=logging.ERROR,
-                )
+            ray.init(
+                cluster.address,
+                runtime_env={"working_dir": folder} if any(Path(folder).iterdir()) else {},
+                log_to_driver=False,
+                logging_level=logging.ERROR,
+            )
         except (ConnectionError, RuntimeError) as error:
             raise ValueError(
                 f"cluster must be the address of a Ray cluster, got {cluster.address!r}: {error}; "
                 "one that asks for a token wants RAY_AUTH_MODE=token set here, too"
             ) from None
     return ray
-
-
-def _runtime_env(cluster: parallel.Cluster, folder: Path) -> dict[str, str]:
-    """Copy the files that nodes need into a folder, at the same relative paths."""
-    below = [file for file in cluster.files if not file.is_absolute()]
-    if not below:
-        return {}
-    for file in below:
-        (folder / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, folder / file)
-    return {"working_dir": str(folder)}

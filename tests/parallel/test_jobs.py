@@ -142,9 +142,9 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_p
 
 
 def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch):
-    other = "version 0.0.1 (code c0de, policies 9a9e)"
+    other = "version 0.0.1 (files c0de)"
     monkeypatch.setattr(ray_executor, "own_build", lambda: other)
-    named = r"has surface_gym version .* \(code .*version 0\.0\.1 \(code c0de, policies 9a9e\)"
+    named = r"has surface_gym version .* \(files .*version 0\.0\.1 \(files c0de\)"
     with pytest.raises(WorkFailed, match=named):
         dict(map_jobs([partial(jobs.draws, 0)], cluster))
 
