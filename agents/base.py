@@ -49,7 +49,7 @@ class Controller(Protocol):
 class BatchController(ABC):
     """A `Controller` that decides for a batch; a single observation is a batch of one."""
 
-    _dims = 1  # of an observation
+    _shape: tuple[int | None, ...]  # of an observation; None: any length
 
     def predict(
         self,
@@ -59,10 +59,11 @@ class BatchController(ABC):
         deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Choose the action for an observation, or actions for several; see `Controller`."""
-        seen = checks.observation(observation, self._dims)
-        batch = seen.reshape(-1, *seen.shape[-self._dims :])
+        seen = checks.observation(observation, self._shape)
+        is_one = seen.ndim == len(self._shape)
+        batch = seen[np.newaxis] if is_one else seen
         actions, state = self._predict(batch, state, episode_start, deterministic=deterministic)
-        return (actions[0] if seen.ndim == self._dims else actions), state
+        return (actions[0] if is_one else actions), state
 
     @abstractmethod
     def _predict(
@@ -77,7 +78,10 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
         return np.ones(num_envs, dtype=np.bool_)
     if episode_start is None:
         return np.zeros(num_envs, dtype=np.bool_)
-    return np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
+    fresh = np.atleast_1d(np.asarray(episode_start, dtype=np.bool_))
+    if fresh.shape != (num_envs,):
+        raise ValueError(f"episode_start must have the shape ({num_envs},), got {fresh.shape}")
+    return fresh
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:

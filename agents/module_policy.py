@@ -373,7 +373,9 @@ class ModulePolicy(BatchController):
     ) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         self._network = network.eval()
-        self._view = ModuleView(replace(card.env_config(), zone=zone))
+        config = replace(card.env_config(), zone=zone)
+        self._view = ModuleView(config)
+        self._shape = (len(config.features),)
         self.card = card
         self.env_id = card.env_id
         self.env_kwargs = card.env_kwargs if zone is None else {**card.env_kwargs, "zone": zone}

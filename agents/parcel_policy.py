@@ -21,7 +21,7 @@ from .base import BatchController, Booleans, Integers, Numbers, is_fresh
 from .library import HEADS, PolicyCard, check_heads
 from .rules.sequencing import PassAndPark
 from .rules.singulation import TimeSlots
-from .rules.slopes import SlopeRule
+from .rules.slopes import SlopeRule, make_memory
 
 MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
 APART = (2.0, 1.4, 2.0)  # of two parcels, [m] along and across and [m/s], that differ at most
@@ -158,12 +158,11 @@ class SlopePolicy(BatchController):
         config: of the environment; None: the card's.
     """
 
-    _dims = 2
-
     def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig | None) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         network.eval()
         self._config = find_config(card, config)
+        self._shape = (None, len(self._config.features))
         self.card = card
         self.env_id = card.env_id
         self.env_kwargs = card.env_kwargs
@@ -200,7 +199,11 @@ class ParcelPolicy(SlopePolicy):
         self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
     ) -> tuple[Any, Any]:
         fresh = is_fresh(len(batch), state, episode_start)
-        memory = None if state is None else state.rule
+        memory = None
+        if state is not None:
+            due = np.zeros((*batch.shape[:2], self._orientations**HALVES))
+            like = ParcelMemory(make_memory(*batch.shape[:2]), due, due[..., 0])
+            memory = checks.alike("state", state, like).rule
         proposed, memory = propose(self._rule, batch, memory, fresh, self._orientations)
         probability, index = self.probabilities(batch, proposed)
         due = _carry_over(state, fresh, batch, probability.shape[1])

@@ -102,6 +102,7 @@ class Policy(BatchController):
         self._network = network
         self._network.set_training_mode(False)
         self._mirror = action_mirror(config)
+        self._shape = (len(config.features),)
         self.card = card
         self.env_id = card.env_id
         own = {} if card.task in TASKS else {"task": config.task}

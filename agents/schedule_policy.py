@@ -121,8 +121,6 @@ class SchedulePolicy(BatchController):
         most_touches: [-] per delivery in the trial, for which a touch is dear enough.
     """
 
-    _dims = 2
-
     def __init__(
         self,
         network: ScheduleNetwork,
@@ -135,6 +133,7 @@ class SchedulePolicy(BatchController):
         self._config = EnvConfig("flow", **card.env_kwargs) if config is None else config
         if not self._config.stream_task.gate:
             raise ValueError("gate must be True for a policy on a schedule, got False")
+        self._shape = (self._config.rows, len(self._config.features))
         self._most_touches = most_touches
         self.card = card
         self.env_id = card.env_id

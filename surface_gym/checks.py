@@ -153,13 +153,39 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
     raise ValueError(f"{name} must be {allowed}, got {value!r}{called}")
 
 
-def observation(value: Any, dims: int) -> NDArray[Any]:
-    """Return observations as an array of finite numbers, of `dims` dimensions or more."""
+def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
+    """Return an observation of a shape (None: any length), or several, as single precision."""
     given = _numbers("observation", value)
-    if given.ndim < dims:
-        raise ValueError(f"observation must have the shape of its space, got {given.shape}")
     _check_finite("observation", given)
-    return given
+    several = given.ndim == len(shape) + 1
+    if given.size == 0 or not _fits(given.shape[several:], shape):
+        one = ", ".join("any" if length is None else str(length) for length in shape)
+        raise ValueError(
+            f"observation must have the shape ({one}) or (num_envs, {one}), got {given.shape}"
+        )
+    with np.errstate(over="ignore"):
+        single = given.astype(np.float32, order="C", copy=False)
+    _check_finite("observation", single)
+    return single
+
+
+def alike(name: str, value: Any, like: Any) -> Any:
+    """Return arrays, or tuples of arrays, with the types and shapes of others."""
+    if isinstance(like, tuple):
+        if not isinstance(value, tuple) or len(value) != len(like):
+            raise ValueError(f"{name} must be one that predict returned, got {value!r}")
+        parts = getattr(like, "_fields", range(len(like)))
+        for part, each, model in zip(parts, value, like, strict=True):
+            alike(f"{name}.{part}", each, model)
+        return value
+    if not isinstance(value, np.ndarray):
+        raise ValueError(f"{name} must be an array of {like.dtype}, got {value!r}")
+    if (value.dtype, value.shape) != (like.dtype, like.shape):
+        raise ValueError(
+            f"{name} must be {like.dtype} of the shape {like.shape}, got {value.dtype} of "
+            f"{value.shape}"
+        )
+    return value
 
 
 def _numbers(name: str, value: Any) -> NDArray[Any]:
@@ -178,13 +204,17 @@ def _check_finite(name: str, values: NDArray[Any]) -> None:
         raise ValueError(f"{name} must be finite, got {values[~np.isfinite(values)][0]} in it")
 
 
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    """Return whether a shape has the wanted lengths (None: any length)."""
+    return len(shape) == len(wanted) and all(
+        want is None or have == want for have, want in zip(shape, wanted, strict=True)
+    )
+
+
 def array(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return a read-only float64 copy, finite, of a shape (None: any length)."""
     result = np.array(_numbers(name, value), dtype=np.float64)
-    fits = result.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(result.shape, shape, strict=True)
-    )
-    if not fits:
+    if not _fits(result.shape, shape):
         wanted = ", ".join("any" if length is None else str(length) for length in shape)
         raise ValueError(f"{name} must have the shape ({wanted}), got {result.shape}")
     _check_finite(name, result)

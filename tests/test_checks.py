@@ -98,7 +98,7 @@ def test_what_is_allowed_passes():
     turn = np.float32(2.0 * math.pi)  # a little more than a turn
     assert checks.angle("a", turn) == turn
     assert checks.angles("a", np.float64([turn, -turn])).tolist() == [turn, -turn]
-    assert checks.observation(np.float32([1.0]), 1).dtype == np.float32
+    assert checks.observation([1], (1,)).dtype == np.float32
     assert checks.not_negative("mu", 0) == 0.0
     assert checks.within("a", 0, 0, 1) == 0.0
     assert checks.within("a", 1, 0, 1) == 1.0

@@ -56,7 +56,7 @@ COMPARED = {**STREAM_PRESETS, "lab": PRESETS["lab"]}
 class RollOn(BatchController):
     """Let every parcel roll."""
 
-    _dims = 2
+    _shape = (None, None)
 
     def __init__(self, config: EnvConfig) -> None:
         self._size = config.action_kind.size

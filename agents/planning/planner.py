@@ -48,6 +48,7 @@ class Planner(BatchController):
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
         checks.one_of("actions", config.actions, ("halves",))
         self._config = config
+        self._shape = (len(config.features),)
         self._cost = cost = config.task.cost()
         self._width = max(1, checks.integer("budget", budget, least=1) // cost.share)
         zone = config.zone if cost.zone is None else cost.zone

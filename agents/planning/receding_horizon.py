@@ -72,14 +72,13 @@ class RecedingHorizon(BatchController):
         seed: of the draws.
     """
 
-    _dims = 2
-
     def __init__(
         self, rule: Controller, config: EnvConfig, candidates: int = CANDIDATES,
         horizon: int = HORIZON, followed: int = FOLLOWED, seed: int = 0,
     ) -> None:  # fmt: skip
         checks.instance("sensors", config.sensors, Exact, "Exact(), as the true state is known")
         self._config, self._rule = config, rule
+        self._shape = (config.rows, len(config.features))
         self._candidates = checks.integer("candidates", candidates, least=2)
         self._horizon = checks.integer("horizon", horizon, least=1)
         self._followed = checks.integer("followed", followed, least=1, most=self._horizon)

@@ -54,6 +54,7 @@ class BaseRule(BatchController):
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         self._config = config
         self._kind = config.action_kind
+        self._shape = (len(config.features),)
 
     @abstractmethod
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
@@ -105,7 +106,7 @@ class FixedRule(BaseRule):
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
         layout = np.empty((len(observations), self._kind.size), dtype=np.int64)
         if memory is not None:
-            layout[~fresh] = memory[~fresh]
+            layout[~fresh] = checks.alike("state", memory, layout)[~fresh]
         if fresh.any():
             layout[fresh] = self._layout(observations[fresh])
         return layout, layout

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import surface_gym as sg
+from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
@@ -337,6 +338,7 @@ class BrakingRule(BaseRule):
         num_envs = len(seen.vx)
         lean, estimate = np.zeros((num_envs, self._columns)), self._estimate.unknown(num_envs)
         if memory is not None:
+            checks.alike("state", memory, np.column_stack([lean, estimate, lean[:, :3]]))
             on = ~fresh
             lean[on] = memory[on, : self._columns]
             estimate[on] = memory[on, self._columns : -3]

@@ -169,8 +169,8 @@ class PidRule(LocalRule):
 
     def _turn(self, above: Above, memory: Memory, fresh: Booleans) -> Decision:
         error = above.error
-        if memory is None:
-            memory = np.zeros((len(error), 2, *error.shape[1:]))
+        none = np.zeros((len(error), 2, *error.shape[1:]))
+        memory = none if memory is None else checks.alike("state", memory, none)
         began = fresh[:, np.newaxis, np.newaxis]
         summed = np.where(began, 0.0, memory[:, 0]) + self._period * error
         summed = np.clip(summed, -MOST_SUMMED, MOST_SUMMED)

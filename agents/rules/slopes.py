@@ -343,7 +343,6 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
 class SlopeRule(BatchController):
     """A rule for tasks on a slope with a take-away, by `actions="parcels"`."""
 
-    _dims = 2
     # Compiled; by `arguments` it writes halves (num_envs, rows, 2), of which those of free rows
     # stay.
     kernel: ClassVar[Any]
@@ -357,6 +356,7 @@ class SlopeRule(BatchController):
         self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
         self._slope = read_slope(config)
         self._tuning = find_tuning(config) if tuning is None else tuning
+        self._shape = (None, len(config.features))  # rows of another environment serve as well
         self._parcels = make_parcels(config.rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
@@ -369,10 +369,14 @@ class SlopeRule(BatchController):
     ) -> tuple[Integers, SlopeMemory]:
         num_envs, rows, _features = batch.shape
         fresh = is_fresh(num_envs, state, episode_start)
-        memory = make_memory(num_envs, rows) if state is None else copy.deepcopy(state)
+        memory = make_memory(num_envs, rows)
+        if state is not None:
+            memory = copy.deepcopy(checks.alike("state", state, memory))
         forget(memory, fresh)
+        if len(self._parcels.x) != rows:
+            self._parcels = make_parcels(rows)
         halves = np.full((num_envs, rows, 2), ROLL)
-        self.kernel(*self.arguments(np.ascontiguousarray(batch), memory, halves))
+        self.kernel(*self.arguments(batch, memory, halves))
         return self.choices[halves].reshape(num_envs, -1), memory
 
 

@@ -96,6 +96,7 @@ class GradedLayout(BatchController):
         checks.one_of("actions", config.actions, ("modules",))
         checks.one_of("orientations", config.orientations, (ANY,))
         self._config = config
+        self._shape = (len(config.features),)
         chosen = [layout for layout in sorting_layouts() if layout.offer == "any"]
         self._layouts = BoxLayouts(chosen, config.action_kind.shape)
 

@@ -24,13 +24,12 @@ OPEN = 1  # the gate opens with the first physics step, if there is room
 class ParcelRule(BatchController):
     """A rule that decides for each parcel by its row alone: the same for all, wherever they are."""
 
-    _dims = 2
-
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         self._axes = find_axes(config)
+        self._shape = (config.rows, len(config.features))
         self._places = config.stream_task.max_parcels
         self._gated = config.stream_task.gate
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surface_gym import Randomisation
+from surface_gym import Randomisation, checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
@@ -115,6 +115,7 @@ class DecidingScheduler(Scheduler):
         chosen = Chosen(np.full(num_envs, NOBODY), np.zeros(num_envs))
         if state is not None:
             fresh = is_fresh(num_envs, state, episode_start)
+            checks.alike("state", state, (book, watched, chosen))
             book = Book(*renew(book, state[0], fresh))
             watched = Watched(*renew(watched, state[1], fresh))
             chosen = Chosen(*renew(chosen, state[2], fresh))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
@@ -160,10 +161,9 @@ class Scheduler(BatchController):
         library: of maneuvers; None: one is made, where every module obeys by itself.
     """
 
-    _dims = 2
-
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
         self.library = make_library(config) if library is None else library
+        self._shape = (config.rows, len(config.features))
         self._parcels = config.stream_task.max_parcels
         self._period, self._dt = config.control_period, config.timing.dt
         self._steps = config.timing.steps
@@ -188,7 +188,7 @@ class Scheduler(BatchController):
         fresh = is_fresh(num_envs, state, episode_start)
         book = self._start(num_envs)
         if state is not None:
-            book = Book(*renew(book, state, fresh))
+            book = Book(*renew(book, checks.alike("state", state, book), fresh))
         book = self._follow(batch, book)
         opens, book = self._open(batch, book)
         return self._act(batch, book, opens)

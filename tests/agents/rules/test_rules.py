@@ -76,7 +76,7 @@ def test_it_decides_on_finite_numbers_alone(rule) -> None:
         (None, "be an array of numbers, got None"),
         ("left", "be an array of numbers, got 'left'"),
         ([object()], "be an array of numbers, got"),
-        (1.0, "have the shape of its space"),
+        (1.0, "have the shape"),
         ([math.nan, 0.0], "be finite, got nan in it"),
         ([[0.0, -math.inf]], "be finite, got -inf in it"),
     ):
