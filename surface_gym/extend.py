@@ -22,9 +22,45 @@ They read and write an `EnvState`, one parcel on one surface, and may use `math`
 A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
 parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
 `BaseLine`.
+
+A task on a stream of parcels inherits from `StreamTask`. Its functions may also use:
+
+- places in `state.goal`: `EXIT`, `SIDE`, `FIRST`, `LAST`, `INLET`, `ORDER`; the task's own begin at
+  `GOALS`;
+- places in `state.memory`: `TOUCHED`; the task's own begin at `OWN_MEMORY`;
+- the exit that `exit_taken` returns between exits: `BETWEEN`;
+- what `reward` gets: `RUNNING`, `DEPARTED_CORRECT` or `DEPARTED_WRONG`.
+
+Its `terms` end in `SURFACE_TERMS`. Its Python half deals in a `Stream`, whose arrivals are
+`Steady`, `Spread`, `Poisson`, a `Schedule` or a `Trace`; in `Exits` made of `Exit`; and in `Inlets`
+made of `Inlet`. `flow_line` and `slope_line` make its surface.
+
+`register` gives a task a name.
 """
 
 from surface_gym.compiler.jit import kernel_function
+from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady, Trace
+from surface_gym.flow.exits import Exit, Exits, flow_line
+from surface_gym.flow.inlets import Inlet, Inlets
+from surface_gym.flow.state import (
+    BETWEEN,
+    DEPARTED_CORRECT,
+    DEPARTED_WRONG,
+    EXIT,
+    FIRST,
+    GOALS,
+    INLET,
+    LAST,
+    ORDER,
+    OWN_MEMORY,
+    PASSED_SIZE,
+    SIDE,
+    TOUCHED,
+    StreamParams,
+)
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import slope_line
+from surface_gym.flow.task import SURFACE_TERMS, StreamTask
 from surface_gym.lines import BaseLine, Field, Line, Pattern
 from surface_gym.physics.types import (
     COM_HEIGHT,
@@ -42,6 +78,7 @@ from surface_gym.physics.types import (
     X,
     Y,
 )
+from surface_gym.registration import register
 from surface_gym.sensors import Sensor
 from surface_gym.state import (
     COLUMNS,
@@ -63,9 +100,13 @@ from surface_gym.tasks.base import Feature, entry, failures
 from surface_gym.tasks.start import Draw, Parcels, Start, between
 
 __all__ = [
-    "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "FIRST_COLUMN", "FIRST_ROW", "GYRATION",
-    "HALF_LENGTH", "MASS", "OMEGA", "RADIUS", "ROWS", "RUNNING", "SUCCESS", "THETA", "VX", "VY",
-    "Array", "BaseLine", "Draw", "EnvState", "Feature", "Field", "Line", "Parcels", "Pattern",
-    "Sensor", "Start", "Task", "X", "Y", "between", "entry", "failures", "is_slower",
-    "kernel_function", "planar_speed", "reach_along", "read_truth", "zone_end", "zone_start",
+    "BETWEEN", "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "DEPARTED_CORRECT", "DEPARTED_WRONG",
+    "EXIT", "FIRST", "FIRST_COLUMN", "FIRST_ROW", "GOALS", "GYRATION", "HALF_LENGTH", "INLET",
+    "LAST", "MASS", "OMEGA", "ORDER", "OWN_MEMORY", "PASSED_SIZE", "RADIUS", "ROWS", "RUNNING",
+    "SIDE", "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY",
+    "Array", "BaseLine", "Draw", "EnvState", "Exit", "Exits", "Feature", "Field", "Inlet", "Inlets",
+    "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Spread", "Start", "Steady",
+    "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y", "between", "entry",
+    "failures", "flow_line", "is_slower", "kernel_function", "planar_speed", "reach_along",
+    "read_truth", "register", "slope_line", "zone_end", "zone_start",
 ]  # fmt: skip

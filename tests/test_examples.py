@@ -7,8 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
 from surface_gym.agents.library import find_task
@@ -30,7 +32,7 @@ def test_the_page_shows_it_as_it_is(file):
     assert f"```python\n{file.read_text()}```" in (ROOT / "docs" / "extending.md").read_text()
 
 
-@pytest.mark.parametrize(("example", "lines"), [("reach", 120), ("haste", 20)])
+@pytest.mark.parametrize(("example", "lines"), [("reach", 120), ("haste", 20), ("even", 250)])
 def test_it_is_short(example, lines):
     assert len((ROOT / "examples" / f"{example}.py").read_text().splitlines()) <= lines
 
@@ -64,6 +66,29 @@ class TestReach:
         while not ended:
             _, _, ended, _, info = env.step([3, 3, 3, 3])
         assert info["outcome"] == "success"
+
+
+class TestEven:
+    def test_it_is_an_environment(self):
+        run_example("even")
+        env = gym.make("Examples/Even-v0", actions="parcels", render_mode="rgb_array")
+        check_env(env.unwrapped, skip_render_check=True)
+        env.reset(seed=0)
+        assert env.render().ndim == 3
+        assert env.unwrapped.config.task_name == "even"
+
+    def test_its_rule_loads_exits_evenly_and_rolling_on_does_not(self):
+        even = run_example("even")
+        envs = sg.SmartSurfaceVectorEnv(2, even["Even"](), actions="parcels")
+        straight = np.full(envs.action_space.shape, 3)
+        for controller, correct in ((even["LeastLoaded"](), (8, 8)), (None, (2, 2))):
+            observations, _ = envs.reset(seed=0)
+            ended = np.zeros(2, dtype=bool)
+            while not ended.any():
+                actions = controller.predict(observations)[0] if controller else straight
+                observations, _, _, ended, infos = envs.step(actions)
+            assert tuple(infos["right"]) == correct
+            assert (infos["wrong"] > 0).any() == (controller is None)
 
 
 def test_haste_rewards_early_success():

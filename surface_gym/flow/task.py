@@ -82,6 +82,7 @@ STREAM = (
     f"arrivals are {LAWS}"
 )
 
+ROUND_OFF = 1e-6  # [m]
 SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole earns
 
 
@@ -194,6 +195,26 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
+    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
+        """Find the exit by which a parcel has left, or BETWEEN them.
+
+        Straight on it has left where its rear is past the last column of rotors, or its centre past
+        the rotors' end; else to the side that its centre is on.
+        """
+        truth = state.truth
+        last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
+        rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
+        straight = rear > last_column or truth[X] > params.rotors_end
+        towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
+        side = 0.0 if straight else towards
+        where = truth[Y] - state.elements.line_y if straight else truth[X]
+        for k in range(params.exits.shape[0]):
+            if params.exits[k, 0] == side and params.exits[k, 1] <= where < params.exits[k, 2]:
+                return k
+        return fs.BETWEEN
+
+    @staticmethod
+    @inlined
     def deliver(
         params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
     ) -> tuple[bool, float, float]:
@@ -211,6 +232,16 @@ class StreamTask(Task):
         stops: bool,
     ) -> None:
         """Show nothing of the exits."""
+
+    @staticmethod
+    @inlined
+    def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
+        """Show nothing of the next parcel ahead or behind."""
+
+    @staticmethod
+    @inlined
+    def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
+        """Show nothing of it where there is none."""
 
     @property
     def notice(self) -> float:
@@ -389,8 +420,6 @@ REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
 TIME_REWARD = -0.2  # per second of each parcel on the line
 REACH = fs.OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last decision
 
-ROUND_OFF = 1e-6  # [m]
-
 
 @inlined
 def _mirror(state: EnvState) -> float:
@@ -549,26 +578,6 @@ class Flow(StreamTask):
     def begin(state: EnvState) -> None:
         """Remember the reach of a parcel that enters, which earns nothing."""
         state.memory[REACH] = _reach(state)
-
-    @staticmethod
-    @inlined
-    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
-        """Find the exit by which a parcel has left, or BETWEEN them.
-
-        Straight on it has left where its rear is past the last column of rotors, or its centre past
-        the rotors' end; else to the side that its centre is on.
-        """
-        truth = state.truth
-        last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
-        rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
-        straight = rear > last_column or truth[X] > params.rotors_end
-        towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
-        side = 0.0 if straight else towards
-        where = truth[Y] - state.elements.line_y if straight else truth[X]
-        for k in range(params.exits.shape[0]):
-            if params.exits[k, 0] == side and params.exits[k, 1] <= where < params.exits[k, 2]:
-                return k
-        return fs.BETWEEN
 
     @staticmethod
     @inlined
