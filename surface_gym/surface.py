@@ -13,7 +13,7 @@ from surface_gym.physics.step import axis_directions, split_gravity
 from surface_gym.physics.types import Array, Booleans, Grid, check_capacity
 
 
-class Pitched:
+class ElementGrid:
     """Base class of objects on a grid with a pitch."""
 
     pitch: float | tuple[float, float]  # [m] between neighbours: one, or in x and in y
@@ -33,7 +33,7 @@ class Pitched:
         check_capacity(len(base.edges), base.reach, (self.pitch_x, self.pitch_y), size)
 
 
-class Elements(Pitched, ABC):
+class Elements(ElementGrid, ABC):
     """Elements on a grid; base class of surfaces and lines."""
 
     # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element

@@ -1,1 +1,1 @@
-"""Planners: search through the simulator for plans and for layouts."""
+"""Planners that search through the simulator for plans and layouts."""

@@ -1,8 +1,8 @@
-"""Search for the best layout of a line: layouts that do well are changed, and the best kept.
+"""Search for the best layout of a line: good layouts are changed at random, and the best kept.
 
-What a column takes of a parcel's motion hardly depends on what the others take, so that a change of
-few modules leads from a good layout to one that is a little different: that is all there is to go
-by, as choices of orientations have neither slope nor order. Many layouts are tried at once.
+The choices of orientations have neither gradient nor order, so the search makes small random
+changes. The effect of one column hardly depends on the other columns. So a change of few modules
+changes a good layout only a little. Many layouts run at once.
 """
 
 import itertools
@@ -28,26 +28,24 @@ from ..base import Axes, Integers, Numbers
 from .models import NominalModel, SearchNodes
 from .planner import ALIKE
 
-LAYOUTS = 128  # tried at a time
+LAYOUTS = 128  # layouts per batch
 GENERATIONS = 20
-PARENTS = 12  # layouts kept from generation to generation
-CHANGES = 2  # of a layout at most
-TOGETHER = 0.7  # share of changes that are of several modules of a column
+PARENTS = 12  # layouts kept per generation
+CHANGES = 2  # maximum changes of a layout per generation
+TOGETHER = 0.7  # share of changes of several modules of a column
 
-# Costs beyond that of any success, the lower the better.
-MISSED = 1e3  # of an end at another ratio, place or angle; its error comes on top
-FAILED = MISSED + 0.05  # of any other failure; its error and the way to go come on top
-LEFT = 0.5  # cost of a metre to go
+# Costs of failures, higher than any success.
+MISSED = 1e3  # end at a wrong ratio, position or angle; plus its error
+FAILED = MISSED + 0.05  # any other failure; plus its error and the remaining distance
+LEFT = 0.5  # cost per remaining metre
 
 
 class LayoutModel(NominalModel):
-    """A nominal model whose copies run over axes that stay as they were arranged."""
+    """A nominal model whose copies run over fixed axes."""
 
     @property
     def axis(self) -> NDArray[np.int32]:
-        """(copies, rows, columns) index of each axis among the orientations, to read and write;
-        actions set those of the zone.
-        """
+        """(copies, rows, columns) writable indices of axes in the orientations."""
         return self._batch.surfaces.axis
 
     @property
@@ -55,20 +53,20 @@ class LayoutModel(NominalModel):
         return self._batch.surfaces.command
 
     def fork(self, parents: Integers) -> None:
-        """Make the first copies ones of their parents (count,), axes and all; park the others."""
+        """Copy parents (count,), including axes, into the first copies; park the others."""
         self._batch.fork(parents)
 
     def step(self) -> bool:
-        """Move every copy that runs over a control period; tell whether one still does."""
+        """Move every running copy by a control period; return whether one still runs."""
         self._batch.step(self.commands)
         return bool((self.parcels.outcome == RUNNING).any())
 
     def run(self, layouts: Integers) -> SearchNodes:
-        """Let a parcel run from the start to the episode's end over each of some layouts.
+        """Run a parcel from the start to the episode's end over each layout.
 
         Args:
-            layouts: (count, rows, columns) the place of each axis of the widest zone among the
-                orientations; at most as many as there are copies.
+            layouts: (count, rows, columns) index of each axis of the widest zone in the
+                orientations; `count` is at most the number of copies.
         """
         count = len(layouts)
         self._batch.restore(self._begun)
@@ -82,17 +80,15 @@ class LayoutModel(NominalModel):
 
 @dataclass(frozen=True)
 class LayoutCost:
-    """Cost that a search of layouts minimises, and the way it changes them."""
+    """Cost that a search of layouts minimises, and its kind of changes."""
 
-    cost: Callable[[Nodes], Numbers]  # (nodes,) of episodes that have ended
+    cost: Callable[[Nodes], Numbers]  # (nodes,) cost of finished episodes
     enough: float  # cost at which the search ends
-    halves: bool  # what changes together: half a column, else a module and its mirror image
+    halves: bool  # whether changes apply to half a column, else to a module and its mirror image
 
 
 def graded_cost(nodes: Nodes, missed: int) -> Numbers:
-    """Compute the size of the task's first metric; a failure's grows with what it lacks, to lead to
-    a success.
-    """
+    """Compute the absolute first metric; failures cost more, the farther they are from success."""
     parcels = nodes.parcels
     error = np.abs(parcels.metrics[:, 0])
     _, _, first, columns = nodes.zone
@@ -105,17 +101,17 @@ def graded_cost(nodes: Nodes, missed: int) -> Numbers:
 
 
 def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Integers) -> Integers:
-    """Search for the best layout from the model's start; the result is always the same.
+    """Search for the best layout from the model's start; deterministic.
 
     Args:
-        known: (layouts, rows, columns) to begin with, choices of the widest zone; the best found is
-            as good as the best of these at least.
+        known: (layouts, rows, columns) initial choices of the widest zone; the result is at least
+            as good as the best of these.
     """
     change = _Change(model, search, axes)
     layouts = np.concatenate([known, change(change.pick(known, model.size))])[: model.size]
     cost = search.cost(model.run(layouts))
     for _ in range(GENERATIONS):
-        # No two that cost the same: such differ where no parcel comes.
+        # Keep one layout per cost: layouts with equal cost differ only away from the parcel.
         _, first = np.unique(cost, return_index=True)
         layouts, cost = layouts[first[:PARENTS]], cost[first[:PARENTS]]
         if cost[0] <= search.enough:
@@ -127,7 +123,7 @@ def search_layout(model: LayoutModel, search: LayoutCost, axes: Axes, known: Int
 
 
 class _Change:
-    """Random changes of layouts, those of modules that the parcel of a start can touch."""
+    """Random changes of the modules that the start's parcel can touch."""
 
     def __init__(self, model: LayoutModel, search: LayoutCost, axes: Axes) -> None:
         self._random = np.random.default_rng(0)
@@ -142,7 +138,7 @@ class _Change:
         return layouts[self._random.integers(len(layouts), size=count)]
 
     def __call__(self, layouts: Integers) -> Integers:
-        """Change each of some layouts (count, rows, columns) in a place or more."""
+        """Change each layout (count, rows, columns) in one place or more."""
         changed, random = layouts.copy(), self._random
         count, rows, columns = layouts.shape
         for turn in range(CHANGES):
@@ -163,21 +159,19 @@ class _Change:
         return changed
 
 
-SIZE = 512  # layouts tried at a time
-LOST = 1e6  # cost of a failure, beyond that of any success
-LATER = 1.1  # [-] what a parcel moves in a period at most, of what it moves by its speed now
-NEAR = 0.002  # [m] from a column that is too near to go on
+SIZE = 512  # layouts per batch
+LOST = 1e6  # cost of a failure, higher than any success
+LATER = 1.1  # [-] maximum distance in a period, relative to the current speed times the period
+NEAR = 0.002  # [m] smaller distances to a column are too small to go on
 
 OWN = len(track.FEATURES)  # index of the first feature that Track does not show
-FARTHEST = 1000.0  # [m] that anything can be from the origin
+FARTHEST = 1000.0  # [m] maximum distance from the origin
 
-_observe_track = Track.observe  # compiled code knows no classes
+_observe_track = Track.observe  # compiled code cannot use classes
 
 
 class ShownPath(Track):
-    """Track for methods that may know the whole path: its observation also shows the path, and
-    where the parcel is.
-    """
+    """Track with an observation that also shows the whole path and the parcel's position."""
 
     features = (
         *track.FEATURES,
@@ -194,7 +188,7 @@ class ShownPath(Track):
         return cls(**{each.name: getattr(task, each.name) for each in fields(task)})
 
     def decode_start(self, seen: Observed) -> Start:
-        """Decode the first observation into the start that it shows."""
+        """Decode the start of an episode from its first observation."""
         x, y, first_x, step, *path = seen.values[0, OWN:].tolist()
         return self.decode(seen).start(self.parcels, (x, y), (first_x, step), np.array(path))
 
@@ -212,14 +206,15 @@ class ShownPath(Track):
 
 
 def path_model(config: EnvConfig) -> LayoutModel:
-    """Make a model for `search_path_layout`: two physics steps a period, and actions that set the
-    last column only, which no parcel touches that follows its path.
+    """Make a model for `search_path_layout`: two physics steps per period, and dummy actions.
+
+    Actions set the last column only, which a parcel on its path does not touch.
     """
     last = config.chosen_line.columns - 1
     return LayoutModel(
         replace(
             config,
-            task=Track(),  # whatever more is shown
+            task=Track(),  # without additional observations
             actions="modules",
             zone=(last, last),
             control_period=2.0 * config.timing.dt,
@@ -229,10 +224,10 @@ def path_model(config: EnvConfig) -> LayoutModel:
 
 
 def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: float) -> Integers:
-    """Search for the best layout for a start; the result is always the same.
+    """Search for the best layout for a start; deterministic.
 
-    It is one with two axes a column: one left of the path, one right of it. Where none is found
-    that leads to the path's end, it is one with one axis a column, of which more can be tried.
+    Each column has two axes: one left of the path and one right of it. If no such layout leads to
+    the path's end, each column has one axis, so that the search can try more layouts.
     """
     four = (axes.roll, axes.right, axes.brake, axes.left)
     found = []
@@ -246,21 +241,21 @@ def search_path_layout(model: LayoutModel, axes: Axes, start: Start, limit: floa
     return min(found, key=lambda each: each.cost).layout
 
 
-class _Found(NamedTuple):
-    """A layout that a parcel has run over to the episode's end."""
+class _CompletedRun(NamedTuple):
+    """Result of an episode over one layout."""
 
     cost: float
-    layout: Integers  # (rows, columns) its choices
+    layout: Integers  # (rows, columns) choices of the layout
 
 
 class _Beam:
-    """One search."""
+    """One beam search for a path's layout."""
 
     def __init__(self, model: LayoutModel, ways: Integers, limit: float) -> None:
         self._model = model
         self._cost = model.config.task.cost()
-        self._ways = ways  # (ways, 2) to lay a column: right of the path and left of it
-        self._width = model.size // len(ways)  # layouts that go on from a column
+        self._ways = ways  # (ways, 2) choices of a column: right of the path and left of it
+        self._width = model.size // len(ways)  # layouts that continue from a column
         self._limit = limit
         self._line = model.config.chosen_line
         nodes = model.nodes(1)
@@ -271,12 +266,12 @@ class _Beam:
         path = np.interp(x, first_x + step * np.arange(len(path)), path)
         y = self._line.origin[1] + self._line.pitch_y * np.arange(self._line.rows)
         self._left = (y[:, np.newaxis] > path).astype(np.int64)  # (rows, columns)
-        self._best = _Found(math.inf, model.axis[0].astype(np.int64))
+        self._best = _CompletedRun(math.inf, model.axis[0].astype(np.int64))
 
-    def search(self) -> _Found:
+    def search(self) -> _CompletedRun:
         columns = self._line.columns - 1
         front = self._front(1)[0]
-        # Columns that the parcel stands on are laid alike.
+        # Columns under the initial parcel get equal axes.
         first, kept = 0, np.zeros(1, dtype=np.int64)
         while len(kept) and first <= columns:
             last = first
@@ -295,14 +290,14 @@ class _Beam:
         return self._line.column_edge(column + 0.5)
 
     def _lay(self, kept: Integers, first: int, end: int) -> None:
-        """Go on from the kept copies with every way to lay some columns."""
+        """Continue the kept copies with every choice for the next columns."""
         ways = len(self._ways)
         self._model.fork(np.repeat(kept, ways))
         laid = self._ways[:, self._left[:, first:end]]  # (ways, rows, columns)
         self._model.axis[: ways * len(kept), :, first:end] = np.tile(laid, (len(kept), 1, 1))
 
     def _front(self, count: int) -> Numbers:
-        """Bound the x (count,) [m] of the foremost point after another period."""
+        """Return an upper bound (count,) [m] on the x of the front after another period."""
         motion = self._model.parcels.truth[:count]
         reach = square_reach(self._half_length, motion[:, THETA])
         speed = np.hypot(motion[:, VX], motion[:, VY])
@@ -310,7 +305,7 @@ class _Beam:
         return motion[:, X] + reach + LATER * self._model.config.control_period * speed
 
     def _approach(self, count: int, centre: float) -> None:
-        """Move the copies until each is about to touch a column, or has ended."""
+        """Move the copies until each is about to touch a new column, or has ended."""
         outcome = self._model.parcels.outcome
         waiting = np.zeros(count, dtype=np.bool_)
         for _ in range(self._model.config.task.periods):
@@ -322,19 +317,19 @@ class _Beam:
         outcome[:count][waiting] = RUNNING
 
     def _note(self, count: int) -> None:
-        """Remember the best layout of all that have ended."""
+        """Store the best layout among finished copies."""
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)
-        # Of failures, the one that got farthest.
+        # The best failure is the one that came farthest.
         cost = np.where(there, self._cost.final(nodes), LOST + LOST / (1.0 + parcels.truth[:, X]))
         cost[parcels.outcome == RUNNING] = math.inf
         if cost.min() < self._best.cost:
             layout = self._model.axis[cost.argmin()].astype(np.int64)
-            self._best = _Found(float(cost.min()), layout)
+            self._best = _CompletedRun(float(cost.min()), layout)
 
     def _keep(self, count: int, laid: int) -> Integers:
-        """Choose the best copies of those that run, none like a better one."""
+        """Choose the best running copies, without near duplicates of better ones."""
         nodes = self._model.nodes(count)
         runs = nodes.parcels.outcome == RUNNING
         cost = np.where(runs, self._cost.running(nodes), math.inf)
@@ -345,7 +340,7 @@ class _Beam:
         return order[np.sort(best)[: self._width]]
 
     def _under(self, order: Integers, laid: int) -> Integers:
-        """List (copies, 2 x columns) the outermost axes of the columns under the parcel."""
+        """Return the outermost axes (copies, 2 x columns) of the columns under the parcel."""
         reach = math.ceil(2.0 * math.sqrt(2.0) * self._half_length / self._line.pitch_x)
         columns = self._model.axis[order][:, [0, -1], max(0, laid - reach) : laid]
         return columns.reshape(len(order), 2 * columns.shape[2]).astype(np.int64)

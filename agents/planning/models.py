@@ -1,4 +1,4 @@
-"""Nodes of a search: environments of the simulator as they stand, and what braking can still do."""
+"""Models that searches branch, their nodes, and braking profiles."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,30 +17,31 @@ from surface_gym.tasks.start import Start
 
 from ..base import Booleans, Integers, Numbers, axes_apart
 
-PIECE = 0.005  # [m] along the line, of a braking profile
-ON_EDGE = 1e-9  # [m] round-off, by which a point on an edge may lie beyond it
-PARTS = 8  # that the time of a quarter turn is computed in
+PIECE = 0.005  # [m] spacing of a braking profile along the line
+ON_EDGE = 1e-9  # [m] round-off tolerance for points on an edge
+PARTS = 8  # integration steps for a quarter turn
 
 
 @dataclass(frozen=True, eq=False)
 class BrakingProfile:
-    """Full braking along a line: less where supports or stuck modules bear a share of a parcel that
-    runs straight along the line's middle.
+    """Full braking of a parcel that runs straight along the middle of a line.
+
+    Braking is weaker where supports or stuck modules carry a share of the parcel.
     """
 
-    x: Numbers  # (places,) [m] of its centre, rising
-    braking: Numbers  # (places,) [m/s^2]
-    spent: Numbers  # (places,) [m^2/s^2] what of half the speed's square braking takes up to there
+    x: Numbers  # (places,) [m] centre of the parcel, increasing
+    braking: Numbers  # (places,) [m/s^2] deceleration
+    spent: Numbers  # (places,) [m^2/s^2] specific energy braked up to each place
 
     def braking_at(self, x: Numbers) -> Numbers:
-        """Interpolate the deceleration [m/s^2] at places (nodes,) [m]."""
+        """Interpolate the deceleration [m/s^2] at positions (nodes,) [m]."""
         return np.interp(x, self.x, self.braking)
 
     def braking_distance(self, x: Numbers, speed: Numbers) -> Numbers:
-        """Compute the way [m] that full braking takes from places (nodes,) [m] and speeds [m/s]."""
+        """Compute the distance [m] of full braking from positions (nodes,) [m] and speeds [m/s]."""
         spent = np.interp(x, self.x, self.spent) + 0.5 * speed**2
         ends = np.interp(spent, self.spent, self.x)
-        # Past the last place there is nothing to brake.
+        # There is no braking after the last place.
         beyond = np.maximum(0.0, spent - self.spent[-1])
         return np.maximum(0.0, ends - x) + 1e3 * beyond
 
@@ -48,11 +49,11 @@ class BrakingProfile:
 def braking_profile(
     bodies: BodyTable, body: int, line: sg.lines.BaseLine, braking: float, rolling_loss: float
 ) -> BrakingProfile:
-    """Compute the braking profile of a parcel, every element under it bearing as much.
+    """Compute the braking profile of a parcel that loads all elements equally.
 
     Args:
-        braking: [m/s^2] where rotors bear it all, all axes at 0 deg.
-        rolling_loss: [m/s^2] of axes at 90 deg.
+        braking: [m/s^2] deceleration on rotors only, with all axes at 0 deg.
+        rolling_loss: [m/s^2] deceleration on axes at 90 deg.
     """
     x = np.arange(line.column_edge(0), line.column_edge(line.columns), PIECE)
     row, column = np.indices((line.rows, line.columns)).reshape(2, -1)
@@ -61,18 +62,18 @@ def braking_profile(
     under = is_under(bodies, body, arm_x, np.broadcast_to(arm_y, arm_x.shape))
     obeying = (under & bodies.obeys[body].ravel()).sum(axis=1)
     share = obeying / np.maximum(1, under.sum(axis=1))
-    # Nowhere nothing, so that what is spent rises.
+    # Never zero, so that `spent` increases.
     each = np.maximum(rolling_loss, share * braking)
     spent = np.concatenate([[0.0], np.cumsum(0.5 * (each[1:] + each[:-1]) * PIECE)])
     return BrakingProfile(x, each, spent)
 
 
 def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Booleans:
-    """Test whether points, of any shape, are under the base of a parcel.
+    """Return whether points (any array shape) are under the base of a parcel.
 
     Args:
-        ahead: [m] of the base's centroid, in its own frame.
-        left: [m].
+        ahead: [m] x from the base's centroid, in its own frame.
+        left: [m] y.
     """
     under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
     for normal_x, normal_y, distance in bodies.edges[body]:
@@ -82,24 +83,24 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
 
 @dataclass(frozen=True, eq=False)
 class TurningAxes:
-    """Axes that are still turning: the rotors of a zone beside some parcels, one per node."""
+    """Axes that are still turning: a zone's rotors near the parcel of each node."""
 
     angle: Numbers  # (nodes, rotors) [rad] of each axis
     arm_x: Numbers  # (nodes, rotors) [m] from a parcel's centre of mass
     arm_y: Numbers  # (nodes, rotors) [m]
-    share: Numbers  # (nodes, rotors) [-] of its parcel that a rotor that obeys bears
-    speed: float  # [rad/s] at which axes turn
+    share: Numbers  # (nodes, rotors) [-] share of the parcel carried by an obeying rotor
+    speed: float  # [rad/s] turning speed of axes
     gyration: float  # [m^2] inertia / mass
 
     @property
     def quarter_turn(self) -> float:
-        """[s] that an axis takes to turn by 90 deg."""
+        """[s] time of an axis to turn by 90 deg."""
         return 0.5 * math.pi / self.speed
 
     def velocity_changes(self, braking: float) -> Numbers:
-        """Compute the changes (nodes, 3) [m/s, m/s, rad/s] of velocity, along the line, across it
-        and of turning, until all axes have turned on to 90 deg; of parcels that run straight along
-        the line meanwhile.
+        """Compute changes of velocity (nodes, 3) [m/s, m/s, rad/s] until all axes are at 90 deg.
+
+        The parcels are assumed to run straight along the line meanwhile.
         """
         most = self.share * (braking / self.speed)
         side = np.sign(np.sin(2.0 * self.angle))
@@ -109,7 +110,7 @@ class TurningAxes:
         return np.stack([along.sum(axis=1), across.sum(axis=1), turn], axis=-1)
 
     def braking_distance(self, x: Numbers, speed: Numbers, profile: BrakingProfile) -> Numbers:
-        """Compute the way (nodes,) [m] that parcels go on for if all axes turn to 0 deg now."""
+        """Compute the stopping distance (nodes,) [m] if all axes turn to 0 deg now."""
         apart = np.abs(self.angle - math.pi * np.round(self.angle / math.pi))
         shared = self.share / np.maximum(1e-9, self.share.sum(axis=1, keepdims=True))
         step = self.quarter_turn / PARTS
@@ -120,7 +121,7 @@ class TurningAxes:
             turned = (shared * np.cos(then)).sum(axis=1)
             taken = step * turned * profile.braking_at(x + way + 0.5 * step * left)
             after = np.maximum(0.0, left - taken)
-            # A parcel that comes to rest within the part does not move for all of it.
+            # A parcel that stops within a part does not move for all of it.
             lasts = np.where(taken > left, left / np.maximum(taken, 1e-12), 1.0)
             way += 0.5 * (left + after) * step * lasts
             left = after
@@ -129,35 +130,36 @@ class TurningAxes:
 
 @dataclass(frozen=True, eq=False)
 class SearchNodes:
-    """Nodes of a search, as a task's cost sees them (`surface_gym.tasks.planning.Nodes`)."""
+    """Nodes of a search; implements `surface_gym.tasks.planning.Nodes` for costs of tasks."""
 
     parcels: ParcelState  # state arrays, one row per node
-    half_length: float  # [m] of the base
-    zone: tuple[int, int, int, int]  # first row, rows, first column, columns that obey
+    half_length: float  # [m] half length of the base
+    # first row, rows, first column, columns of the modules that obey
+    zone: tuple[int, int, int, int]
     line: sg.lines.BaseLine
-    conditions: Numbers  # (6,) factors of friction [-], gravity [m/s^2], as `Surfaces` has them
-    corners: Numbers | None = None  # (corners, 2) [m] of the base; None: a square
-    profile: BrakingProfile | None = None  # None: that of rotors alone
+    conditions: Numbers  # (6,) factors of friction [-] and gravity [m/s^2], see `Surfaces`
+    corners: Numbers | None = None  # (corners, 2) [m] corners of the base; None: a square
+    profile: BrakingProfile | None = None  # None: rotors only
     turning: TurningAxes | None = None  # None: axes obey at once
 
     @property
     def braking(self) -> float:
-        """[m/s^2] of a parcel over axes at 0 deg."""
+        """[m/s^2] deceleration over axes at 0 deg."""
         return base.BRAKING * float(self.conditions[ALONG_FACTOR])
 
     @property
     def rolling_loss(self) -> float:
-        """[m/s^2] of a parcel over axes at 90 deg."""
+        """[m/s^2] deceleration over axes at 90 deg."""
         return base.ROLLING_LOSS * float(self.conditions[ACROSS_FACTOR])
 
     @property
     def quarter_turn(self) -> float:
-        """[s] that an axis takes to turn by 90 deg; 0: axes obey at once."""
+        """[s] time of an axis to turn by 90 deg; 0: axes obey at once."""
         return 0.0 if self.turning is None else self.turning.quarter_turn
 
     @property
     def vx(self) -> Numbers:
-        """(nodes,) [m/s] speed along x that remains once all axes have turned to 90 deg."""
+        """(nodes,) [m/s] speed along x after all axes have turned to 90 deg."""
         vx = self.parcels.truth[:, 3]
         if self.turning is None:
             return vx
@@ -166,7 +168,7 @@ class SearchNodes:
 
     @property
     def braking_distance(self) -> Numbers:
-        """(nodes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
+        """(nodes,) [m] stopping distance along x if all axes turn to 0 deg now."""
         x, vx = self.parcels.truth[:, 0], self.parcels.truth[:, 3]
         if self.profile is None:
             return vx**2 / (2.0 * self.braking)
@@ -182,7 +184,7 @@ class SearchNodes:
         cosine, sine = np.cos(theta), np.sin(theta)
         directions = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=-1)
         farthest: Numbers = (directions @ self.corners.T).max(axis=1)
-        # A disc has all its corners at its centre.
+        # The corners of a disc are at its centre.
         return np.where(farthest > 0.0, farthest, self.half_length)
 
 
@@ -190,19 +192,19 @@ FIRST = np.zeros(1, dtype=np.int64)
 
 
 class SearchModel:
-    """Copies of an environment that a search branches."""
+    """Copies of an environment, for branching in a search."""
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         self.config = config
         self._kind = config.action_kind
         self._batch = Batch(config, num_envs)
         self.size, self.parcels = num_envs, self._batch.parcels
-        self.choices = 0 if self._kind.continuous else self._kind.choices**2  # of "halves"
-        self.outcomes = self._batch.outcomes  # names, by the numbers of `parcels.outcome`
-        self._begun: Snapshot  # where a search begins
+        self.choices = 0 if self._kind.continuous else self._kind.choices**2  # of actions "halves"
+        self.outcomes = self._batch.outcomes  # names by number in `parcels.outcome`
+        self._begun: Snapshot  # state in which a search begins
 
     def uniform_action(self, angle: float) -> int:
-        """Encode the action that turns all axes to the orientation on offer nearest to an angle."""
+        """Return the action that turns all axes to the orientation closest to an angle."""
         apart = axes_apart(self.config.chosen_orientations, angle)
         both = np.full((1, self._kind.size), apart.argmin())
         return int(self._kind.encode(both)[0])
@@ -213,12 +215,12 @@ class SearchModel:
         self.spread()
 
     def spread(self) -> None:
-        """Put every copy where the first one is, and remember that place."""
+        """Copy the first copy's state to all others, and save it as the start."""
         self._begun = self._batch.snapshot(0)
         self._batch.restore(self._begun)
 
     def advance(self, parents: Integers, actions: Integers) -> SearchNodes:
-        """Branch, and move over a control period."""
+        """Branch from parents, and move by a control period."""
         count = len(parents)
         self._batch.fork(parents)
         commands = self._batch.surfaces.command.copy()
@@ -227,10 +229,10 @@ class SearchModel:
         return self.nodes(count)
 
     def nodes(self, count: int) -> SearchNodes:
-        """View the first copies as nodes."""
+        """Return the first copies as nodes."""
         parcels = ParcelState._make(array[:count] for array in self.parcels)
         body, bodies = int(parcels.body[0]), self._batch.bodies
-        # Zones that do not differ from parcel to parcel have one row.
+        # Zones that are equal for all parcels have one row.
         first_row, rows, first, columns = bodies.zone[body % len(bodies.zone)].tolist()
         return SearchNodes(
             parcels,
@@ -242,7 +244,7 @@ class SearchModel:
 
 
 class NominalModel(SearchModel):
-    """A model of what an observation says: nominal friction, every module obeying at once."""
+    """A model built from an observation: nominal friction, and modules that obey at once."""
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
         nominal = replace(
@@ -255,8 +257,9 @@ class NominalModel(SearchModel):
 
 
 class TrueModel(SearchModel):
-    """A model of an environment as it is: parcel, friction, stiffness, stuck modules and axes.
-    Sensors are exact; what they draw comes after all else that a start draws.
+    """A model with the true parcel, friction, stiffness, stuck modules and axes.
+
+    Sensors are exact. A start draws their random numbers last.
     """
 
     def __init__(self, config: EnvConfig, num_envs: int) -> None:
@@ -265,7 +268,7 @@ class TrueModel(SearchModel):
         self._profile: BrakingProfile | None = None
 
     def begin(self, options: dict[str, Any], seed: int) -> None:
-        """Put every copy where an environment's `reset` with these arguments puts its parcel."""
+        """Reset every copy like an environment's `reset` with these arguments."""
         batch = self._batch
         batch.parcels.outcome[:] = OUT_OF_TIME
         batch.seed(0, np_random(seed)[0])
@@ -277,11 +280,11 @@ class TrueModel(SearchModel):
         )
 
     def rewind(self) -> None:
-        """Put the first copy back to where it began, or was left."""
+        """Restore the first copy to its saved state."""
         self._batch.restore(self._begun, 0)
 
     def step(self, action: int) -> SearchNodes:
-        """Move the first copy over a control period, and leave it there."""
+        """Move the first copy by a control period, and save its state."""
         self.rewind()
         nodes = self.advance(FIRST, np.array([action]))
         self._begun = self._batch.snapshot(0)
@@ -319,8 +322,9 @@ class TrueModel(SearchModel):
         return TurningAxes(angle, arm_x, arm_y, share, speed, float(body[GYRATION]))
 
     def _beside(self, x: Numbers, y: Numbers, radius: float) -> tuple[Integers, Integers]:
-        """List rows and columns (nodes, modules) of a square that holds all modules within a radius
-        [m] of (x, y), each (nodes, 1) [m]; some may lie beyond the surface.
+        """Return rows and columns (nodes, modules) of a square around x, y (nodes, 1) [m].
+
+        It contains all modules within `radius` [m]. Some may lie beyond the surface.
         """
         line = self.config.chosen_line
         away = math.ceil(radius / min(line.pitch_x, line.pitch_y))

@@ -1,4 +1,4 @@
-"""The oracle: a planner that knows the true state and parameters, to find what can be reached."""
+"""The oracle: a planner that knows the true state and parameters; an upper bound for others."""
 
 import time
 from collections.abc import Sequence
@@ -17,23 +17,23 @@ from ..base import Numbers
 from ..rollout import Episodes, stack_poses
 from . import models, planner
 
-BUDGET = 256  # nodes followed at a time at most
-LEAST = 8  # nodes followed at first: most starts need no more
-MORE = 4  # times as many, where those have found no success
+BUDGET = 256  # maximum width of the beam
+LEAST = 8  # initial width of the beam, enough for most starts
+MORE = 4  # factor of the width after a search without success
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
-    """One start, as it goes by the best plan found."""
+class OracleResult:
+    """Episode of one start under the best plan found."""
 
-    outcome: str  # why it ended
-    time: float  # [s] until then
-    metrics: tuple[float, ...]  # the task's own
-    poses: Numbers  # (periods + 1, 3) [m, m, rad] true
+    outcome: str  # outcome of the episode
+    time: float  # [s] duration of the episode
+    metrics: tuple[float, ...]  # metrics of the task
+    poses: Numbers  # (periods + 1, 3) [m, m, rad] true poses
     velocity: Numbers  # (3,) [m/s, m/s, rad/s] at the end
-    actions: tuple[int, ...]  # (periods,) given
-    width: int  # nodes that were followed at a time
-    seconds: float  # that the search took
+    actions: tuple[int, ...]  # (periods,) actions taken
+    width: int  # width of the beam
+    seconds: float  # computing time
 
     @property
     def success(self) -> bool:
@@ -41,14 +41,13 @@ class Reached:
 
 
 class Oracle:
-    """Searches for the actions of a front and a rear half that end a start best, in copies that
-    know all of it: parcel, load, friction, stuck modules, axes.
+    """Planner of actions "halves" with the true parcel, load, friction, stuck modules and axes.
 
-    It needs no sensors: what comes of the plan is the result. A search that finds no success is
-    made again with more nodes, as long as the budget allows.
+    It needs no sensors: the outcome of the plan is the result. A search without success is repeated
+    with a wider beam, up to the budget.
 
     Args:
-        budget: nodes followed at a time at most, each with every action.
+        budget: maximum width of the beam; each node tries every action.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -58,8 +57,8 @@ class Oracle:
                 f"orientations must be some to choose from, got {config.orientations!r}"
             )
         self._config = config
-        # What is ahead is known: a path, too, is searched to its end at once. Light parcels leave a
-        # path too easily for that; then it is searched piece by piece.
+        # The future is known, so a path is first searched to its end at once. Light parcels leave a
+        # path too easily for that. Then it is searched piece by piece.
         task = config.task
         cost = task.cost()
         whole = replace(cost, horizon=task.periods, follow=task.periods)
@@ -67,7 +66,7 @@ class Oracle:
         self._budget = checks.integer("budget", budget, least=1)
         self._models: dict[int, models.TrueModel] = {}
 
-    def find(self, options: dict[str, Any], seed: int) -> Reached:
+    def find(self, options: dict[str, Any], seed: int) -> OracleResult:
         began = time.perf_counter()
         for cost, width in product(self._costs, self._widths):
             found = self._play(cost, width, options, seed)
@@ -77,14 +76,14 @@ class Oracle:
 
     @property
     def _widths(self) -> list[int]:
-        """Nodes followed at a time, in one search after another."""
+        """Return the widths of successive searches."""
         widths = [min(LEAST, self._budget)]
         while widths[-1] < self._budget:
             widths.append(min(MORE * widths[-1], self._budget))
         return widths
 
-    def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> Reached:
-        """Play an episode by plans that follow so many nodes."""
+    def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> OracleResult:
+        """Run an episode by plans with a beam width."""
         model = self._model(planner.nodes_needed(cost, width, self._config.action_kind.choices**2))
         model.begin(options, seed)
         poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
@@ -99,7 +98,7 @@ class Oracle:
                 if not running or len(actions) == left:
                     break
         parcels = model.parcels
-        return Reached(
+        return OracleResult(
             outcome=model.outcomes[OUT_OF_TIME if running else int(parcels.outcome[0])],
             time=float(parcels.clock[0]),
             metrics=tuple(parcels.metrics[0].tolist()),
@@ -118,8 +117,8 @@ class Oracle:
 
 def find_reachable(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET
-) -> list[Reached]:
-    """Find what can be reached from starts, with halves for actions, by an oracle."""
+) -> list[OracleResult]:
+    """Run the oracle with actions "halves" over starts."""
     oracle = Oracle(config, budget)
     return [oracle.find(start, seed + k) for k, start in enumerate(starts)]
 
@@ -127,7 +126,7 @@ def find_reachable(
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = BUDGET
 ) -> Episodes:
-    """Run an oracle over starts, as `agents.rollout.run_episodes` runs a controller."""
+    """Run an oracle over starts, like `agents.rollout.run_episodes` for controllers."""
     runs = find_reachable(config, starts, seed, budget)
     metrics = np.array([run.metrics for run in runs]).T
     return Episodes(

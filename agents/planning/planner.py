@@ -1,4 +1,4 @@
-"""The planner: beam search through the simulator, the near-optimum to hold others against."""
+"""The planner: beam search through the simulator, a near-optimal baseline."""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -14,35 +14,34 @@ from ..base import BatchController, Booleans, Integers, Singles, is_fresh
 from .models import FIRST, NominalModel, SearchModel, SearchNodes
 
 BUDGET = 64
-AGREES = 0.05  # largest difference, in the observation's units, between what was planned and is
-# [m, m, rad, m/s, m/s, rad/s] within which nodes are so much alike that the best will do.
+AGREES = 0.05  # maximum difference between planned and actual observation
+# [m, m, rad, m/s, m/s, rad/s] nodes that differ by less are duplicates.
 ALIKE = np.array([0.004, 0.004, 0.02, 0.01, 0.01, 0.1])
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Actions, and what will be seen before each if the model is right."""
+    """Actions, and the expected observation before each."""
 
     actions: Integers  # (periods,)
     seen: Singles  # (periods, features)
 
 
 class Planner(BatchController):
-    """A controller that searches for the best actions of a front and a rear half, and follows them.
+    """A controller that searches for the best actions "halves", and follows them.
 
-    It sees what the sensors say, as agents do, and takes it for true: it puts the parcel it sees
-    into copies of the simulator, at nominal friction, and moves them. A plan is made anew where
-    what is seen is not what was planned; on a path, of which only the next 0.35 m are seen, every
-    other period too. The state holds the plan that each environment follows.
+    It trusts the observation: it puts the observed parcel into copies of the simulator at nominal
+    friction. It plans again if the observation differs from the plan. On a path, where only the
+    next 0.35 m are visible, it also plans again in every other period. The state holds the plan of
+    each environment.
 
-    The task says what is minimised (`Task.cost`) and what an observation shows
-    (`Task.decode_start`).
+    `Task.cost` defines the objective, and `Task.decode_start` decodes an observation.
 
     Args:
-        config: of the environment it acts in, with "halves" for actions; a parcel is taken for
-            the one, of those its task draws, that is nearest in size.
-        budget: nodes followed at a time, each with every action; the time of a search is in
-            proportion.
+        config: configuration of the environment, with actions "halves". A parcel is assumed to be
+            the task's parcel of the closest size.
+        budget: width of the beam; each node tries every action. Computing time is proportional to
+            it.
     """
 
     def __init__(self, config: EnvConfig, budget: int = BUDGET) -> None:
@@ -58,14 +57,14 @@ class Planner(BatchController):
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
     ) -> tuple[Any, list[tuple[Plan, int]]]:
-        """Choose; the state holds each environment's plan and how many actions of it were given."""
+        """Choose actions; the state holds each environment's plan and its used actions."""
         fresh = is_fresh(len(batch), state, episode_start)
         followed = zip(batch, fresh, state or [None] * len(batch), strict=True)
         following = [self._follow(seen, None if new else last) for seen, new, last in followed]
         return np.array([plan.actions[given - 1] for plan, given in following]), following
 
     def _follow(self, seen: Singles, last: tuple[Plan, int] | None) -> tuple[Plan, int]:
-        """Choose the plan to go by, and count its next action as given."""
+        """Choose the plan to follow, and count its next action as used."""
         if last is not None:
             plan, given = last
             if given < min(len(plan.actions), self._cost.follow) and (
@@ -77,15 +76,15 @@ class Planner(BatchController):
 
 
 class _Period(NamedTuple):
-    """One period of a search; the nodes of the period before are the parents of these."""
+    """One period of a search; its nodes' parents are the nodes of the period before."""
 
     parents: Integers  # (nodes,)
     actions: Integers  # (nodes,)
-    seen: Singles  # (nodes, features) at its end
+    seen: Singles  # (nodes, features) observations at its end
 
 
 class _End(NamedTuple):
-    """Where a plan may end."""
+    """Possible end of a plan."""
 
     cost: float
     period: int
@@ -93,19 +92,19 @@ class _End(NamedTuple):
 
 
 class _Timings(NamedTuple):
-    """Nodes kept whatever they cost, each with the one action it goes on with."""
+    """Nodes kept regardless of their cost, each with its only next action."""
 
     nodes: Integers  # (timings,)
     actions: Integers  # (timings,)
 
 
 def nodes_needed(cost: PlanCost, width: int, choices: int) -> int:
-    """Count the nodes that `make_plan` moves at most."""
+    """Return the maximum number of nodes in `make_plan`."""
     return width * choices + cost.horizon + 1
 
 
 def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
-    """Search for the best plan from where the model stands."""
+    """Search for the best plan from the model's current state."""
     first_seen = model.parcels.observation[0].copy()
     angles = cost.event(model.parcels)
     event = [] if angles is None else [model.uniform_action(angle) for angle in angles]
@@ -134,7 +133,7 @@ def make_plan(model: SearchModel, cost: PlanCost, width: int) -> Plan:
 
 
 def _change(timings: _Timings, before: int, after: int) -> _Timings:
-    """Add a timing: the node that has not changed its action yet does."""
+    """Add a timing: the node that has not changed its action yet changes it now."""
     waiting = timings.nodes[timings.actions == before]
     return _Timings(
         np.concatenate([timings.nodes, waiting]),
@@ -143,12 +142,12 @@ def _change(timings: _Timings, before: int, after: int) -> _Timings:
 
 
 def keep_best(cost: PlanCost, moved: SearchNodes, runs: Booleans, width: int) -> Integers:
-    """Choose the best nodes of those that run, none like a better one."""
+    """Choose the best running nodes, without duplicates of better ones."""
     order = np.argsort(np.where(runs, cost.running(moved), np.inf), kind="stable")
     order = order[: np.count_nonzero(runs)]
     like = moved.parcels.state[order, : len(ALIKE)] / ALIKE
     if moved.turning is not None:
-        # Nodes that are alike go on otherwise where their axes do.
+        # Similar nodes with different axes are no duplicates.
         changes = moved.turning.velocity_changes(moved.braking)
         like = np.hstack([like, changes[order] / ALIKE[3:]])
     kinds = np.rint(like).astype(np.int64)

@@ -1,8 +1,8 @@
-"""A planner with the true model for slopes: variations of a rule, tried ahead, the best followed.
+"""A planner with the true model for slopes, which varies a rule.
 
-It copies every surface as it is, with all that will come, and plays the rule and variations of it
-for a few seconds. A variation brakes some parcels, lets them roll, leads them aside or turns them
-for a while, whatever the rule says; then the rule goes on alone.
+It copies every surface including future arrivals, simulates the rule and its variations for a few
+seconds, and follows the best. A variation brakes some parcels, lets them roll, moves them aside or
+turns them for a while, instead of the rule. Then the rule continues alone.
 """
 
 from typing import Any, NamedTuple
@@ -28,48 +28,48 @@ from ..base import (
     is_fresh,
 )
 
-CANDIDATES = 12  # of each surface, the rule alone among them
-HORIZON = 50  # control periods for which each is played
-FOLLOWED = 10  # of these, for which the best is followed until the next plan
+CANDIDATES = 12  # candidates per surface, including the rule alone
+HORIZON = 50  # control periods that are simulated
+FOLLOWED = 10  # control periods until the next plan
 DURATION = (
     2,
     30,
-)  # control periods, least and greatest, for which a parcel is made to do something
-WRONG_COST, JAM_COST = 2.0, 10.0  # in parcels that leave rightly
-PROGRESS = 0.5  # the same, of one that is at the end but has not left; in proportion before
+)  # smallest and largest duration of a variation in control periods
+WRONG_COST, JAM_COST = 2.0, 10.0  # in units of correctly delivered parcels
+PROGRESS = 0.5  # the same unit, for a parcel at the end of the surface; proportional before
 
 
 class Variations(NamedTuple):
-    """Parcels that do something else than a rule says, an array (num_envs, rows) each."""
+    """Parcels that deviate from the rule, in arrays (num_envs, rows)."""
 
-    choice: Integers  # place in what a parcel may be made to do
-    left: Integers  # control periods for which it will do so; 0: it obeys the rule
+    choice: Integers  # index of the parcel's action
+    left: Integers  # remaining control periods of this action; 0: it obeys the rule
 
 
-class Followed(NamedTuple):
-    """What the planner remembers."""
+class HorizonState(NamedTuple):
+    """Memory of the planner."""
 
-    memory: Any  # of the rule
+    memory: Any  # memory of the rule
     variations: Variations
-    given: int  # control periods so far
+    given: int  # number of control periods so far
 
 
 class RecedingHorizon(BatchController):
     """Plan with the true model over a receding horizon, by variations of a rule.
 
-    It needs no sensors: it knows the true state, the friction, the stuck modules, the axes, and the
-    parcels to come. So it tells what can be reached; no other controller can know as much. The rule
-    alone is always tried, and followed unless a variation of it is better at the horizon: by the
-    parcels that left rightly and wrongly, how far the others have come, and jams. Half of the
-    variations change what is followed already in one parcel more. The same seed draws the same.
+    It needs no sensors: it knows the true state, friction, stuck modules, axes and future parcels.
+    No real controller knows as much, so its result is an upper bound. It always tries the rule
+    alone, and follows it unless a variation is better at the horizon. The criterion counts parcels
+    that departed correctly and wrongly, the progress of the others, and jams. Half of the
+    variations add one parcel to the current variation. Results are reproducible by seed.
 
     Args:
-        rule: that is varied; what it remembers are arrays (num_envs, ...), in tuples.
-        config: of the environments, with exact sensors.
-        candidates: that are tried on each surface; the time of a plan is in proportion.
-        horizon: [control periods] for which each is played; so is this.
+        rule: the varied rule; its memory must consist of arrays (num_envs, ...) in tuples.
+        config: configuration of the environments, with exact sensors.
+        candidates: number of candidates per surface; computing time is proportional to it.
+        horizon: [control periods] simulated per candidate; computing time is proportional to it.
         followed: [control periods] until the next plan.
-        seed: of the draws.
+        seed: seed of the random variations.
     """
 
     def __init__(
@@ -89,28 +89,28 @@ class RecedingHorizon(BatchController):
         self._batch: StreamBatch | None = None
 
     def watch(self, batch: StreamBatch) -> None:
-        """Take a batch of the same configuration as the surfaces that are to be controlled."""
+        """Set the batch to control; it must have the same configuration."""
         self._batch = batch
         self._model = StreamBatch(self._config, self._candidates * batch.num_envs)
 
     def _predict(
-        self, batch: Singles, state: Followed | None, episode_start: Any, **_: bool
-    ) -> tuple[Integers, Followed]:
+        self, batch: Singles, state: HorizonState | None, episode_start: Any, **_: bool
+    ) -> tuple[Integers, HorizonState]:
         num_envs, rows, _features = batch.shape
         fresh = is_fresh(num_envs, state, episode_start)
         if state is None:
             none = Variations(*np.zeros((2, num_envs, rows), dtype=np.int64))
-            state = Followed(None, none, 0)
+            state = HorizonState(None, none, 0)
         memory, (choice, left), given = state
         variations = Variations(choice, np.where(fresh[:, np.newaxis], 0, left))
         if given % self._followed == 0:
-            variations = self._plan(Followed(memory, variations, given), fresh)
+            variations = self._plan(HorizonState(memory, variations, given), fresh)
         actions, memory = self._rule.predict(batch, memory, fresh)
         actions, variations = self._vary(actions, variations)
-        return actions, Followed(memory, variations, given + 1)
+        return actions, HorizonState(memory, variations, given + 1)
 
-    def _plan(self, state: Followed, fresh: Booleans) -> Variations:
-        """Choose the best variations for each surface, of those drawn."""
+    def _plan(self, state: HorizonState, fresh: Booleans) -> Variations:
+        """Draw variations, and choose the best for each surface."""
         if self._batch is None or self._batch.num_envs != len(fresh):
             raise ValueError(f"watch a batch of the {len(fresh)} surfaces first")
         model, count, tries = self._model, len(fresh), self._candidates
@@ -125,13 +125,15 @@ class RecedingHorizon(BatchController):
             actions, left = self._vary(actions, left)
             model.step(self._config.action_kind.commands(actions, len(fresh)))
             fresh[:] = False
-        # Of equals the first is best, which is the rule alone.
+        # Among equals, the first wins: the rule alone.
         best = self._rate(before).reshape(tries, count).argmax(axis=0) * count + np.arange(count)
         return Variations(drawn.choice[best], drawn.left[best])
 
-    def _draw(self, state: Followed, present: Booleans) -> Variations:
-        """Draw the variations of every candidate: none, those followed, and then one parcel's more
-        than either, where a parcel is present (num_envs, rows).
+    def _draw(self, state: HorizonState, present: Booleans) -> Variations:
+        """Draw the variations of every candidate.
+
+        The first candidates are no variation and the current one. Others add one parcel to either
+        of them, among the parcels present (num_envs, rows).
         """
         tries = self._candidates
         shape = (tries, *present.shape)
@@ -152,14 +154,14 @@ class RecedingHorizon(BatchController):
         return Variations(choice.reshape(-1, shape[-1]), left.reshape(-1, shape[-1]))
 
     def _vary(self, actions: Integers, variations: Variations) -> tuple[Integers, Variations]:
-        """Put variations in the place of a rule's actions (num_envs, ...), for a control period."""
+        """Replace a rule's actions (num_envs, ...) by variations for a control period."""
         choice, left = variations
         ruled = actions.reshape(*left.shape, HALVES)
         halves = np.where((left > 0)[..., np.newaxis], self._choices[choice], ruled)
         return halves.reshape(actions.shape), Variations(choice, np.maximum(0, left - 1))
 
     def _rate(self, before: Integers) -> Numbers:
-        """Rate what has become of the model's surfaces since they had a tally."""
+        """Rate the model's surfaces by their change since the tally `before`."""
         model, streams = self._model, self._model.streams
         done = streams.tally - before
         x = model.parcels.truth[:, X].reshape(streams.present.shape) - self._config.entry_x
@@ -171,7 +173,7 @@ class RecedingHorizon(BatchController):
 
 
 def _repeat(memory: Any, times: int) -> Any:
-    """Repeat a rule's memory for so many copies of its surfaces."""
+    """Repeat a rule's memory for several copies of its surfaces."""
     if isinstance(memory, tuple):
         repeated = [_repeat(each, times) for each in memory]
         return type(memory)(*repeated) if hasattr(memory, "_fields") else tuple(repeated)

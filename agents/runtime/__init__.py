@@ -1,4 +1,4 @@
-"""The control loop in real time: a policy, a state estimator and a watchdog, over any machine.
+"""The control loop in real time: a policy, a state estimator and a watchdog for any machine.
 
-`protocol` has what a machine's driver offers; `surface-gym runtime` runs a policy on one.
+`protocol` defines the interface of a machine's driver. `surface-gym runtime` runs a policy.
 """

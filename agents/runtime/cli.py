@@ -1,5 +1,6 @@
-"""`surface-gym runtime`: a policy in real time, on a machine or on the simulator, and the report of
-the run: counts and latencies, as JSON and on screen.
+"""`surface-gym runtime`: run a policy in real time, on a machine or on the simulator.
+
+The report of the run holds counts and latencies, as JSON and on screen.
 """
 
 import gc
@@ -17,7 +18,7 @@ from surface_gym.cli import typed
 
 from ..learning.config import current_option
 from .config import RuntimeConfig, find_token, parse_address
-from .report import Run, make_report, show_report, write_report
+from .report import RunConditions, make_report, show_report, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     from ..policy import Policy
     from .controller import ControlLoop
 
-READY_TIMEOUT = 300.0  # [s] that fixed layouts may take to be ready, compiling included
+READY_TIMEOUT = 300.0  # [s] maximum time until fixed layouts are ready, including compilation
 SHOW_EVERY = 1.0  # [s] between updates of the progress
-COLLECT_EVERY = 5.0  # [s] between collections of Python's garbage
+COLLECT_EVERY = 5.0  # [s] between garbage collections
 
 
 def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
@@ -75,7 +76,7 @@ def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[
 
 
 def run_agent(config: RuntimeConfig, console: "Console") -> None:
-    """Run an agent and report on it."""
+    """Run an agent and write a report."""
     from . import controller
     from .estimator import StateEstimator
     from .protocol import SocketDevice
@@ -112,7 +113,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             controller.WallClock(),
             controller.LoopConfig(env_config.control_period, config.watchdog),
         )
-        decider.decide(bounds.low.clip(-1.0, 1.0))  # the first decision is slow
+        decider.decide(bounds.low.clip(-1.0, 1.0))  # warm-up, since the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
         run_and_report(loop, config, env_config, console)
@@ -121,7 +122,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
 def run_and_report(
     loop: "ControlLoop", config: RuntimeConfig, env_config: "EnvConfig", console: "Console"
 ) -> None:
-    """Run a loop, and report on it whatever ends it; Ctrl-C ends it early."""
+    """Run a loop, and report on it even after errors; Ctrl-C ends it early."""
     from surface_gym.parallel import usable_cores
 
     begun = time.monotonic()
@@ -131,8 +132,8 @@ def run_and_report(
         _run(loop, 60.0 * config.minutes, console)
     except KeyboardInterrupt:
         stopped = True
-    finally:  # it is written before anything is printed, which may fail
-        run = Run(
+    finally:  # write first, since printing may fail
+        run = RunConditions(
             agent=config.name,
             seed=config.seed or 0,
             task=env_config.task.name,
@@ -153,7 +154,7 @@ def run_and_report(
 
 
 def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
-    """Run with a progress bar; it is drawn, and garbage is collected, while there is no parcel."""
+    """Run with a progress bar, which is updated (with garbage collection) between parcels."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from .controller import WallClock
@@ -194,7 +195,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error ends it with one line."""
+    """Run the command; an error prints one line."""
     given = map(current_option, sys.argv[1:] if arguments is None else arguments)
     config = tyro.cli(RuntimeConfig, prog=typed("runtime"), args=list(given))
     from rich.console import Console

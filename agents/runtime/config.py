@@ -1,4 +1,4 @@
-"""The options of the commands: of the control loop, and of the simulator."""
+"""Options of the commands for the control loop and the simulator."""
 
 import os
 import re
@@ -10,7 +10,7 @@ import tyro
 
 from surface_gym import checks
 
-TOKEN = "SURFACE_GYM_TOKEN"  # the environment's variable
+TOKEN = "SURFACE_GYM_TOKEN"  # environment variable
 TOKEN_FILE = Path("runs/runtime/token")
 SHORTEST_TOKEN = 16  # characters
 
@@ -19,8 +19,8 @@ SHORTEST_TOKEN = 16  # characters
 class WorldOptions:
     """Options of a simulated machine."""
 
-    pause: float = 0.3  # [s] from a parcel's leaving to the next one's entering
-    encoders: bool = False  # frames have the angles of the axes, too
+    pause: float = 0.3  # [s] from a parcel's departure to the next entry
+    encoders: bool = False  # whether frames include the angles of the axes
 
     def __post_init__(self) -> None:
         checks.not_negative("pause", self.pause)
@@ -28,22 +28,22 @@ class WorldOptions:
 
 @dataclass(frozen=True)
 class RuntimeConfig:
-    """Run an agent in real time, on a simulator that is started, or on a device at an address."""
+    """Run an agent in real time, on a new simulator or on a device at an address."""
 
     name: tyro.conf.Positional[str]
-    """Name of a shipped agent, as stop-ppo; or the folder of a policy of a training run."""
+    """Name of a shipped agent, e.g. stop-ppo, or folder of a trained policy."""
     seed: int | None = None
-    """Seed of a shipped agent's policy; by default the first."""
+    """Seed of a shipped agent's policy; the default is the first."""
     task: str | None = None
-    """Custom task that the policy was trained on, as path/to/file.py:Class."""
+    """Custom task of the policy, as path/to/file.py:Class."""
     minutes: float = 10.0
-    """Duration of the run."""
+    """Duration of the run in minutes."""
     preset: str = "lab"
     """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
     address: str | None = None
-    """Address of a running device, host:port; by default a simulator is started."""
+    """Address of a running device, host:port; the default starts a simulator."""
     token_file: Path | None = None
-    """File with the token of a running device; by default SURFACE_GYM_TOKEN has it, or none is."""
+    """File with the token of a running device; the default is SURFACE_GYM_TOKEN, or no token."""
     watchdog: float = 0.2
     """Seconds without a frame after which the fixed layout replaces the policy."""
     start: int = 0
@@ -62,23 +62,22 @@ class RuntimeConfig:
 
 @dataclass(frozen=True)
 class SimulatorConfig:
-    """Run the physics of an environment in real time, and let a control loop connect to it."""
+    """Simulate an environment in real time, as a device for a control loop."""
 
     task: str = "stop"
-    """Task of the package, or a custom one as path/to/file.py:Class."""
+    """Task of the package, or custom task as path/to/file.py:Class."""
     preset: str = "lab"
     """Preset of the machine."""
     control_period: float = 0.04
-    """Seconds between decisions: the task's time limit counts them."""
+    """Seconds between decisions; the task's time limit is a number of decisions."""
     port: int = 0
-    """Port on this machine; 0: any that is free, which is printed."""
+    """Port on this machine; 0: any free port, which is printed."""
     seed: int = 0
     """Seed of all random numbers."""
     token_file: Path | None = None
-    """File with the token that a loop must have, made if it is missing; by default
-    SURFACE_GYM_TOKEN has it, or runs/runtime/token."""
+    """Token file, created if missing; the default is SURFACE_GYM_TOKEN, then runs/runtime/token."""
     parent: int | None = None
-    """Process with which the simulator ends."""
+    """Process whose end also ends the simulator."""
     world: WorldOptions = field(default_factory=WorldOptions)
 
 
@@ -91,11 +90,11 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
-    """Return the token of a file that only its owner may read, or else of the environment.
+    """Return the token from a file readable by its owner only, or from the environment.
 
     Args:
-        file: None: `TOKEN` of the environment has it; if that is empty, too, there is none.
-        make: a file that is missing is made, with a random token: without a file, `TOKEN_FILE`.
+        file: file with the token; None: environment variable `TOKEN`, or no token if it is empty.
+        make: create a missing file (default: `TOKEN_FILE`) with a random token.
     """
     token = os.environ.get(TOKEN, "") if file is None else ""
     if not token:

@@ -1,6 +1,6 @@
-"""Decisions: by the policy, and by the fixed layout, which replaces it while frames are missing.
+"""The control loop: the policy decides, or a fixed layout while frames are missing.
 
-Fixed layouts are arranged in a process of their own: some take tenths of a second of simulation.
+Fixed layouts are computed in a separate process, since some take tenths of a second.
 """
 
 import signal
@@ -28,15 +28,15 @@ from .report import Counts, Latencies, count_name
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
 Observation = NDArray[np.float32]  # (features,)
-STOP_TIMEOUT = 5.0  # [s] that the process is given to end
-MAX_MESSAGES = 1000  # that a device may give at a time
-READING = 0.5  # [-] share of a period after which messages wait for the next
-MAX_EARLY = 0.05  # [s] that a message's time may be ahead of the loop's
-MAX_OPEN = 16  # parcels that have entered and not left
+STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
+MAX_MESSAGES = 1000  # maximum messages of a device per period
+READING = 0.5  # [-] share of a period for reading; later messages wait for the next period
+MAX_EARLY = 0.05  # [s] maximum by which a message's time may be ahead of the loop
+MAX_OPEN = 16  # maximum number of parcels on the surface
 
 
 class Decider:
-    """A controller, asked about one parcel after the other."""
+    """A controller for successive parcels."""
 
     def __init__(self, controller: Controller, config: EnvConfig) -> None:
         self._controller = controller
@@ -59,10 +59,10 @@ class Decider:
 
 
 class FixedLayouts:
-    """The fixed layout of a task, arranged for each parcel by its observation as it enters."""
+    """Fixed layouts of a task, one for each parcel from its first observation."""
 
     def __init__(self, config: EnvConfig) -> None:
-        rule = find_rules(config.task_name)[0]  # the fixed layout comes first
+        rule = find_rules(config.task_name)[0]  # the fixed layout is first
         own = replace(config, actions=rule.actions, observe=(), observe_axes=False)
         self._decider = Decider(rule.make(own), own)
         self._own = len(own.task.features)
@@ -70,10 +70,10 @@ class FixedLayouts:
         self.kind = self._decider.kind
 
     def arrange(self, observation: Observation) -> Command | None:
-        """Return the command for a parcel that has just entered, by the policy's observation.
+        """Return the command for a newly entered parcel from the policy's observation.
 
-        Only the task's own features count, which come first in every observation. None: the rule
-        finds that no parcel enters like that.
+        Only the task's own features are used, which come first in every observation. Returns None
+        if the rule finds the observation impossible.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]
@@ -85,7 +85,7 @@ class FixedLayouts:
 
 
 def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
-    """Return the axes [rad] that may be sent: those on offer, and the conveyor's; None: any."""
+    """Return the allowed axes [rad]: the orientations and the conveyor's axis; None: any."""
     if config.action_kind.continuous:
         return None
     offered = within_right_angles(np.array(config.chosen_orientations))
@@ -93,17 +93,17 @@ def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
 
 
 class Arranger(Protocol):
-    """Arranges a layout for each parcel."""
+    """Computes a layout for each parcel."""
 
     def ask(self, observation: Observation) -> None:
-        """Start to arrange the layout for a parcel that has entered; return at once."""
+        """Start to compute the layout for a newly entered parcel; return at once."""
 
     def layout(self) -> Command | None:
         """Return the command for the latest parcel; None: it is not ready yet."""
 
 
 class ProcessArranger:
-    """Arranges layouts in a process of its own, which ends with this context."""
+    """Computes layouts in a separate process, which ends with this context."""
 
     def __init__(self, config: EnvConfig) -> None:
         context = get_context("spawn")
@@ -112,7 +112,7 @@ class ProcessArranger:
         self._process.start()
         there.close()
         self._asked = 0
-        self._is_busy = False  # it is never sent two at a time, so that sending never waits
+        self._is_busy = False  # at most one request at a time, so that sending never waits
         self._next: Observation | None = None
         self._layout: Command | None = None
 
@@ -128,7 +128,7 @@ class ProcessArranger:
         self._process.close()
 
     def wait_until_ready(self, timeout: float) -> bool:
-        """Wait for the process for a time [s] at most, and tell whether it is ready."""
+        """Wait at most `timeout` [s] for the process; return whether it is ready."""
         return self._here.poll(timeout) and self._here.recv() == 0
 
     def ask(self, observation: Observation) -> None:
@@ -137,7 +137,7 @@ class ProcessArranger:
         self.layout()
 
     def layout(self) -> Command | None:
-        """Return the command; None: it is not ready yet, or there is none for such a parcel."""
+        """Return the command; None: it is not ready yet, or does not exist for the parcel."""
         try:
             while self._here.poll():
                 asked, layout = self._here.recv()
@@ -147,13 +147,13 @@ class ProcessArranger:
             if self._next is not None and not self._is_busy:
                 self._here.send((self._asked, self._next))
                 self._next, self._is_busy = None, True
-        except (EOFError, OSError):  # the process is gone: the axes are held
+        except (EOFError, OSError):  # the process has ended: hold the axes
             self._next = None
         return self._layout
 
 
 def _arrange(config: EnvConfig, connection: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the loop ends this process
     layouts = FixedLayouts(config)
     connection.send(0)
     try:
@@ -164,18 +164,18 @@ def _arrange(config: EnvConfig, connection: Connection) -> None:
         connection.close()
 
 
-Between = Callable[[float], None]  # called after a period, with the time [s]
-RIGHT_ANGLE = 0.5 * np.pi + 1e-9  # [rad] the greatest angle of an axis
+Between = Callable[[float], None]  # callback after a period, with the time [s]
+RIGHT_ANGLE = 0.5 * np.pi + 1e-9  # [rad] largest angle of an axis
 
 
 class Clock(Protocol):
-    """The clock of the loop: the machine's, or one of a test."""
+    """Clock of the loop: the machine's clock, or a test clock."""
 
     def now(self) -> float:
-        """Return the time [s] since some moment; it never goes back."""
+        """Return a monotonic time [s]."""
 
     def sleep_until(self, moment: float) -> None:
-        """Wait until a time [s], if it has not passed."""
+        """Wait until a time [s], if it is in the future."""
 
 
 class WallClock:
@@ -191,11 +191,11 @@ class WallClock:
 
 
 class AxisLimits:
-    """The last check of axis commands: one that is not allowed is not changed, but not sent.
+    """Final check of axis commands; invalid commands are not sent.
 
     Args:
         shape: (rows, columns) of the widest zone.
-        allowed: [rad] angles that may be sent; None: any from -pi/2 to pi/2.
+        allowed: [rad] allowed angles; None: any from -pi/2 to pi/2.
     """
 
     def __init__(self, shape: tuple[int, int], allowed: tuple[float, ...] | None) -> None:
@@ -203,7 +203,7 @@ class AxisLimits:
         self._allowed = None if allowed is None else np.array(allowed)
 
     def fault(self, angles: protocol.Angles) -> str:
-        """Describe what is wrong with angles (rows, columns) [rad]; empty: they may be sent."""
+        """Return why angles (rows, columns) [rad] are invalid; empty if they are valid."""
         if angles.shape != self._shape:
             return f"axes must have the shape {self._shape}, got {angles.shape}"
         if not np.isfinite(angles).all():
@@ -220,22 +220,23 @@ class AxisLimits:
 
 @dataclass
 class _Sent:
-    """A command that the device has not acknowledged yet."""
+    """A command before the device's acknowledgement."""
 
     command: int
-    decided: float  # [s]
-    before: float  # [s] from the latest frame until then
-    turn: float  # [s] that the axes take
+    decided: float  # [s] time of the decision
+    before: float  # [s] from the latest frame to the decision
+    turn: float  # [s] turning time of the axes
 
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """Times of the loop."""
+    """Timing of the loop."""
 
     period: float = 0.04  # [s] between decisions
-    watchdog: float = 0.2  # [s] without a frame after which the fixed layout replaces the policy
-    first_wait: float = 0.1  # [s] from a device's loss to the second attempt to find it
-    longest_wait: float = 1.0  # [s] to which it doubles from attempt to attempt
+    # [s] maximum time without a frame; then the fixed layout replaces the policy
+    watchdog: float = 0.2
+    first_wait: float = 0.1  # [s] from the loss of a device to the second attempt to connect
+    longest_wait: float = 1.0  # [s] maximum of this time, which doubles with every attempt
 
     def __post_init__(self) -> None:
         for name in ("period", "watchdog", "first_wait", "longest_wait"):
@@ -264,15 +265,15 @@ class ControlLoop:
         self._connected = False
         self._next_attempt = -1e9
         self._wait = config.first_wait
-        self._latest_arrival = 0.0  # [s] of a frame
-        self._latest_frame = 0.0  # [s] when it was taken
-        self._stopped = False  # frames have, for too long
+        self._latest_arrival = 0.0  # [s] arrival of the latest frame
+        self._latest_frame = 0.0  # [s] time at which it was taken
+        self._stopped = False  # whether frames have stopped for too long
         self._sent: deque[_Sent] = deque(maxlen=MAX_COMMANDS)
-        self._inbox: deque[protocol.Message] = deque()  # read, and not yet handled
-        self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels that have entered and not left
+        self._inbox: deque[protocol.Message] = deque()  # unhandled messages
+        self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
 
     def run(self, seconds: float, between: Between) -> None:
-        """Run for some time [s], or until a KeyboardInterrupt; `between` is called each period."""
+        """Run for a time [s] or until KeyboardInterrupt; call `between` after each period."""
         period = self._config.period
         begun = self._clock.now() + period
         number, last = 0, round(seconds / period)
@@ -282,7 +283,7 @@ class ControlLoop:
                 self._clock.sleep_until(due)
                 self.step(due)
                 between(self._clock.now())
-                # Periods that are gone as a whole are not begun.
+                # Skip periods that have passed completely.
                 number += 1
                 gone = int((self._clock.now() - begun) / period)
                 if gone > number:
@@ -292,7 +293,7 @@ class ControlLoop:
             self._device.close()
 
     def step(self, due: float) -> None:
-        """Carry out one period, due at a time [s]."""
+        """Execute one period, due at a time [s]."""
         woke = self._clock.now()
         counts = self.counts
         counts.periods += 1
@@ -317,7 +318,7 @@ class ControlLoop:
         return self._estimator.entered is not None
 
     def _connect(self, now: float) -> bool:
-        """Connect the device if need be, and tell whether it is connected."""
+        """Connect the device if necessary; return whether it is connected."""
         if self._connected:
             return True
         if now < self._next_attempt:
@@ -334,7 +335,7 @@ class ControlLoop:
         return True
 
     def _lose(self, fault: str) -> None:
-        """Give up the connection, and with it the parcel."""
+        """Close the connection, and drop the parcel."""
         self._device.close()
         count_name(self.counts.faults, fault)
         if self._connected:
@@ -347,7 +348,7 @@ class ControlLoop:
         self._inbox.clear()
 
     def _read(self, until: float) -> None:
-        """Handle the device's messages until a time [s]; what is left is for the next period."""
+        """Handle the device's messages until a time [s]; the rest waits for the next period."""
         if not self._inbox:
             self._inbox.extend(self._device.read())
             if len(self._inbox) > MAX_MESSAGES:
@@ -362,15 +363,15 @@ class ControlLoop:
         self._wait = self._config.first_wait
         if isinstance(message, protocol.Frame):
             self._correct(message)
-        elif isinstance(message, protocol.Entered):
+        elif isinstance(message, protocol.ParcelEntry):
             self._enter(message)
-        elif isinstance(message, protocol.AxesAcknowledged):
+        elif isinstance(message, protocol.AxesAcknowledgement):
             self._acknowledge(message)
-        elif isinstance(message, protocol.Departed):
+        elif isinstance(message, protocol.ParcelDeparture):
             self._depart(message)
 
     def _is_timely(self, moment: float) -> bool:
-        """Tell whether a message's time [s] is one that the estimate can be moved on from."""
+        """Return whether the estimate can start from a message's time [s]."""
         return -MAX_EARLY <= self._clock.now() - moment <= MAX_AHEAD
 
     def _correct(self, frame: protocol.Frame) -> None:
@@ -379,7 +380,7 @@ class ControlLoop:
             return
         try:
             used = self._is_timely(frame.taken_at) and self._estimator.correct(frame)
-        except ValueError as error:  # a driver that sends such a pose cannot be trusted
+        except ValueError as error:  # reject a driver that sends such a pose
             raise protocol.DeviceLost(str(error)) from None
         if used:
             self._latest_arrival = self._clock.now()
@@ -387,7 +388,7 @@ class ControlLoop:
         else:
             self.counts.frames_unused += 1
 
-    def _enter(self, entered: protocol.Entered) -> None:
+    def _enter(self, entered: protocol.ParcelEntry) -> None:
         before = self._estimator.entered
         if before is not None and entered.number == before.number:
             self.counts.unused += 1
@@ -410,7 +411,7 @@ class ControlLoop:
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
-    def _depart(self, departed: protocol.Departed) -> None:
+    def _depart(self, departed: protocol.ParcelDeparture) -> None:
         if departed.number not in self._open:
             self.counts.unused += 1
             return
@@ -421,7 +422,7 @@ class ControlLoop:
             self._estimator.clear()
             self._sent.clear()
 
-    def _acknowledge(self, answer: protocol.AxesAcknowledged) -> None:
+    def _acknowledge(self, answer: protocol.AxesAcknowledgement) -> None:
         if answer.refused:
             self.counts.refused += 1
             self._estimator.drop_command(answer.command)
@@ -477,9 +478,9 @@ class ControlLoop:
         self._sent.append(_Sent(number, decided, decided - self._latest_frame, turn))
 
     def _decide(self, observation: Observation) -> Command | None:
-        """Return the policy's command; None: leave the axes as they are."""
+        """Return the policy's command; None: hold the axes."""
         try:
             return self._policy.decide(observation)
-        except ValueError:  # it returned no action
+        except ValueError:  # the policy returned no valid action
             self.counts.out_of_range += 1
             return None

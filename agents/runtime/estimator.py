@@ -1,12 +1,11 @@
-"""The state estimator: the parcel's state by the device's messages, and the task's observation.
+"""The state estimator: the parcel's state from the device's messages, and the task's observation.
 
-It holds two environments of the package's own state. `SEEN` stands at the latest frame: the physics
-moves it on from frame to frame, with the axes as they turned, and the environment's own filter
-corrects it there. `NOW` is a copy of it, moved on to the time of the decision. So a late frame
-corrects the estimate of the time it was taken at, and later commands are applied once more.
+The estimator holds two environments. `SEEN` is at the time of the latest frame: the physics moves
+it from frame to frame with the turning axes, and the environment's filter corrects it. `NOW` is a
+copy, moved to the time of the decision. So a late frame corrects the estimate at the time of the
+frame, and later commands are applied again.
 
-Nothing of the physics, the filter or an observation is written here: the functions at the end are
-put together from the package's own.
+Physics, filter and observations are the package's own; the functions at the end combine them.
 """
 
 import math
@@ -37,20 +36,20 @@ from surface_gym.sensors.base import Physics
 from surface_gym.sensors.camera import EVERY, LAG
 from surface_gym.tasks.start import Parcels
 
-from .protocol import Angles, Entered, Frame
+from .protocol import Angles, Frame, ParcelEntry
 
-SEEN, NOW = 0, 1  # the environments
+SEEN, NOW = 0, 1  # indices of the environments
 BOTH = np.array([SEEN, NOW])
-MAX_AHEAD = 1.0  # [s] from a frame that the estimate is moved on; it stands still thereafter
-MAX_COMMANDS = 256  # sent since the latest frame that are remembered: 10 s at 25 Hz
-MIN_APART = 1e-6  # [s] between frames that differ
-NOT_LOST = 1.0  # [-] a uniform number with which no frame is dropped
-NEVER = 2.0**40  # physics steps from frame to frame: none is taken
+MAX_AHEAD = 1.0  # [s] maximum prediction after a frame; then the estimate stands still
+MAX_COMMANDS = 256  # maximum number of commands since the latest frame: 10 s at 25 Hz
+MIN_APART = 1e-6  # [s] minimum time between different frames
+NOT_LOST = 1.0  # [-] uniform number at which no frame is dropped
+NEVER = 2.0**40  # physics steps between frames, so that none is taken
 IDEAL = Camera(latency=0.0, position_noise=0.0, angle_noise=0.0, entry=SURE)
 
 
 def device_camera(sensor: Sensor) -> Camera:
-    """Return the camera of an environment's sensor; of an exact one, without noise and delay."""
+    """Return the camera of an environment's sensor; for an exact sensor, an ideal camera."""
     if isinstance(sensor, Camera):
         return sensor
     if isinstance(sensor, Exact):
@@ -59,18 +58,18 @@ def device_camera(sensor: Sensor) -> Camera:
 
 
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same axes by angles [rad] from -pi/2 to pi/2: one turned by pi is the same."""
+    """Return equivalent angles [rad] from -pi/2 to pi/2; axes have period pi."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
     return np.where(np.abs(angles) <= 0.5 * math.pi, angles, turned)
 
 
 def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, int]) -> Angles:
-    """Cut the axes [rad] of the zone's modules out of those of the whole surface.
+    """Return the axes [rad] of the zone's modules from the axes of the whole surface.
 
     Args:
-        zone: (4,) that a parcel has, as `BodyTable.zone`.
-        shape: (rows, columns) of the widest zone. A narrower one is its middle rows; the places
-            beside it are at 90 deg.
+        zone: (4,) a parcel's zone, as in `BodyTable.zone`.
+        shape: (rows, columns) of the widest zone. A narrower zone fills its middle rows; other rows
+            are at 90 deg.
     """
     angles = np.full(shape, ROLLING)
     rows, first_row, first = int(zone[st.ROWS]), int(zone[st.FIRST_ROW]), int(zone[st.FIRST_COLUMN])
@@ -82,23 +81,23 @@ def zone_angles(whole: NDArray[np.float64], zone: Integers, shape: tuple[int, in
 
 @dataclass
 class _Command:
-    """Axes that the device was sent."""
+    """Axes sent to the device."""
 
     number: int
-    at: float  # [s] from which on they turn
+    at: float  # [s] start of the turn
     target: NDArray[np.float64]  # (rows, columns) [rad] of the whole surface
 
 
 @dataclass(frozen=True, eq=False)
 class Resolver:
-    """Turns commands of one kind of action into axes; see `StateEstimator.resolve`."""
+    """Converts commands of one kind of action to axes; see `StateEstimator.resolve`."""
 
     obey: Callable[..., None]  # compiled
-    surfaces: st.SurfaceState  # the estimator's, with room for such commands
+    surfaces: st.SurfaceState  # the estimator's surfaces, with buffers for these commands
 
 
 class StateEstimator:
-    """Estimates the state of the parcel on the surface."""
+    """Estimator of the state of the parcel on the surface."""
 
     def __init__(self, config: EnvConfig) -> None:
         self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
@@ -118,15 +117,15 @@ class StateEstimator:
         self._plan = BodyPlan((), self._placement, len(BOTH), (line.rows, line.columns))
         self._scratch = make_scratch()
         self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
-        self._at = 0.0  # [s] of the environment SEEN
-        self.shape = (kind.rows, kind.columns)  # of the widest zone
-        self.entered: Entered | None = None
-        # Any parcel, so that there is something to compile for.
+        self._at = 0.0  # [s] time of the environment SEEN
+        self.shape = (kind.rows, kind.columns)  # shape of the widest zone
+        self.entered: ParcelEntry | None = None
+        # Any parcel, for compilation.
         self._settle(self.config.task.parcels[0])
         self._compile()
 
     def _compile(self) -> None:
-        """Compile all that is called, so that nothing is compiled later."""
+        """Compile all functions in advance."""
         functions, given = task_functions(self.config), self._arrays
         self._mirror = functions.mirror
         self._begin = compile_for(make_begin(functions), *given, SEEN)
@@ -147,7 +146,7 @@ class StateEstimator:
         parcels = Parcels((parcel,), np.zeros(len(BOTH), dtype=np.int64))
         self._parcels.body[:] = self._plan.bodies_of(BOTH, parcels)
 
-    def reset(self, entered: Entered) -> None:
+    def reset(self, entered: ParcelEntry) -> None:
         task = self.config.task
         goal = checks.array("goal", entered.goal, (task.goals,))
         task.check_goal(goal)
@@ -157,7 +156,7 @@ class StateEstimator:
             checks.limited("path", path, checks.FARTHEST)
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
-        # Its load may lie anywhere: it is taken as evenly spread.
+        # The load's position is unknown, so assume an even load.
         self._settle(replace(entered.parcel, com_offset=(0.0, 0.0)))
         parcels, conditions = self._parcels, self._surfaces.conditions
         parcels.sensor_state[:] = 0.0
@@ -177,8 +176,9 @@ class StateEstimator:
         self.entered = None
 
     def correct(self, frame: Frame) -> bool:
-        """Correct the estimate by a frame, and return whether it was used: one of another parcel is
-        not, nor one that is not later than the latest.
+        """Correct the estimate by a frame, and return whether it was used.
+
+        Frames of another parcel, and frames before the latest one, are not used.
         """
         pose = checks.pose("pose", frame.pose, (3,))
         axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)
@@ -209,15 +209,15 @@ class StateEstimator:
 
     @property
     def estimate(self) -> NDArray[np.float64]:
-        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the time last observed."""
+        """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
         return self._parcels.sensed[NOW].copy()
 
     def axes(self) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] at the time last observed."""
+        """Return the zone's axes (rows, columns) [rad] at the last observed time."""
         return self._zone_angles(self._surfaces.angle[NOW])
 
     def longest_turn(self, angles: Angles) -> float:
-        """Return the time [s] until all of the zone's modules have turned to angles [rad]."""
+        """Return the time [s] until all modules of the zone have turned to angles [rad]."""
         apart = angles - self.axes()
         apart -= math.pi * np.floor(apart / math.pi + 0.5)
         return float(np.abs(apart).max()) / self._axis_speed
@@ -231,19 +231,20 @@ class StateEstimator:
         return Resolver(compile_for(obey, params, surfaces, parcels, bodies, NOW), surfaces)
 
     def resolve(self, resolver: Resolver, command: NDArray[Any]) -> Angles:
-        """Return the axes (rows, columns) [rad] of the zone's modules for a command (size,), by the
-        parcel's place at the time last observed.
+        """Return the zone's axes (rows, columns) [rad] for a command (size,).
+
+        They depend on the parcel's position at the last observed time.
         """
         resolver.surfaces.command[NOW] = command
         resolver.obey(self._params, resolver.surfaces, self._parcels, self._plan.bodies, NOW)
         return self._zone_angles(self._surfaces.target[NOW])
 
     def note_sent(self, number: int, at: float) -> None:
-        """Note that the axes as last resolved were sent as a command, and turn from a time [s]."""
+        """Record that the last resolved axes were sent, and turn from a time [s]."""
         self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
 
     def acknowledge(self, number: int, at: float) -> None:
-        """Note when [s] the axes of a command began to turn by the device."""
+        """Record the time [s] at which the device began to turn the axes of a command."""
         earliest = self._at
         for command in self._commands:
             if command.number == number:
@@ -255,7 +256,7 @@ class StateEstimator:
         self._commands = deque(kept, maxlen=MAX_COMMANDS)
 
     def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment on, with the commands in between."""
+        """Move an environment forward, with the commands in between."""
         for command in self._commands:
             if command.at >= until:
                 break
@@ -265,7 +266,7 @@ class StateEstimator:
         self._move_on(i, begun, until, looks)
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment on in equal steps, none longer than the package's."""
+        """Move an environment forward in equal steps, at most as long as the package's step."""
         steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
         if steps > 0:
             length = (until - begun) / steps
@@ -277,7 +278,7 @@ class StateEstimator:
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return a camera's parameters without frames, and with a frame at each step, used at once."""
+    """Return a camera's parameters without frames, and with an immediate frame at each step."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0
@@ -288,7 +289,7 @@ def make_looks(numbers: Array) -> tuple[Array, Array]:
 def use_encoders(
     surfaces: st.SurfaceState, bodies: st.BodyTable, body: int, i: int, angles: Array
 ) -> None:
-    """Put the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
+    """Set the axes of an environment's zone to angles (rows, columns) [rad] of the widest zone."""
     zone = bodies.zone[body]
     margin = (angles.shape[0] - zone[st.ROWS]) // 2
     for down in range(zone[st.ROWS]):
@@ -304,8 +305,9 @@ def use_encoders(
 
 @lru_cache(maxsize=16)
 def make_begin(functions: KernelFunctions) -> Any:
-    """Compile `begin`: put the axes as the conveyor's, and the estimate to what is known of the
-    entry, which is in `parcels.state`.
+    """Compile `begin`: set the axes to the conveyor's, and the estimate to the entry state.
+
+    The known entry state is in `parcels.state`.
     """
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
@@ -331,8 +333,9 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Compile `move`: turn an environment's axes at a speed [rad/s] and predict, over some steps of
-    a length [s]; if it looks, correct at the end by the frame whose pose is in `parcels.truth`.
+    """Compile `move`: turn the axes at a speed [rad/s] and predict, over steps of a length [s].
+
+    If `looks` is true, it then corrects by the frame whose pose is in `parcels.truth`.
     """
 
     def move(

@@ -1,12 +1,12 @@
-"""The messages between a machine and the control loop, and their form on a socket.
+"""Messages between a machine and the control loop, and their format on a socket.
 
-A driver of a machine is a `Device`: four calls, none of which waits. All times are [s] by
-`time.monotonic()` of the machine that the loop runs on; a driver whose camera has a clock of its
-own converts. All poses are those of the centroid of a parcel's base.
+A driver of a machine implements `Device`: four calls that never wait. All times are [s] of
+`time.monotonic()` on the loop's computer; a driver converts the clock of its camera. All poses
+refer to the centroid of a parcel's base.
 
-On a socket each message is a line of JSON with a `kind`: "hello", "entered", "frame", "taken" or
-"left" from the device, and "axes" to it. Lines are checked in full; reading runs no code. Where
-there is a token, each side proves by "proof" that it has it, before anything else counts.
+On a socket, each message is a line of JSON with a `kind`: "hello", "entered", "frame", "taken" or
+"left" from the device, and "axes" to it. Lines are fully validated; reading them runs no code. With
+a token, each side must first prove by "proof" that it has the token.
 """
 
 import hmac
@@ -27,37 +27,37 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
-VERSION = 1  # of the protocol, which both sides must have
+VERSION = 1  # version of the protocol, equal on both sides
 MAX_LINE = 1 << 18  # [bytes]
-MAX_READ = 1 << 15  # [bytes] in a period: at 25 Hz, 0.8 MB/s
-MAX_LINES = 64  # in a period: at 25 Hz, 1600 a second
-MAX_TIME = 0.01  # [s] in a period, to read them
-MAX_FULL = 25  # periods in a row in which as much came
-MAX_TEXT = 1000  # characters of a text
-MAX_NUMBER = 2**53  # of a parcel or a command
-MAX_VERTICES = 256  # of a parcel's base
-GREETING_TIMEOUT = 2.0  # [s] from the connection until the other side has proved who it is
+MAX_READ = 1 << 15  # [bytes] per period: 0.8 MB/s at 25 Hz
+MAX_LINES = 64  # lines per period: 1600 per second at 25 Hz
+MAX_TIME = 0.01  # [s] reading time per period
+MAX_FULL = 25  # maximum successive periods with the maximum amount
+MAX_TEXT = 1000  # maximum characters of a text
+MAX_NUMBER = 2**53  # maximum number of a parcel or a command
+MAX_VERTICES = 256  # maximum vertices of a base
+GREETING_TIMEOUT = 2.0  # [s] from the connection to the other side's proof
 
 Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
 Triple = tuple[float, float, float]
 
 
 class DeviceLost(ConnectionError):
-    """The device is not there, or its messages cannot be understood: connect anew."""
+    """The device is absent, or its messages are invalid: reconnect."""
 
 
 @dataclass(frozen=True, eq=False)
-class Entered:
+class ParcelEntry:
     """A parcel enters."""
 
-    number: int  # of the parcel, which no other has
-    at: float  # [s] of the pose and the velocity
-    parcel: Parcel  # its base and mass; its load is taken as evenly spread
-    pose: Triple  # [m, m, rad] roughly, by the conveyor and its guides
+    number: int  # unique number of the parcel
+    at: float  # [s] time of the pose and the velocity
+    parcel: Parcel  # base and mass; the load is assumed even
+    pose: Triple  # [m, m, rad] roughly, from the conveyor and its guides
     velocity: Triple  # [m/s, m/s, rad/s] roughly
-    goal: tuple[float, ...]  # of the task, as its starts have it
-    tilt: float = 0.0  # [rad] of the surface, downhill towards +x
-    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of a path to follow
+    goal: tuple[float, ...]  # the task's goal, as in its starts
+    tilt: float = 0.0  # [rad] tilt of the surface, downhill towards +x
+    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of the path to follow
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,55 +65,55 @@ class Frame:
     """A picture of the camera."""
 
     taken_at: float  # [s]
-    number: int | None = None  # of the parcel seen; None: there is none on the surface
+    number: int | None = None  # number of the visible parcel; None: no parcel on the surface
     pose: Triple = (0.0, 0.0, 0.0)  # [m, m, rad]; the angle is continuous beyond pi
-    axes: Angles | None = None  # by encoders at that time; None: there are none
+    axes: Angles | None = None  # encoder angles at that time; None: no encoders
 
 
 @dataclass(frozen=True)
-class AxesAcknowledged:
+class AxesAcknowledgement:
     """The device has answered a command of axes."""
 
     command: int  # the number that `set_axes` returned
     at: float  # [s] when the axes began to turn
-    refused: str = ""  # why the device did not accept them; empty: it did
+    refused: str = ""  # why the device refused the command; empty: accepted
 
 
 @dataclass(frozen=True)
-class Departed:
-    """A parcel has left."""
+class ParcelDeparture:
+    """A parcel has departed."""
 
-    number: int  # of the parcel
-    outcome: str  # in words; "success" is one
-    metrics: dict[str, float] = field(default_factory=dict)  # of the task, as in `info`
+    number: int  # number of the parcel
+    outcome: str  # text, e.g. "success"
+    metrics: dict[str, float] = field(default_factory=dict)  # the task's metrics, as in `info`
 
 
-Message = Entered | Frame | AxesAcknowledged | Departed
+Message = ParcelEntry | Frame | AxesAcknowledgement | ParcelDeparture
 
 
 class Device(Protocol):
-    """A machine: a camera over a surface whose axes turn.
+    """Interface of a machine: a camera over a surface with turning axes.
 
-    Each call returns at once. A lasting fault is a `DeviceLost`, after which the loop calls `close`
-    and, after a while, `connect` again.
+    Each call returns at once. A lasting fault raises `DeviceLost`. The loop then calls `close` and,
+    after a while, `connect` again.
     """
 
     def connect(self) -> None:
-        """Find the device and start anew."""
+        """Connect to the device and start anew."""
 
     def close(self) -> None:
-        """Disconnect, if it is connected."""
+        """Disconnect, if connected."""
 
     def read(self) -> list[Message]:
-        """Return the messages since the last call, in their order."""
+        """Return the messages since the last call, in order."""
 
     def set_axes(self, angles: Angles) -> int:
         """Turn the zone's modules to angles (rows, columns) [rad] in -pi/2 to pi/2.
 
-        The zone is the widest there is; angles of places without a module have no effect.
+        The zone is the widest one; angles without a module have no effect.
 
         Returns:
-            A number for the command, to which an `AxesAcknowledged` may refer later.
+            The number of the command, for a later acknowledgement.
         """
 
 
@@ -138,26 +138,26 @@ def _refuse_constant(name: str) -> None:
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
-    """Return a device's first message: its version, its task and its widest zone.
+    """Return a device's first message: version, task and widest zone.
 
-    A nonce asks the other side to prove that it has the token.
+    A nonce requests the other side's proof of the token.
     """
     fields = {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
     return {**fields, "nonce": nonce} if nonce else fields
 
 
 def make_nonce() -> str:
-    """Return a text that was never used before, for the other side's proof."""
+    """Return a unique text for the other side's proof."""
     return secrets.token_hex(16)
 
 
 def prove(token: str, side: str, nonce: str) -> str:
-    """Return the proof that a side, "loop" or "device", has a token: by the other side's nonce."""
+    """Return the proof that a side ("loop" or "device") has the token, for the other's nonce."""
     return hmac.digest(token.encode(), f"{side} {nonce}".encode(), "sha256").hex()
 
 
 def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> None:
-    """Raise a ValueError unless the fields are a side's proof that it has a token."""
+    """Raise a ValueError unless the fields contain a valid proof of a side."""
     checks.one_of("kind", fields["kind"], ("proof",))
     proof = text("proof", fields.get("proof"))
     if not hmac.compare_digest(proof.encode(), prove(token, side, nonce).encode()):
@@ -174,7 +174,7 @@ def to_fields(message: Message) -> dict[str, Any]:
             "pose": list(message.pose),
             "axes": None if message.axes is None else message.axes.tolist(),
         }
-    if isinstance(message, Entered):
+    if isinstance(message, ParcelEntry):
         return {
             "kind": "entered",
             "number": message.number,
@@ -188,7 +188,7 @@ def to_fields(message: Message) -> dict[str, Any]:
             "tilt": message.tilt,
             "path": None if message.path is None else message.path.tolist(),
         }
-    if isinstance(message, AxesAcknowledged):
+    if isinstance(message, AxesAcknowledgement):
         return {
             "kind": "taken",
             "command": message.command,
@@ -199,12 +199,12 @@ def to_fields(message: Message) -> dict[str, Any]:
         "kind": "left",
         "number": message.number,
         "outcome": message.outcome,
-        "figures": message.metrics,  # so called since the protocol's first version
+        "figures": message.metrics,  # name since the protocol's first version
     }
 
 
 def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
-    """Return a device's message of its fields; `shape` is (rows, columns) of the widest zone."""
+    """Return a device's message from its fields; `shape` is (rows, columns) of the widest zone."""
     kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
     try:
         return _READERS[kind](fields, shape)
@@ -222,9 +222,9 @@ def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
     )
 
 
-def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> Entered:
+def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelEntry:
     path = fields["path"]
-    return Entered(
+    return ParcelEntry(
         number=_count("number", fields["number"]),
         at=checks.number("at", fields["at"]),
         parcel=Parcel(_base(fields["base"]), mass=fields["mass"], com_height=fields["com_height"]),
@@ -236,19 +236,19 @@ def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> Entered:
     )
 
 
-def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledged:
-    return AxesAcknowledged(
+def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledgement:
+    return AxesAcknowledgement(
         command=_count("command", fields["command"]),
         at=checks.number("at", fields["at"]),
         refused=text("refused", fields["refused"]),
     )
 
 
-def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> Departed:
+def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelDeparture:
     metrics = fields["figures"]
     if not isinstance(metrics, dict):
         raise ValueError(f"figures must be an object, got {metrics!r}")
-    return Departed(
+    return ParcelDeparture(
         number=_count("number", fields["number"]),
         outcome=text("outcome", fields["outcome"]),
         metrics={name: checks.number(name, value) for name, value in metrics.items()},
@@ -264,19 +264,19 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
 
 
 def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
-    """Return the fields of a command of axes."""
+    """Return the fields of an axis command."""
     return {"kind": "axes", "command": command, "angles": angles.tolist()}
 
 
 def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number of a command and its angles (rows, columns) [rad], unchecked."""
+    """Return the number and the unchecked angles (rows, columns) [rad] of an axis command."""
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, _numbers("angles", fields.get("angles"), shape)
 
 
 def text(name: str, value: Any) -> str:
-    """Return a text that is not too long, or raise an error."""
+    """Return a text of limited length, or raise an error."""
     if not isinstance(value, str) or len(value) > MAX_TEXT:
         raise ValueError(f"{name} must be text of at most {MAX_TEXT} characters, got {value!r}")
     return value
@@ -287,7 +287,7 @@ def _count(name: str, value: Any) -> int:
 
 
 def _numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return finite numbers as an array of a shape; true and false among them are refused."""
+    """Return finite numbers as an array of a shape; booleans raise an error."""
     result = np.array(checks.array(name, value, shape))
     if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
         raise ValueError(f"{name} must be an array of numbers, got {value!r}")
@@ -321,31 +321,31 @@ def _base(fields: Any) -> Base:
     raise ValueError(f"base must have a radius, a length and a width, or corners, got {fields!r}")
 
 
-TIMEOUT = 0.02  # [s] to connect
+TIMEOUT = 0.02  # [s] timeout of connecting
 
 
 class ConnectionLost(ConnectionError):
-    """The other side is gone, does not read, sends no lines, or too much."""
+    """The other side is gone, does not read, sends no lines, or sends too much."""
 
 
 class Connection:
-    """One side of a connection; its calls return at once, and take in a bounded amount."""
+    """One side of a connection; calls return at once, and read a bounded amount."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
         self._socket.setblocking(False)
-        with suppress(OSError):  # a pair of sockets has no such option
+        with suppress(OSError):  # socket pairs have no such option
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._partial = b""
-        self._lines: deque[bytes] = deque()  # that are whole
+        self._lines: deque[bytes] = deque()  # complete lines
         self._waiting = b""
-        self._full = 0  # calls in a row that took in as much as one may
+        self._full = 0  # successive calls that read the maximum
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def lines(self) -> list[bytes]:
-        """Return at most MAX_LINES lines since the last call, of MAX_READ bytes; others wait."""
+        """Return new lines, at most MAX_LINES and MAX_READ bytes; others wait."""
         gone, left = False, MAX_READ if len(self._lines) < MAX_LINES else 0
         while left > 0 and not gone:
             try:
@@ -377,7 +377,7 @@ class Connection:
         self._lines.extendleft(reversed(lines))
 
     def send(self, line: bytes) -> None:
-        """Send a line; the part that cannot be sent now is sent before the next."""
+        """Send a line; an unsent rest goes before the next line."""
         self._waiting += line
         try:
             while self._waiting:
@@ -393,14 +393,14 @@ class Connection:
 
 
 class SocketDevice:
-    """The `Device` behind a socket: the simulator, or a machine that speaks the protocol.
+    """The `Device` behind a socket: the simulator, or a machine with this protocol.
 
     Args:
-        address: host and port where it listens.
-        task: that it must have.
-        shape: (rows, columns) of the widest zone that it must have.
-        token: that both sides prove to have; None: it must ask for none.
-        now: the clock [s] of the greeting's timeout.
+        address: host and port of the device.
+        task: required task of the device.
+        shape: required (rows, columns) of its widest zone.
+        token: shared token that both sides prove; None: the device must not request one.
+        now: clock [s] for the timeout of the greeting.
     """
 
     def __init__(
@@ -417,9 +417,9 @@ class SocketDevice:
         self._token = token
         self._now = now
         self._connection: Connection | None = None
-        self._greeted = False  # it has said who it is, and proved it
-        self._nonce = ""  # for its proof, which is awaited
-        self._until = 0.0  # [s] that it has for it
+        self._greeted = False  # whether it has greeted and proved the token
+        self._nonce = ""  # nonce of the awaited proof
+        self._until = 0.0  # [s] deadline of the proof
         self._command = 0
 
     def connect(self) -> None:
@@ -462,7 +462,7 @@ class SocketDevice:
         return messages
 
     def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
-        """Check a greeting, and prove to have the token if there is one."""
+        """Check a greeting, and send the proof of the token if there is one."""
         checks.one_of("kind", fields["kind"], ("hello",))
         checks.one_of("protocol", fields.get("protocol"), (VERSION,))
         checks.one_of("task", fields.get("task"), (self._task,))

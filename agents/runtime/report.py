@@ -1,4 +1,4 @@
-"""The report of a run: what was counted, how long each stage took, as JSON and on screen."""
+"""The report of a run: counts and durations of stages, as JSON and on screen."""
 
 import json
 from collections import Counter
@@ -14,8 +14,8 @@ from surface_gym.files import replacing
 if TYPE_CHECKING:
     from rich.console import Console
 
-MAX_NAMES = 50  # of outcomes, or of faults, that are counted apart
-MAX_NAME = 200  # characters of each
+MAX_NAMES = 50  # maximum number of different outcomes or faults
+MAX_NAME = 200  # maximum characters of a name
 FILE = "report.json"
 PERCENTILES = (50.0, 90.0, 99.0, 100.0)
 NAMES = ("50 %", "90 %", "99 %", "max")
@@ -35,75 +35,77 @@ STAGES = {
 class Counts:
     """Numbers of events."""
 
-    periods: int = 0  # control periods that were begun
-    kept: int = 0  # of them done before the next was due
-    missed: int = 0  # of them done later
-    skipped: int = 0  # that were not begun, since one before them took so long
-    decisions: int = 0  # by the policy
-    by_fixed_layout: int = 0  # periods in which the fixed layout replaced the policy
-    held: int = 0  # periods with a parcel in which the axes were left as they were
+    periods: int = 0  # control periods begun
+    kept: int = 0  # periods done before the next was due
+    missed: int = 0  # periods done later
+    skipped: int = 0  # periods not begun, since an earlier one took too long
+    decisions: int = 0  # decisions by the policy
+    by_fixed_layout: int = 0  # periods with the fixed layout instead of the policy
+    held: int = 0  # periods with a parcel and unchanged axes
     unconnected: int = 0  # periods without a device
-    sent: int = 0  # axis commands
-    out_of_range: int = 0  # axis commands that were refused here, and not sent
-    refused: int = 0  # axis commands that the device refused
-    strayed: int = 0  # observations beyond their bounds
-    frames: int = 0  # that arrived
-    frames_unused: int = 0  # of them of another parcel, out of order, too late or ahead of time
-    unused: int = 0  # other messages of unknown parcels, or of such times
-    watchdog: int = 0  # times that frames stopped for too long
-    connected: int = 0  # times that the device was found
-    lost: int = 0  # times that it was lost
-    attempts: int = 0  # to find it
+    sent: int = 0  # axis commands sent
+    out_of_range: int = 0  # invalid axis commands, not sent
+    refused: int = 0  # axis commands refused by the device
+    strayed: int = 0  # observations out of bounds
+    frames: int = 0  # frames received
+    frames_unused: int = 0  # frames of another parcel, out of order, too late or too early
+    unused: int = 0  # other messages of unknown parcels, or with invalid times
+    watchdog: int = 0  # interruptions of frames for too long
+    connected: int = 0  # successful connections
+    lost: int = 0  # losses of the device
+    attempts: int = 0  # attempts to connect
     unfit: int = 0  # parcels that do not fit the surface or the task
     parcels: Counter[str] = field(default_factory=Counter)  # by outcome
-    faults: Counter[str] = field(default_factory=Counter)  # the device's, by name
+    faults: Counter[str] = field(default_factory=Counter)  # faults of the device, by name
 
 
 @dataclass
 class Latencies:
-    """[s] of every decision that was sent."""
+    """Latencies [s] of all sent decisions."""
 
     late: list[float] = field(default_factory=list)  # from when a period is due to its beginning
     sensor: list[float] = field(default_factory=list)  # from the latest frame to the estimate
     filter: list[float] = field(default_factory=list)  # reading, estimating, observing
     policy: list[float] = field(default_factory=list)  # deciding
-    send: list[float] = field(default_factory=list)  # from there until the axes began to turn
-    turn: list[float] = field(default_factory=list)  # until the last axis has turned, as computed
-    whole: list[float] = field(default_factory=list)  # from the latest frame until there
-    work: list[float] = field(default_factory=list)  # of a period, from its beginning to its end
+    # from the decision until the axes begin to turn
+    send: list[float] = field(default_factory=list)
+    turn: list[float] = field(default_factory=list)  # computed time until the last axis has turned
+    # from the latest frame until the last axis has turned
+    whole: list[float] = field(default_factory=list)
+    work: list[float] = field(default_factory=list)  # duration of a period's work
 
 
 def count_name(counts: Counter[str], name: str) -> None:
-    """Count a name that a device gave: cut, without what is not printable, one of a few."""
+    """Count a name from a device: truncated, printable, and limited in variety."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 
 
 @dataclass(frozen=True)
-class Run:
-    """The circumstances of a run."""
+class RunConditions:
+    """Conditions of a run."""
 
     agent: str
-    seed: int  # of the policy
+    seed: int  # seed of the policy
     task: str
-    preset: str  # of the machine
+    preset: str  # preset of the machine
     device: str  # the simulator, or an address
     period: float  # [s]
     watchdog: float  # [s]
-    seconds: float  # [s] that it ran
-    load: tuple[float, float, float]  # of the machine at the end, over 1, 5 and 15 minutes
-    cores: int  # of the machine
+    seconds: float  # [s] duration
+    load: tuple[float, float, float]  # load of the computer at the end, over 1, 5 and 15 minutes
+    cores: int  # of the computer
 
 
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
-    """Compute `PERCENTILES` [s] of some times; None: there are none."""
+    """Compute `PERCENTILES` [s] of durations; None if there are none."""
     if not seconds:
         return None
     return np.percentile(np.array(seconds), PERCENTILES).tolist()
 
 
-def make_report(run: Run, counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """Return the report as it is written."""
+def make_report(run: RunConditions, counts: Counts, latencies: Latencies) -> dict[str, Any]:
+    """Return the report as JSON data."""
     parcels = sum(counts.parcels.values())
     named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
     return {
@@ -116,7 +118,7 @@ def make_report(run: Run, counts: Counts, latencies: Latencies) -> dict[str, Any
 
 
 def write_report(report: dict[str, Any], folder: Path) -> Path:
-    """Write a report into a folder, and return the file."""
+    """Write a report to a folder, and return the file."""
     file = folder / FILE
     with replacing(file) as part:
         part.write_text(json.dumps(report, indent=2) + "\n")

@@ -1,6 +1,6 @@
-"""The simulator: a machine on the package's physics, behind a socket, in a process of its own.
+"""The simulator: a machine with the package's physics behind a socket, in a separate process.
 
-`python -m surface_gym.agents.runtime.simulator` starts one; `SimulatorProcess` starts it from here.
+Start it by `python -m surface_gym.agents.runtime.simulator`, or by `SimulatorProcess` in Python.
 """
 
 import heapq
@@ -30,19 +30,20 @@ from ..library import find_task
 from . import controller, estimator, protocol as wire
 from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
 
-HOST = "127.0.0.1"  # this machine only: messages carry times of its clock
+HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
-ONLY = np.zeros(1, dtype=np.int64)  # the environment
-MAX_BEHIND = 0.25  # [s] that the physics makes up for; beyond, the world stands still
-MAX_NEWCOMERS = 8  # connections that have yet to prove who they are
-STOP_TIMEOUT = 5.0  # [s] that the process is given to end
+ONLY = np.zeros(1, dtype=np.int64)  # index of the only environment
+# [s] maximum delay that the physics catches up; beyond it, the world stands still
+MAX_BEHIND = 0.25
+MAX_NEWCOMERS = 8  # maximum number of connections without proof
+STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 
 
-class World:
-    """A surface, its parcels and a camera, in the caller's time.
+class SimulatedMachine:
+    """A surface, its parcels and a camera, driven by the caller's clock.
 
-    The physics runs ahead of the caller's clock by a step at most, so that axes that are set now
-    turn no earlier than now. A frame is due as much later as the camera is late.
+    The physics is at most one step ahead of the caller's clock, so commanded axes never turn early.
+    Frames are delayed by the camera's delay.
     """
 
     def __init__(
@@ -83,22 +84,22 @@ class World:
 
     @property
     def now(self) -> float:
-        """Time [s] to which the physics has run."""
+        """Time [s] of the physics."""
         return self._now
 
     def stand_still(self, seconds: float) -> None:
-        """Let time [s] pass in which nothing moves, since the clock ran away from the physics."""
+        """Let time [s] pass without motion, after the physics fell too far behind the clock."""
         self._now += seconds
         self._enters += seconds
 
-    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledged:
+    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
         fault = self._limits.fault(angles)
         if not fault:
             self._command[0] = angles.ravel()
-        return wire.AxesAcknowledged(command, self._now, fault)
+        return wire.AxesAcknowledgement(command, self._now, fault)
 
     def advance(self, until: float) -> list[tuple[float, wire.Message]]:
-        """Move on to a time [s], and return the messages, each with the time [s] it is due."""
+        """Simulate until a time [s]; return messages with the time [s] at which each is due."""
         messages: list[tuple[float, wire.Message]] = []
         while self._now <= until:
             if not self._present and self._now >= self._enters:
@@ -118,7 +119,7 @@ class World:
                     messages.append((self._now, self._depart(bool(ends))))
         return messages
 
-    def _enter(self) -> wire.Entered:
+    def _enter(self) -> wire.ParcelEntry:
         self._command[:] = sg.layouts.ROLLING
         self._batch.reset(ONLY)
         self._present = True
@@ -128,7 +129,7 @@ class World:
             [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         )
         known = state.truth + spread * self._noise.standard_normal(6)
-        return wire.Entered(
+        return wire.ParcelEntry(
             self._number,
             self._now,
             _known_parcel(state),
@@ -139,13 +140,13 @@ class World:
             state.path.copy() if len(state.path) else None,
         )
 
-    def _depart(self, ends: bool) -> wire.Departed:
+    def _depart(self, ends: bool) -> wire.ParcelDeparture:
         parcels, task = self._batch.parcels, self._batch.task
         self._present = False
         self._enters = self._now + self._options.pause
         outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
         metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
-        return wire.Departed(self._number, outcome, metrics)
+        return wire.ParcelDeparture(self._number, outcome, metrics)
 
     def _take_frame(self) -> wire.Frame | None:
         """Return a frame; None if it is lost."""
@@ -164,7 +165,7 @@ class World:
 
 
 def _known_parcel(state: EnvState) -> sg.Parcel:
-    """Return an environment's parcel, with its load evenly spread: a device does not know it."""
+    """Return an environment's parcel with an even load, since a device does not know the load."""
     corners: NDArray[np.float64] = state.corners
     base: Base
     if np.ptp(corners, axis=0).max() == 0.0:
@@ -182,22 +183,22 @@ def _triple(values: NDArray[np.float64]) -> wire.Triple:
 
 @dataclass(frozen=True, eq=False)
 class _Newcomer:
-    """A connection that has yet to prove that it has the token."""
+    """A connection before its proof of the token."""
 
     connection: wire.Connection
     nonce: str
-    until: float  # [s] that it has for it
+    until: float  # [s] deadline of the proof
 
 
-class Server:
-    """Sends a world's messages over a socket, and passes axis commands on to it.
+class MachineServer:
+    """Server of a simulated machine: sends its messages over a socket, and receives axis commands.
 
-    One loop may be connected at a time; a later one takes its place, once it has proved that it has
-    the token. Where there is none, anyone may.
+    Only one loop is connected at a time. A new loop replaces it after proving the token; without a
+    token, any loop may connect.
     """
 
     def __init__(
-        self, world: World, task: str, listener: socket.socket, token: str | None = None
+        self, world: SimulatedMachine, task: str, listener: socket.socket, token: str | None = None
     ) -> None:
         self._world = world
         self._task = task
@@ -206,9 +207,9 @@ class Server:
         self._listener = listener
         self._listener.setblocking(False)
         self._connection: wire.Connection | None = None
-        self._outbox: list[tuple[float, int, wire.Message]] = []  # by the time [s] each is due
+        self._outbox: list[tuple[float, int, wire.Message]] = []  # sorted by due time [s]
         self._count = 0
-        self.refused = 0  # commands that were not allowed
+        self.refused = 0  # number of invalid commands
 
     def step(self, now: float) -> None:
         behind = now - self._world.now
@@ -223,7 +224,7 @@ class Server:
             self._send_message(heapq.heappop(self._outbox)[2])
 
     def wait(self, now: float) -> None:
-        """Wait until there is something to do, from a time [s] on."""
+        """Wait from a time [s] until a message is due or arrives."""
         due = self._outbox[0][0] if self._outbox else self._world.now
         ready: list[socket.socket | wire.Connection] = [self._listener]
         ready += [each.connection for each in self._newcomers]
@@ -240,7 +241,7 @@ class Server:
     def _accept(self, now: float) -> None:
         try:
             connected, _ = self._listener.accept()
-        except OSError:  # there is none, or it is gone
+        except OSError:  # no connection, or a closed one
             return
         connection = wire.Connection(connected)
         if self._token is None:
@@ -256,7 +257,7 @@ class Server:
             self._newcomers.pop(0).connection.close()
 
     def _admit(self, now: float) -> None:
-        """Let a newcomer that proves to have the token take the place; close one that does not."""
+        """Accept newcomers that prove the token; close the others."""
         waiting, self._newcomers = self._newcomers, []
         for each in waiting:
             try:
@@ -307,15 +308,15 @@ class Server:
             self._connection = None
 
 
-def serve(server: Server, clock: controller.Clock, goes_on: Callable[[], bool]) -> None:
-    """Serve in real time as long as `goes_on` is true."""
+def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], bool]) -> None:
+    """Serve in real time while `goes_on()` is true."""
     while goes_on():
         server.step(clock.now())
         server.wait(clock.now())
 
 
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
-    """Return the configuration of the environment that is simulated."""
+    """Return the configuration of the simulated environment."""
     return EnvConfig(
         task=find_task(config.task), preset=config.preset, control_period=config.control_period
     )
@@ -325,11 +326,11 @@ def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
     env_config = make_env_config(config)
     clock = controller.WallClock()
-    world = World(env_config, config.seed, clock.now(), config.world)
+    world = SimulatedMachine(env_config, config.seed, clock.now(), config.world)
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
     listener = socket.create_server((HOST, config.port))
-    server = Server(world, env_config.task.name, listener, token)
+    server = MachineServer(world, env_config.task.name, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))
@@ -338,9 +339,9 @@ def run_simulator(config: SimulatorConfig) -> None:
 
 
 class SimulatorProcess:
-    """A simulator in a process of its own, which ends with this context.
+    """A simulator in a separate process, which ends with this context.
 
-    Its token is random if none is given; the environment passes it on, which no other user reads.
+    Its token is random by default. It is passed in the environment, which other users cannot read.
     """
 
     def __init__(self, arguments: list[str], log: Path, token: str | None = None) -> None:
@@ -353,7 +354,7 @@ class SimulatorProcess:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 env={**os.environ, TOKEN: self.token},
-                start_new_session=True,  # Ctrl-C is for the loop, which ends it
+                start_new_session=True,  # Ctrl-C only reaches the loop, which ends this process
             )
         assert self._process.stdout is not None
         line = self._process.stdout.readline().decode()

@@ -1,1 +1,1 @@
-"""Schedules of streams: maneuvers of parcels, moments of entry, bounds on what a line carries."""
+"""Schedules of streams: maneuvers of parcels, times of entry, and bounds on throughput."""

@@ -1,4 +1,4 @@
-"""Bounds on what a schedule can carry."""
+"""Upper bounds on the throughput of schedules."""
 
 import numpy as np
 
@@ -11,15 +11,15 @@ from .trajectories import list_asked
 
 
 def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
-    """Compute the rate [parcels/h] that no controller can exceed, whatever it does on the line.
+    """Compute an upper bound [parcels/h] on the throughput of any controller.
 
-    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then the one before
-    it rolls over the lead-in, whose axes stand at 90 deg, no faster than it came: so it takes at
-    least the one's clear length over the other's speed. This holds where the lead-in is as long,
-    the slope no steeper than makes up for rolling (`LEVELLING`), and nothing pushes.
+    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then, the parcel
+    before it rolls over the lead-in at 90 deg, at most at its entry speed. So the time between
+    entries is at least the clear length divided by that speed. The bound holds if the lead-in is
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels.
 
     Args:
-        odds: (kinds,) of `list_asked`, independent of each other; None: all the same.
+        odds: (kinds,) independent odds of the kinds in `list_asked`; None: equal.
     """
     kinds = list_asked(config)
     share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
@@ -30,14 +30,15 @@ def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
 
 
 def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
-    """Compute the rate [parcels/h] that no schedule of a library's maneuvers can exceed on a drawn
-    sequence, even one that knows all parcels to come.
+    """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
 
-    It is the shortest path through the maneuvers of each parcel, where each is held against the one
-    before it alone: what those farther ahead ask for could only make it longer.
+    The bound holds for schedules of a library's maneuvers on one random sequence.
+
+    It is the shortest path through the maneuvers of the parcels, with gaps between successive
+    parcels only. Constraints from parcels farther ahead could only make the path longer.
 
     Args:
-        odds: (kinds,) independent of each other.
+        odds: (kinds,) independent odds of the kinds.
     """
     kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
     own = library.options[kinds[0]]

@@ -1,7 +1,7 @@
-"""The engineer's question: which line, and how many actuators, carry a rate of parcels.
+"""Design of a line for a given throughput: its length, and the number of actuators.
 
-The rate of a line is predicted from its maneuvers. The shortest one that carries what is asked for
-is then run, as the comparison runs it, with a parcel always at the gate.
+The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
+simulated with a parcel always at the gate, as in the comparison.
 """
 
 import math
@@ -37,17 +37,17 @@ ARRANGED, FOLLOWED, SERIES, COLUMNS, MODULES = HARDWARE = (
 )
 FOUR = (0.0, 45.0, -45.0, 90.0)  # [deg] orientations
 SIX = (*FOUR, 80.0, -80.0)
-STUCK = (0.0, 0.01, 0.02, 0.05, 0.1)  # [-] share of the modules that fail
-LONGEST = 6.0  # [m] of a line
+STUCK = (0.0, 0.01, 0.02, 0.05, 0.1)  # [-] shares of failed modules
+LONGEST = 6.0  # [m] maximum length of a line
 ROTOR_ROWS = 4
-WIDEST = 20  # columns of one zone, at most
-IN_SERIES = (3, 4, 6, 8)  # columns of each zone in series
-BEST = 2  # of these widths that are tried on longer lines
-COARSE = 1.25  # [-] between the lengths that are tried first
-LEAD_IN = 5  # columns, at least
-QUEUE = 4  # waiting parcels that the scheduler knows
-LOOK_EVERY = 5  # control periods between looks at the axes
-# As the comparison has them, so that rates agree.
+WIDEST = 20  # maximum columns of one zone
+IN_SERIES = (3, 4, 6, 8)  # columns per zone in series
+BEST = 2  # number of widths that are tried on longer lines
+COARSE = 1.25  # [-] ratio between the lengths of the first pass
+LEAD_IN = 5  # minimum columns
+QUEUE = 4  # number of waiting parcels visible to the scheduler
+LOOK_EVERY = 5  # control periods between samples of the axes
+# Equal to the comparison's values, so that rates agree.
 SEED, REPLICATIONS, SECONDS, WARM_UP = 20_261_121, 30, 30.0, 8.0
 
 Clearance = tuple[float, float]
@@ -56,13 +56,13 @@ OnProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class FlowCase:
-    """What a line is to carry."""
+    """Requirements on a line."""
 
     rate: float  # [parcels/h]
-    mix: tuple[tuple[Any, float], ...] = (("S", 1.0),)  # parcels and their odds
+    mix: tuple[tuple[Any, float], ...] = (("S", 1.0),)  # parcels with their odds
     exits: str | Exits = "sides"
-    speed: float | tuple[float, float] = 1.5  # [m/s], or least and greatest
-    longest: float = LONGEST  # [m] line that is tried
+    speed: float | tuple[float, float] = 1.5  # [m/s] one speed, or the smallest and the largest
+    longest: float = LONGEST  # [m] longest line to try
 
     def __post_init__(self) -> None:
         checks.positive("rate", self.rate, *checks.RATE)
@@ -76,8 +76,8 @@ class FlowCase:
         most = entrance_bound(config, self.odds(config))
         if self.rate > most:
             raise ValueError(
-                f"rate must be at most {most:.0f} parcels/h, more than which cannot even enter a "
-                f"line one after the other, got {self.rate:g}"
+                f"rate must be at most {most:.0f} parcels/h, the entry limit of a line, "
+                f"got {self.rate:g}"
             )
 
     @property
@@ -86,22 +86,22 @@ class FlowCase:
 
     @cached_property
     def lead_in(self) -> int:
-        """Columns that stay at 90 deg: as many as the longest parcel is long."""
+        """Number of columns at 90 deg before the zone: the length of the longest parcel."""
         longest = max(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         return max(LEAD_IN, math.ceil(longest / PITCH - 1e-9))
 
     @cached_property
     def columns(self) -> range:
-        """Columns of the lines that are tried, lead-in included."""
+        """Numbers of columns to try, including the lead-in."""
         least = self.lead_in + 1
-        if isinstance(self.exits, Exits):  # each beside the rotors
+        if isinstance(self.exits, Exits):  # every exit is beside the rotors
             least = max(least, *(math.floor(x.first / PITCH) + 1 for x in self.exits if x.side))
         return range(least, max(least, round(self.longest / PITCH)) + 1)
 
     def config(
         self, columns: int, orientations: Sequence[float] = FOUR, by_parcel: bool = True
     ) -> EnvConfig:
-        """Configure a line of so many columns, with a parcel always at its gate."""
+        """Configure a line of `columns` columns, with a parcel always at its gate."""
         low, length = np.min(self.speed), PITCH * columns
         shortest = min(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         config = EnvConfig(
@@ -120,7 +120,7 @@ class FlowCase:
         return config.replace(stream=self.stream.with_rate(bound))
 
     def odds(self, config: EnvConfig) -> Numbers:
-        """List the odds of each parcel, speed and exit, as `list_asked` does."""
+        """List the odds of each parcel, speed and exit, in the order of `list_asked`."""
         parcels = np.array([odds for _, odds in self.stream.parcels])
         exits = np.ones(len(config.exits))
         speeds = np.ones(len(list_asked(config)) // (len(parcels) * len(exits)))
@@ -129,29 +129,29 @@ class FlowCase:
         return np.einsum("i,j,k", parcels, speeds, exits).ravel()
 
 
-class Layout(NamedTuple):
+class LineLayout(NamedTuple):
     """A line and its actuators."""
 
-    columns: int  # lead-in included
-    groups: ColumnGroups | None  # None: every module by itself
+    columns: int  # including the lead-in
+    groups: ColumnGroups | None  # None: one actuator per module
 
 
 @dataclass(frozen=True)
-class Run:
-    """Deliveries of a line with always a parcel at the gate."""
+class LineMeasurement:
+    """Measured deliveries of a line with a parcel always at the gate."""
 
-    rate: float  # [parcels/h] that left by their own exit
-    margin: float  # [parcels/h] half of its 95 % interval
-    share_right: float  # [-] of deliveries
-    touches_per_1000: float  # [-] deliveries
-    jams: int  # episodes that ended in one
-    turns_per_parcel: float  # of all axes
-    turns_per_hour: float  # [1/h] of one axis, mean
-    share_at: tuple[float, ...]  # [-] of the time, axes stand at each orientation
+    rate: float  # [parcels/h] correct deliveries
+    margin: float  # [parcels/h] half width of the 95 % confidence interval
+    share_right: float  # [-] share of correct deliveries
+    touches_per_1000: float  # [-] touches per 1000 deliveries
+    jams: int  # episodes that ended in a jam
+    turns_per_parcel: float  # turns of all axes per parcel
+    turns_per_hour: float  # [1/h] turns per axis
+    share_at: tuple[float, ...]  # [-] share of time at each orientation
 
 
-def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Run:
-    """Run a scheduler, with a share of the modules stuck at 90 deg that it does not know."""
+def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> LineMeasurement:
+    """Run a scheduler with a share of stuck modules at 90 deg, which it does not know."""
     failing = config.replace(actuators=Actuators(stuck_share=stuck))
     batch = begin_streams(failing, REPLICATIONS, SEED)
     streams, state = batch.streams, None
@@ -179,7 +179,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Run:
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
         each.append(HOUR * right / counted)
     delivered = streams.tally[:, [CORRECT, WRONG]].sum()
-    return Run(
+    return LineMeasurement(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
         share_right=sum(each) * counted / HOUR / max(1, delivered),
@@ -192,42 +192,42 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Run:
 
 
 @dataclass(frozen=True)
-class Found:
-    """The shortest line of some hardware that carries the rate, or else the best one."""
+class LineDesign:
+    """The shortest line of one hardware that carries the rate, or else the best line."""
 
     hardware: str
     orientations: tuple[float, ...]  # [deg]
     carries: bool
-    length: float  # [m] of the line
-    zone: int  # columns that an actuator turns; 0: it turns one module
+    length: float  # [m] length of the line
+    zone: int  # columns per actuator; 0: one module per actuator
     actuators: int
     predicted: float  # [parcels/h]
-    run: Run
-    curve: tuple[tuple[float, float], ...]  # [m] of a line, and [parcels/h] that it carries
-    stuck: tuple[Run, ...] = ()  # a run for each share in STUCK, or none
+    run: LineMeasurement
+    curve: tuple[tuple[float, float], ...]  # length [m] and throughput [parcels/h] of lines
+    stuck: tuple[LineMeasurement, ...] = ()  # one measurement for each share in STUCK, or empty
 
     @property
     def left(self) -> tuple[float, ...]:
-        """[-] of the rate that is left at each share in STUCK."""
+        """[-] remaining share of the rate for each share in STUCK."""
         return tuple(run.rate / self.run.rate for run in self.stuck)
 
 
 class Search:
-    """Searches the shortest line of some hardware."""
+    """Search for the shortest line of one hardware."""
 
     def __init__(self, case: FlowCase, hardware: str) -> None:
         self.case, self.hardware = case, hardware
-        self._libraries: dict[tuple[Layout, Clearance], Library | None] = {}
-        self._rates: dict[tuple[Layout, Clearance, int], float] = {}
-        self._schedulers: dict[tuple[Layout, int], Scheduler | None] = {}
-        self._runs: dict[tuple[Layout, int], Run] = {}
-        self._ratio = 1.0  # of the rate without touches to that of the least clearance
+        self._libraries: dict[tuple[LineLayout, Clearance], Library | None] = {}
+        self._rates: dict[tuple[LineLayout, Clearance, int], float] = {}
+        self._schedulers: dict[tuple[LineLayout, int], Scheduler | None] = {}
+        self._runs: dict[tuple[LineLayout, int], LineMeasurement] = {}
+        self._ratio = 1.0  # rate without touches divided by the rate with the smallest clearance
 
-    def config(self, layout: Layout, choices: int = len(SIX)) -> EnvConfig:
+    def config(self, layout: LineLayout, choices: int = len(SIX)) -> EnvConfig:
         return self.case.config(layout.columns, SIX[:choices], layout.groups is None)
 
-    def library(self, layout: Layout, clearance: Clearance, choices: int) -> Library | None:
-        """Make the library of the first orientations; None where it leads some parcel wrong."""
+    def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
+        """Make the library of the first orientations; None if it misroutes some parcel."""
         slack, margin = clearance
         key = layout, clearance
         if key not in self._libraries:
@@ -247,8 +247,8 @@ class Search:
         gaps = library.gaps[np.ix_(kept, kept)]
         return replace(library, maneuvers=library.maneuvers.pick(kept), gaps=gaps, runs=())
 
-    def rate(self, layout: Layout, choices: int, clearance: Clearance = CLEARANCES[0]) -> float:
-        """Predict what a line carries [parcels/h]; 0 where it leads some parcel wrong."""
+    def rate(self, layout: LineLayout, choices: int, clearance: Clearance = CLEARANCES[0]) -> float:
+        """Predict the throughput [parcels/h] of a line; 0 if it misroutes some parcel."""
         library = self.library(layout, clearance, choices)
         if library is None:
             return 0.0
@@ -257,23 +257,23 @@ class Search:
             self._rates[key] = self.predict(layout, library)
         return self._rates[key]
 
-    def predict(self, layout: Layout, library: Library) -> float:
-        """Predict what a library carries [parcels/h]."""
+    def predict(self, layout: LineLayout, library: Library) -> float:
+        """Predict the throughput [parcels/h] of a library."""
         if not np.isfinite(library.gaps).all():
             return 0.0
         return predict_rate(library, self.case.odds(self.config(layout)), depth=QUEUE)
 
     @cached_property
-    def families(self) -> list[list[Layout]]:
-        """Layouts; those of a family carry about the more, the longer they are."""
+    def families(self) -> list[list[LineLayout]]:
+        """Return families of layouts; within a family, longer lines carry roughly more."""
         lines, lead_in = self.case.columns, self.case.lead_in
         if self.hardware in (COLUMNS, MODULES):
             groups = ColumnGroups() if self.hardware == COLUMNS else None
-            return [[Layout(columns, groups) for columns in lines]]
+            return [[LineLayout(columns, groups) for columns in lines]]
 
-        def zones(width: int, count: int, exclusive: bool = False) -> Layout:
+        def zones(width: int, count: int, exclusive: bool = False) -> LineLayout:
             columns = max(lines[0], lead_in + width * count)
-            return Layout(columns, ColumnGroups(width, count, exclusive))
+            return LineLayout(columns, ColumnGroups(width, count, exclusive))
 
         room = lines[-1] - lead_in
         if self.hardware != SERIES:
@@ -286,8 +286,8 @@ class Search:
             for width in widths[:BEST]
         ]
 
-    def coarse(self, family: Sequence[Layout]) -> Iterator[int]:
-        """List the places in a family that are tried first."""
+    def coarse(self, family: Sequence[LineLayout]) -> Iterator[int]:
+        """Yield the indices of the first pass through a family."""
         last = 0.0
         for k, layout in enumerate(family):
             dense = layout.groups is not None and layout.groups.count == 1
@@ -295,8 +295,10 @@ class Search:
                 last = layout.columns
                 yield k
 
-    def shortest(self, family: Sequence[Layout], choices: int, below: float) -> Layout | None:
-        """Find the first of a family that carries the rate without touches, and is short enough."""
+    def shortest(
+        self, family: Sequence[LineLayout], choices: int, below: float
+    ) -> LineLayout | None:
+        """Find the first sufficient layout of a family that is short enough."""
         before = -1
         for k in self.coarse(family):
             if self._may_carry(family[k], choices):
@@ -308,11 +310,11 @@ class Search:
             before = k
         return None
 
-    def _may_carry(self, layout: Layout, choices: int) -> bool:
+    def _may_carry(self, layout: LineLayout, choices: int) -> bool:
         return self.rate(layout, choices) * self._ratio >= self.case.rate
 
-    def carries(self, layout: Layout, choices: int) -> bool:
-        """Return whether a line is predicted to carry the rate without touches."""
+    def carries(self, layout: LineLayout, choices: int) -> bool:
+        """Return whether a line carries the rate without touches, as predicted."""
         scheduler = self.scheduler(layout, choices)
         if scheduler is None:
             return False
@@ -320,8 +322,8 @@ class Search:
         self._ratio = predicted / self.rate(layout, choices)
         return predicted >= self.case.rate
 
-    def scheduler(self, layout: Layout, choices: int) -> Scheduler | None:
-        """Make the scheduler that the comparison has, if no two of its parcels touch."""
+    def scheduler(self, layout: LineLayout, choices: int) -> Scheduler | None:
+        """Make the comparison's scheduler, if its parcels do not touch."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._schedulers:
@@ -329,8 +331,8 @@ class Search:
             self._schedulers[key] = make_scheduler(config, layout.groups)
         return self._schedulers[key]
 
-    def run(self, layout: Layout, choices: int) -> Run:
-        """Run the scheduler of a line, which it must have."""
+    def run(self, layout: LineLayout, choices: int) -> LineMeasurement:
+        """Run the scheduler of a line, which must exist."""
         choices = self._used(layout, choices)
         key = layout, choices
         if key not in self._runs:
@@ -339,16 +341,16 @@ class Search:
             self._runs[key] = measure(self.config(layout, choices), scheduler)
         return self._runs[key]
 
-    def _used(self, layout: Layout, choices: int) -> int:
-        """Count the orientations that make a difference to a line, of the first ones."""
+    def _used(self, layout: LineLayout, choices: int) -> int:
+        """Count the orientations (among the first ones) that affect a line."""
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
         same = few is not None and all_ is not None and len(few.gaps) == len(all_.gaps)
         return len(FOUR) if same else choices
 
-    def find(self, choices: int) -> tuple[Layout, Found] | None:
-        """Find the shortest line that carries the rate, else the best; None: none leads right."""
+    def find(self, choices: int) -> tuple[LineLayout, LineDesign] | None:
+        """Find the shortest sufficient line, else the best; None if all misroute parcels."""
         self._ratio = 1.0
-        layout: Layout | None = None
+        layout: LineLayout | None = None
         for family in self.families:
             below = math.inf if layout is None else layout.columns
             layout = self.shortest(family, choices, below) or layout
@@ -363,7 +365,7 @@ class Search:
             return None
         groups, own = layout.groups, layout.columns - self.case.lead_in
         predicted = self.predict(layout, scheduler.library)
-        return layout, Found(
+        return layout, LineDesign(
             self.hardware, SIX[:choices], predicted >= self.case.rate,
             round(PITCH * layout.columns, 9), 0 if groups is None else groups.columns,
             own * ROTOR_ROWS if groups is None else groups.count or own, predicted,
@@ -372,9 +374,9 @@ class Search:
         )  # fmt: skip
 
     def _curve(
-        self, tried: Sequence[Layout], choices: int, clearance: Clearance
+        self, tried: Sequence[LineLayout], choices: int, clearance: Clearance
     ) -> tuple[tuple[float, float], ...]:
-        """Predict the rate by length; what a shorter line carries, a longer one does."""
+        """Predict the rate by length; a longer line carries at least as much as a shorter one."""
         best, found = 0.0, []
         verified = {layout for layout, _ in self._schedulers}
         for layout in sorted({*tried, *verified}, key=lambda each: each.columns):
@@ -388,8 +390,8 @@ class Search:
         end = round(PITCH * self.case.columns[-1], 9)
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
-    def run_stuck(self, layout: Layout, choices: int) -> tuple[Run, ...]:
-        """Run the scheduler of a line at each share in STUCK."""
+    def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
+        """Run the scheduler of a line with each share in STUCK."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))
@@ -397,8 +399,8 @@ class Search:
         return first, *(measure(config, scheduler, share) for share in STUCK[1:])
 
 
-def find_lines(case: FlowCase, hardware: str) -> tuple[Found, ...]:
-    """Find the line with four orientations and with six; the shorter also with stuck modules."""
+def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
+    """Find lines with four and six orientations; run the shorter one with stuck modules too."""
     search = Search(case, hardware)
     found = [best for each in (FOUR, SIX) if (best := search.find(len(each))) is not None]
     rows = [row for _, row in found]
@@ -412,11 +414,11 @@ def find_lines(case: FlowCase, hardware: str) -> tuple[Found, ...]:
 
 def design_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
-) -> tuple[Found, ...]:
-    """Find the shortest line of every hardware."""
+) -> tuple[LineDesign, ...]:
+    """Find the shortest line of each hardware."""
     order = (MODULES, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first
     jobs = [partial(without_report, partial(find_lines, case, hardware)) for hardware in order]
-    found: dict[str, tuple[Found, ...]] = {}
+    found: dict[str, tuple[LineDesign, ...]] = {}
     for index, rows in map_jobs(jobs, workers):
         found[order[index]] = rows
         on_progress(len(found), len(order))

@@ -1,4 +1,4 @@
-"""The answer to the engineer's question: a sentence, tables, a picture, and what JSON holds."""
+"""Report of a line's design: a sentence, tables, a figure and JSON."""
 
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -19,12 +19,12 @@ from .design import (
     SIX,
     STUCK,
     FlowCase,
-    Found,
+    LineDesign,
     OnProgress,
     design_flow,
 )
 
-# Okabe and Ito's colours, as those of the package's other plots.
+# Okabe and Ito's colours, as in the package's other plots.
 COLOURS = dict(zip(HARDWARE, ("#999999", "#cc79a7", "#e69f00", "#009e73", "#0072b2"), strict=True))
 STYLES = {len(FOUR): "-", len(SIX): "--"}
 AT = tuple(f"{angle:g} deg" for angle in SIX)
@@ -32,15 +32,15 @@ AT = tuple(f"{angle:g} deg" for angle in SIX)
 
 @dataclass(frozen=True)
 class FlowAnswer(report.Answer):
-    """The shortest line of every hardware."""
+    """The shortest line of each hardware."""
 
     case: FlowCase
-    rows: tuple[Found, ...]
+    rows: tuple[LineDesign, ...]
 
     name = "flow"
 
     @property
-    def able(self) -> list[Found]:
+    def able(self) -> list[LineDesign]:
         return [row for row in self.rows if row.carries]
 
     @property
@@ -119,9 +119,9 @@ class FlowAnswer(report.Answer):
             ),
         )  # fmt: skip
 
-    def _distinct(self) -> list[tuple[tuple[str, str], Found]]:
-        """List lines that differ by more than the orientations on offer, which go unused then."""
-        found: list[tuple[tuple[str, str], Found]] = []
+    def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
+        """List distinct lines, without repeats that differ by unused orientations only."""
+        found: list[tuple[tuple[str, str], LineDesign]] = []
         for row in self.rows:
             few = found[-1][1] if found else None
             if few is not None and (few.hardware, few.length, few.predicted) == (
@@ -137,7 +137,7 @@ class FlowAnswer(report.Answer):
         return found
 
     def draw(self) -> "report.Figure":
-        """Draw the rate against the length, and what is left of it as modules fail."""
+        """Draw the rate over the length, and the remaining rate over the share of failures."""
         figure = report.new_figure(
             9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
         )
@@ -167,12 +167,12 @@ class FlowAnswer(report.Answer):
         return figure
 
     def as_json(self) -> dict[str, Any]:
-        """Put the answer into what JSON holds."""
+        """Return the answer as JSON data."""
         case = {"rate": self.case.rate, "speed": self.case.speed, "longest": self.case.longest}
         return {**case, "stuck_shares": STUCK, "lines": [asdict(row) for row in self.rows]}
 
 
-def _describe(row: Found) -> str:
+def _describe(row: LineDesign) -> str:
     words = {
         ARRANGED: "one zone that is arranged anew for each parcel",
         FOLLOWED: "one zone that parcels for the same exit may follow each other over",
@@ -187,5 +187,5 @@ def _describe(row: Found) -> str:
 
 
 def answer_flow(case: FlowCase, workers: Workers, on_progress: OnProgress) -> FlowAnswer:
-    """Find the shortest line of every hardware."""
+    """Find the shortest line of each hardware."""
     return FlowAnswer(case, design_flow(case, workers, on_progress))

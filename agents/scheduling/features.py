@@ -1,6 +1,6 @@
-"""What a network is shown of a decision: candidates, other parcels and the line, in numbers alone.
+"""Numeric features of a decision for a network: candidates, other parcels and the line.
 
-None of them depends on how many exits, places or parcels there are, so one set of weights serves
+Their number does not depend on the number of exits, places or parcels, so one set of weights serves
 any line.
 """
 
@@ -20,49 +20,49 @@ from .maneuvers import PAST_START, SPEED, UNIT, Library, find_rears
 from .scheduler import DEPTH, NOBODY, TIME, Book
 from .trajectories import DT, SIGNATURE, SPEED_STEP
 
-# Levels of clearance, from what keeps parcels just apart (0) to a margin and a control period (1).
+# Levels of clearance, from just apart (0) to a margin plus a control period (1).
 LEVELS = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0, 1.5, 2.5, 4.0])
-USUAL = 4  # place of the level that costs are counted at
-GONE = 6  # parcels that left last, which are shown
-TOKENS = 24  # at most: those that wait, those on the line, and the latest gone
+USUAL = 4  # index of the level used for costs
+GONE = 6  # number of last departed parcels that are shown
+TOKENS = 24  # maximum number of shown parcels: waiting, on the line, and departed last
 
-STATIC, SEEN = 10, 3  # features of a maneuver; deviations from its trajectory: x, y, speed
+STATIC, SEEN = 10, 3  # features of a maneuver; deviations from its trajectory (x, y, speed)
 TOKEN = 3 + 1 + STATIC + 4 + SEEN
 OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
 ABOUT = 9
-ACROSS = 0.3  # [m] in which a row says how far a parcel is aside
-# Units of features, which are about 1 in most.
+ACROSS = 0.3  # [m] unit of lateral offset in a row
+# Units that scale most features to about 1.
 GAP, LENGTH, SIZE, SPEED_MEAN = 0.1, 6.0, 0.35, 1.5  # [s], [m], [m], [m/s]
 DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
-MOST = 5.0  # that a feature is at most, and least -5
+MOST = 5.0  # features are clipped to -5 and 5
 AT_SPEED = SIGNATURE.index(SPEED)
 
 
 class Candidates(NamedTuple):
-    """Maneuvers that the parcel at the gate may take, in environments where it may enter soon."""
+    """Possible maneuvers of parcels at the gate that may enter soon."""
 
-    env: Integers  # (decisions,) environment of each
-    queue: Integers  # (decisions, DEPTH) kinds of those that wait, the next first; NOBODY: none
-    entry: Numbers  # (decisions, options, levels) [s] when it would enter
-    binding: Integers  # (decisions, options) of the booked, the one that it waits for; NOBODY
-    cost: Numbers  # (decisions, options) [s] by which later ones enter later than with the best
+    env: Integers  # (decisions,) index of the environment
+    queue: Integers  # (decisions, DEPTH) kinds of waiting parcels, next first; NOBODY: none
+    entry: Numbers  # (decisions, options, levels) [s] time of entry
+    binding: Integers  # (decisions, options) booked parcel to wait for, or NOBODY
+    cost: Numbers  # (decisions, options) [s] delay of later parcels relative to the best option
 
 
 class Watched(NamedTuple):
-    """What is remembered of parcels on the line, and of those that left it last."""
+    """Memory of parcels on the line, and of the last departed parcels."""
 
     held: Integers  # (num_envs, parcels) maneuver of the parcel in each row
-    seen: Numbers  # (num_envs, parcels, SEEN) its deviation
-    gone: Integers  # (num_envs, GONE) maneuvers of those that left last
-    left: Numbers  # (num_envs, GONE) [s] when
-    last: Numbers  # (num_envs, GONE, SEEN) their last deviation
+    seen: Numbers  # (num_envs, parcels, SEEN) deviation from the maneuver
+    gone: Integers  # (num_envs, GONE) maneuvers of the last departed parcels
+    left: Numbers  # (num_envs, GONE) [s] time of departure
+    last: Numbers  # (num_envs, GONE, SEEN) last deviation
 
 
 class Features:
-    """Describes candidates and parcels.
+    """Features of candidates and parcels.
 
     Args:
-        delay: (maneuvers,) [s], as `Library.delay` has it, at the usual clearance.
+        delay: (maneuvers,) [s] `Library.delay` at the usual clearance.
     """
 
     def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
@@ -96,7 +96,7 @@ class Features:
         ]
         self._static = np.stack(static, axis=1).clip(-3.0, 3.0).astype(np.float32)
         self._of_kind = self._static[library.options[:, 0]]
-        self._of_kind[:, [0, 2, 3, 7, 8]] = 0.0  # what depends on the maneuver
+        self._of_kind[:, [0, 2, 3, 7, 8]] = 0.0  # features that depend on the maneuver
         drawn, actuators = config.randomisation, config.actuators
         about = [
             0.5 * math.pi / actuators.axis_speed / 0.1,
@@ -112,7 +112,7 @@ class Features:
         self.about = np.array(about, dtype=np.float32)
 
     def start(self, num_envs: int) -> Watched:
-        """Return what is remembered as an episode begins."""
+        """Return the memory at the start of an episode."""
         rows, gone = (num_envs, self._parcels), (num_envs, GONE)
         return Watched(
             np.full(rows, NOBODY), np.zeros((*rows, SEEN)),
@@ -120,7 +120,7 @@ class Features:
         )  # fmt: skip
 
     def watch(self, tables: Singles, book: Book, before: Watched) -> Watched:
-        """See how parcels deviate from their trajectories, and which have left."""
+        """Update the memory: deviations from trajectories, and departed parcels."""
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
         was_here = (before.held != NOBODY) & (book.rows != before.held)
@@ -142,15 +142,16 @@ class Features:
         return Watched(book.rows, seen, gone, left, last)
 
     def options(self, tables: Singles, book: Book, watched: Watched, given: Candidates) -> Singles:
-        """Describe (decisions, options, OPTION) each candidate, and the booked parcel that it would
-        wait for.
+        """Return features (decisions, options, OPTION) of each candidate.
+
+        They include the booked parcel that it would wait for.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]
         options = self._library.options[head]
         usual = given.entry[..., USUAL]
         tightest = np.where(options >= 0, given.entry[..., 0], np.inf).min(axis=1)
-        # The booked one, and how it deviates, if it is on the line.
+        # The booked parcel, and its deviation if it is on the line.
         behind = given.binding.clip(0)
         ahead, entered = book.booked[each, behind], book.entered[each, behind]
         since = book.clock[each] - HORIZON * tables[env, : self._parcels, TIME]
@@ -181,8 +182,9 @@ class Features:
     def tokens(
         self, tables: Singles, book: Book, watched: Watched, given: Candidates
     ) -> tuple[Singles, Booleans]:
-        """Describe (decisions, TOKENS, TOKEN) parcels that wait, on the line and gone, and say
-        which of these (decisions, TOKENS) there are.
+        """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
+
+        The parcels are waiting, on the line, or departed last.
         """
         env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
         gone, rows = watched.gone[env], book.rows[env]
@@ -202,7 +204,7 @@ class Features:
         token[:, line, 4 + STATIC : 8 + STATIC] = moving * unit
         token[:, left, 4 + STATIC] = (book.clock[env][:, np.newaxis] - watched.left[env]) / HORIZON
         token[:, line, -SEEN:], token[:, left, -SEEN:] = watched.seen[env], watched.last[env]
-        # None but the longest gone is left out.
+        # Only the first departed parcels are left out.
         order = np.argsort(~shown, axis=1, kind="stable")[:, :TOKENS]
         shown = np.take_along_axis(shown, order, axis=1)
         token = np.take_along_axis(token, order[..., np.newaxis], axis=1)

@@ -27,8 +27,8 @@ from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_
 from .trajectories import (
     DT,
     Asked,
-    Followed,
     LoneRuns,
+    TimedRuns,
     find_gaps,
     list_asked,
     list_speeds,
@@ -375,13 +375,13 @@ def find_rears(run: LoneRuns) -> Numbers:
     return found
 
 
-def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> Followed:
+def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
     """Add to runs what the modules under each parcel stand at."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
     reach = np.hypot(outline[..., 0], outline[..., 1]).max(axis=1)
-    return Followed(pose, run.moments, outline, reach, choice)
+    return TimedRuns(pose, run.moments, outline, reach, choice)
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:

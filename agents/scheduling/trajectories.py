@@ -1,4 +1,4 @@
-"""Trajectories of parcels that each have the line to themselves, and how close they can follow."""
+"""Trajectories of parcels alone on a line, and minimum gaps between two of them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,18 +18,16 @@ from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers, Singles
 
-DT = 0.005  # [s] between the moments at which bases are held against each other
-LONGEST = 20.0  # [s] gap that is tried
-SPEED_STEP = 0.1  # [m/s] between the speeds of a stream that varies them, at most
-SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that tell apart what waits at the gate
+DT = 0.005  # [s] between the times at which bases are compared
+LONGEST = 20.0  # [s] longest gap to try
+SPEED_STEP = 0.1  # [m/s] maximum step between the speeds of a stream with variable speed
+SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that identify a waiting parcel
 
 Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
 
 
 def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
-    """List speeds [m/s] of a stream, and how far a parcel's may be from the nearest: 0, where they
-    do not vary.
-    """
+    """List representative speeds [m/s] of a stream, and the largest deviation from them."""
     speeds = config.stream_task.stream.speeds
     if not isinstance(speeds, tuple):
         return [speeds], 0.0
@@ -40,9 +38,7 @@ def list_speeds(config: EnvConfig) -> tuple[list[float], float]:
 
 
 def list_asked(config: EnvConfig) -> list[Asked]:
-    """List every parcel, speed and exit of a stream; of speeds that vary, some between the least
-    and the greatest.
-    """
+    """List every parcel, speed and exit of a stream; variable speeds are sampled."""
     stream = config.stream_task.stream
     if isinstance(stream.arrivals, arrivals.Trace):
         return list(dict.fromkeys((a.parcel, a.speed, a.exit) for a in stream.arrivals.arrivals))
@@ -55,16 +51,16 @@ def list_asked(config: EnvConfig) -> list[Asked]:
 
 @dataclass(frozen=True, eq=False)
 class LoneRuns:
-    """Runs of parcels that each have a line to themselves."""
+    """Runs of parcels that are each alone on a line."""
 
-    pose: Numbers  # (runs, moments, 3) [m, m, rad] of the centroid, DT apart from its entry on
-    moments: Integers  # (runs,) until it leaves
-    outline: Numbers  # (runs, corners, 2) [m] of the base from its centroid, the last one repeated
-    right: Booleans  # (runs,) it left by its own exit
-    signature: Numbers  # (runs, features) by which each is known as it waits
+    pose: Numbers  # (runs, moments, 3) [m, m, rad] poses of the centroid every DT from entry
+    moments: Integers  # (runs,) number of moments until departure
+    outline: Numbers  # (runs, corners, 2) [m] corners from the centroid, padded with the last one
+    right: Booleans  # (runs,) whether it departed by its own exit
+    signature: Numbers  # (runs, features) features that identify the waiting parcel
 
     def pick(self, chosen: Booleans) -> "LoneRuns":
-        """Return some of them (runs,)."""
+        """Return the runs selected by a mask (runs,)."""
         return LoneRuns(*(values[chosen] for values in vars(self).values()))
 
 
@@ -75,12 +71,12 @@ def run_alone(
     opens: Integers,
     seeds: Sequence[int],
 ) -> LoneRuns:
-    """Run parcels, each alone on a line with a gate.
+    """Run each parcel alone on a line with a gate.
 
     Args:
-        act: chooses actions without the gate (runs, size) for tables (runs, rows, features).
-        opens: (runs,) physics step of the first period at which each enters.
-        seeds: (runs,) of all that is drawn.
+        act: function from tables (runs, rows, features) to actions without the gate (runs, size).
+        opens: (runs,) physics step of the first period in which each parcel enters.
+        seeds: (runs,) seeds of all random draws.
     """
     streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]
     alone = config.replace(max_parcels=1, gate=True, queue=1, stream=streams[0])
@@ -113,7 +109,7 @@ def run_alone(
 
 
 def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Numbers:
-    """Interpolate (moments, 3) the poses between entry and exit, DT apart."""
+    """Interpolate the poses (moments, 3) between entry and exit, every DT."""
     departed = time[-1] if np.isnan(departed) else departed
     inside = np.concatenate([[True], (time[1:] > entered) & (time[1:] < departed)])
     last = min(int(np.searchsorted(time, departed)), len(time) - 1)
@@ -124,14 +120,14 @@ def _sample(time: Numbers, pose: Numbers, entered: float, departed: float) -> Nu
 
 
 def _padded(arrays: Sequence[Numbers]) -> Numbers:
-    """Put arrays (rows, columns) of different lengths into one, the last row of each repeated."""
+    """Stack arrays (rows, columns) of different lengths, padded with their last rows."""
     most = max(map(len, arrays))
     return np.stack([np.pad(one, ((0, most - len(one)), (0, 0)), "edge") for one in arrays])
 
 
 @inlined
 def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
-    """Find the least distance [m] of a base's corners from the origin along a direction."""
+    """Return the smallest coordinate [m] of a base's corners along a direction."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     least = np.inf
     for k in range(outline.shape[0]):
@@ -144,7 +140,7 @@ def _reach(outline: Numbers, pose: Numbers, x: float, y: float) -> float:
 def _separated(
     one: Numbers, pose: Numbers, other: Numbers, other_pose: Numbers, margin: float
 ) -> bool:
-    """Whether a side of the one base has all of the other at least a margin [m] beyond it."""
+    """Return whether a side of one base separates the other by at least a margin [m]."""
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     for k in range(one.shape[0]):
         after = k + 1 if k + 1 < one.shape[0] else 0
@@ -161,22 +157,23 @@ def _separated(
     return False
 
 
-class Followed(NamedTuple):
-    """Runs of parcels, ahead or behind, as `LoneRuns` has them."""
+class TimedRuns(NamedTuple):
+    """Runs of parcels (see `LoneRuns`) with the orientations of modules under them."""
 
     pose: Numbers  # (parcels, moments, 3)
     moments: Integers  # (parcels,)
     outline: Numbers  # (parcels, corners, 2)
-    reach: Numbers  # (parcels,) [m] from a base's centroid to its farthest corner
-    choice: Integers  # (parcels, moments) orientation of the modules under it
+    reach: Numbers  # (parcels,) [m] distance from the centroid to the farthest corner
+    choice: Integers  # (parcels, moments) orientation of the modules under the parcel
 
 
 @inlined
 def _is_clear(
-    ahead: Followed, i: int, behind: Followed, j: int, gap: int, margin: float, late: int
+    ahead: TimedRuns, i: int, behind: TimedRuns, j: int, gap: int, margin: float, late: int
 ) -> bool:
-    """Whether parcel j, so many moments behind i, keeps clear of it, and of modules that i held
-    otherwise so many moments ago.
+    """Return whether parcel j, some moments behind i, keeps clear of i and of its modules.
+
+    Modules stay blocked for some moments after i held them at another orientation.
     """
     far = ahead.reach[i] + behind.reach[j]
     for k in range(max(0, gap - late), min(ahead.moments[i], gap + behind.moments[j])):
@@ -198,16 +195,18 @@ def _is_clear(
 
 
 @compiled
-def find_gaps(ahead: Followed, behind: Followed, margin: float, late: float, gaps: Numbers) -> None:
-    """Raise each gap [s] (parcels, parcels), of one (column) behind another (row), to the least
-    from which on the two are never closer than a margin [m] while both are on the line; infinite
-    where there is none.
+def find_gaps(
+    ahead: TimedRuns, behind: TimedRuns, margin: float, late: float, gaps: Numbers
+) -> None:
+    """Raise gaps (parcels, parcels) [s] between a parcel (row) and a follower (column) as required.
 
-    Bases are held against each other by separating axes at moments DT apart.
+    At the resulting gap and all larger ones, the two keep a margin [m] while both are on the line.
+    The gap is infinite if there is none.
+
+    Bases are compared by separating axes every DT.
 
     Args:
-        late: [s] that a module takes to leave the orientation that one parcel asked for, and stand
-            as the next asks.
+        late: [s] time of a module to turn from one parcel's orientation to the next parcel's.
     """
     shift = math.ceil(late / DT - 1e-6)
     for i in range(gaps.shape[0]):

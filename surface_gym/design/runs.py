@@ -25,13 +25,13 @@ from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
 from surface_gym.simulation import base_motion, make_bodies
-from surface_gym.surface import Pitched, Surface
+from surface_gym.surface import ElementGrid, Surface
 
 RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length
 
 
 @dataclass(frozen=True)
-class DesignLine(Pitched):
+class DesignLine(ElementGrid):
     """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
 
     Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the

@@ -64,7 +64,7 @@ class Zone:
 
 
 @dataclass(frozen=True)
-class Aligned:
+class Alignment:
     """Offsets [m] and turns [deg] of boxes that leave a zone or stop in it."""
 
     zone: Zone
@@ -75,7 +75,7 @@ class Aligned:
     tipping: float  # [-] share of all steps that would tip the box
 
 
-def study_alignment(track: Track) -> tuple[Aligned, ...]:
+def study_alignment(track: Track) -> tuple[Alignment, ...]:
     """Study every zone with both signs and both boxes, level and tilted."""
     zones = tuple(
         Zone(size, towards, columns, speed, tilt)
@@ -86,7 +86,7 @@ def study_alignment(track: Track) -> tuple[Aligned, ...]:
     return tuple(align(zone) for zone in track(zones, "Alignment"))
 
 
-def align(zone: Zone) -> Aligned:
+def align(zone: Zone) -> Alignment:
     """Run boxes with an offset, with a turn, and with both."""
     mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
     starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
@@ -96,7 +96,7 @@ def align(zone: Zone) -> Aligned:
         abs(offset) <= NEARER * abs(came[0]) and abs(turn) <= NEARER * abs(came[1])
         for (offset, turn), came in zip(ends[-len(mixed) :], mixed, strict=True)
     )
-    return Aligned(
+    return Alignment(
         zone, tuple(ends[: len(OFFSETS)]), tuple(ends[len(OFFSETS) : -len(mixed)]), both,
         len(mixed), float(np.mean([tipping_share(run) or 0.0 for run in runs])),
     )  # fmt: skip

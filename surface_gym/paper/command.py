@@ -12,7 +12,7 @@ from surface_gym.cli import typed
 
 
 @dataclass(frozen=True)
-class Options:
+class PaperOptions:
     """Reproduce the tables and figures of Bianchi et al. (2023), Applied Sciences 13(3), 1937.
 
     Prints Tables 2, 3 and 4, the slowing ratios, the stopping rule and the sorting rates of Figure
@@ -31,14 +31,14 @@ class Options:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a file that cannot be written ends it with a one-line error."""
-    options = tyro.cli(Options, prog=typed("paper"), args=arguments)
+    options = tyro.cli(PaperOptions, prog=typed("paper"), args=arguments)
     try:
         reproduce_and_report(options)
     except OSError as error:
         sys.exit(f"error: cannot write {error.filename}: {error.strerror}")
 
 
-def reproduce_and_report(options: Options) -> None:
+def reproduce_and_report(options: PaperOptions) -> None:
     """Compute everything, print it and write the requested files."""
     # Check that the paths are writable before the long computation.
     if options.json is not None:

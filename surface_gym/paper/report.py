@@ -8,9 +8,16 @@ from rich.table import Table as TextTable
 from rich.text import Text
 
 from surface_gym.paper import runs
-from surface_gym.paper.claims import INWARDS, OFFSETS, TURNS, Aligned, SelfStop
+from surface_gym.paper.claims import INWARDS, OFFSETS, TURNS, Alignment, SelfStop
 from surface_gym.paper.reproduction import NAMES, Reproduction
-from surface_gym.paper.runs import Cell, Found, SlowingLayout, SortingCase, Table, Value
+from surface_gym.paper.runs import (
+    ComputedValue,
+    PaperTable,
+    SlowingLayout,
+    SortingCase,
+    TableCell,
+    Value,
+)
 
 COARSE_NAME = NAMES[0]
 OURS = NAMES[:2]  # columns of a table
@@ -65,7 +72,7 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
         console.print(line, highlight=False)
 
 
-def _caption(table: Table) -> str:
+def _caption(table: PaperTable) -> str:
     """Return a table's rule, its agreement, and its share of steps without solution."""
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(NAMES))]
@@ -102,24 +109,24 @@ def _mark(text: str, agrees: bool) -> Text:
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 
-def _decimals(cell: Cell) -> int:
+def _decimals(cell: TableCell) -> int:
     """Return one decimal more than the paper prints, if it prints any."""
     return cell.decimals + 1 if cell.decimals else 0
 
 
-def _ours(cell: Cell) -> list[Text]:
+def _ours(cell: TableCell) -> list[Text]:
     return [
         _mark(_text(cell.ours[k].value, _decimals(cell)), cell.agrees(k)) for k in range(len(OURS))
     ]
 
 
-def _difference(ours: Found, cell: Cell) -> str:
+def _difference(ours: ComputedValue, cell: TableCell) -> str:
     if isinstance(ours.value, (int, float)) and isinstance(cell.paper, (int, float)):
         return f"{ours.value - cell.paper:+.{_decimals(cell)}f}"
     return ""
 
 
-def _by_cell(table: Table) -> TextTable:
+def _by_cell(table: PaperTable) -> TextTable:
     """Make a table with one line per cell, and differences."""
     columns = ("", "", "paper", OURS[0], "- paper", OURS[1], "- paper")
     result = make_table(table.title, *columns, caption=_caption(table), labels=2)
@@ -137,7 +144,7 @@ def _by_cell(table: Table) -> TextTable:
     return result
 
 
-def _by_speed(table: Table) -> TextTable:
+def _by_speed(table: PaperTable) -> TextTable:
     """Make a table with one line per speed, both boxes side by side."""
     columns = [
         name
@@ -220,7 +227,7 @@ def _self_stops(cases: Sequence[SelfStop]) -> TextTable:
     return result
 
 
-def _alignment(cases: Sequence[Aligned]) -> TextTable:
+def _alignment(cases: Sequence[Alignment]) -> TextTable:
     """List the end poses of boxes that enter a zone at +-45 deg with an offset or a turn."""
     result = make_table(
         "Section 5.2: do rows at ±45° in turn align a box? Implicit, 1 ms",

@@ -9,7 +9,7 @@ from typing import Any
 
 from surface_gym import layouts
 from surface_gym.paper import claims, runs
-from surface_gym.paper.runs import Cell, Found, Integration, Table, Targets
+from surface_gym.paper.runs import ComputedValue, Integration, PaperTable, TableCell, Targets
 
 NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # names of INTEGRATIONS
 TILTS = tuple(range(5, 16))  # [deg] tilts in Figure 8; Table 5's range
@@ -39,7 +39,7 @@ def untracked(cases: Sequence[Any], description: str) -> Iterable[Any]:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class AgreementCount:
     """Numbers of agreeing cells for one integration."""
 
     integration: Integration
@@ -47,7 +47,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Spread:
+class EndSpread:
     """Largest distance between the end poses of several runs of the same row."""
 
     position: float  # [mm]
@@ -55,7 +55,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class StepSpread(Spread):
+class StepEndSpread(EndSpread):
     """Largest distance between the end poses of several integrations."""
 
     integrations: tuple[Integration, ...]
@@ -65,17 +65,17 @@ class StepSpread(Spread):
 class Reproduction:
     """The paper's tables and claims beside ours."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[PaperTable, ...]
     sorted_by_speed: tuple[runs.SortingCase, ...]  # Figure 8, red
     sorted_by_tilt: tuple[runs.SortingCase, ...]  # Figure 8, blue
-    near_the_limit: tuple[StepSpread, ...]
-    about_coarse: StepSpread
-    last_digits: Spread  # effect of round-off at the coarse step
-    by_step: tuple[Agreement, ...]
+    near_the_limit: tuple[StepEndSpread, ...]
+    about_coarse: StepEndSpread
+    last_digits: EndSpread  # effect of round-off at the coarse step
+    by_step: tuple[AgreementCount, ...]
     self_stopping: tuple[claims.SelfStop, ...]
-    alignment: tuple[claims.Aligned, ...]
+    alignment: tuple[claims.Alignment, ...]
 
-    def table(self, key: str) -> Table:
+    def table(self, key: str) -> PaperTable:
         return next(table for table in self.tables if table.key == key)
 
 
@@ -109,7 +109,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
             for pair in track(NEAR_THE_LIMIT, "Convergence")
         ),
         about_coarse=compare_steps(targets.sorting_runs, ABOUT_COARSE),
-        last_digits=Spread(
+        last_digits=EndSpread(
             *_widest(
                 [run_turned(run, turn, runs.COARSE) for turn in LAST_DIGITS]
                 for run in targets.sorting_runs
@@ -123,7 +123,7 @@ def reproduce(track: claims.Track = untracked) -> Reproduction:
 
 def build_table2(
     targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
-) -> Table:
+) -> PaperTable:
     """Build Table 2: end poses of the sorting runs."""
     cells = []
     for run in track(targets.sorting_runs, "Table 2"):
@@ -132,15 +132,15 @@ def build_table2(
         trajectories = [runs.run_table2(run, integration) for integration in integrations]
         shares = [runs.tipping_share(each) for each in trajectories]
         x, y, theta = (
-            tuple(map(Found, values, shares))
+            tuple(map(ComputedValue, values, shares))
             for values in zip(*map(runs.displacement, trajectories), strict=True)
         )
         cells += [
-            Cell(row, "x [m]", "S", run.x, x, 3, POSITION_TOLERANCE),
-            Cell(row, "y [m]", "S", run.y, y, 3, POSITION_TOLERANCE),
-            Cell(row, "theta [°]", "S", run.theta, theta, 2, ANGLE_TOLERANCE),
+            TableCell(row, "x [m]", "S", run.x, x, 3, POSITION_TOLERANCE),
+            TableCell(row, "y [m]", "S", run.y, y, 3, POSITION_TOLERANCE),
+            TableCell(row, "theta [°]", "S", run.theta, theta, 2, ANGLE_TOLERANCE),
         ]
-    return Table(
+    return PaperTable(
         "table2",
         "Table 2: displacement when sorting the S-box",
         "agrees within 10 mm and 3.5°, rounded as the paper prints",
@@ -148,27 +148,27 @@ def build_table2(
     )
 
 
-def build_passing(targets: Targets) -> Table:
+def build_passing(targets: Targets) -> PaperTable:
     """Compare the states in which the parcels at 10 deg and 5 deg have the same offset."""
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
-    return Table(
+    return PaperTable(
         "passing",
         "Section 5.1: the S-box at 10° on its way",
         "agrees within 10 mm, 3.5° and 10 ms, rounded as the paper prints",
         (
-            Cell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
-            Cell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
-            Cell(row, "time [s]", "S", case.time, time, 3, TIME_TOLERANCE),
+            TableCell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
+            TableCell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
+            TableCell(row, "time [s]", "S", case.time, time, 3, TIME_TOLERANCE),
         ),
     )
 
 
-def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
+def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
     """Build Table 3: columns to sort, for cases in the paper's order of sizes and speeds."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
-    return Table(
+    return PaperTable(
         "table3",
         "Table 3: columns to sort, by v0 [m/s]",
         "from the first inclined column to the last one touched before the box is out of the "
@@ -180,14 +180,14 @@ def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> Table:
     )
 
 
-def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
+def build_slowest_sorted(targets: Targets, track: claims.Track) -> PaperTable:
     """Compare the smallest speeds at which sorting succeeds."""
-    return Table(
+    return PaperTable(
         "slowest_sorted",
         "Section 5.1: slowest v0 [m/s] that sorts",
         "in steps of 0.1 m/s",
         tuple(
-            Cell(
+            TableCell(
                 "v0 [m/s]",
                 f"{size}-box",
                 size,
@@ -202,14 +202,14 @@ def build_slowest_sorted(targets: Targets, track: claims.Track) -> Table:
 
 def build_table4(
     targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
-) -> Table:
+) -> PaperTable:
     """Build Table 4: columns to slow."""
-    return Table(
+    return PaperTable(
         "table4",
         "Table 4: columns to slow, and axes, by v0 [m/s]",
         "the fewest columns with 0.5 v0 >= v_out > 0; / where no layout does that",
         tuple(
-            Cell(
+            TableCell(
                 f"{speed:.1f}",
                 f"{size}-box",
                 size,
@@ -221,7 +221,7 @@ def build_table4(
     )
 
 
-def build_slowing_ratios(targets: Targets) -> Table:
+def build_slowing_ratios(targets: Targets) -> PaperTable:
     """Compare the ratios of exit to entry speed after two columns."""
     cells = []
     speed = targets.ratio_speed
@@ -229,10 +229,10 @@ def build_slowing_ratios(targets: Targets) -> Table:
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
         surface = runs.slowing_surface(size, layout)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
-        ours = tuple(Found(done.speed / speed, done.tipping) for done in exits)
+        ours = tuple(ComputedValue(done.speed / speed, done.tipping) for done in exits)
         paper = targets.slowing_ratios[size][angle]
-        cells.append(Cell(f"columns: {layout}", f"{size}-box", size, paper, ours, 2))
-    return Table(
+        cells.append(TableCell(f"columns: {layout}", f"{size}-box", size, paper, ours, 2))
+    return PaperTable(
         "slowing_ratios",
         f"Section 5.2: v_out / v0 at {speed:g} m/s",
         "v_out is taken as the base leaves the slowing columns; agrees when rounded as printed",
@@ -240,14 +240,14 @@ def build_slowing_ratios(targets: Targets) -> Table:
     )
 
 
-def build_stopping(targets: Targets, track: claims.Track) -> Table:
+def build_stopping(targets: Targets, track: claims.Track) -> PaperTable:
     """Compare the speed after Table 4's layout and one more column with the paper's 0."""
     cells = []
     for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
         surface = runs.slowing_surface(size, layout, stops=True)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
         cells.append(_cell(speed, size, 0.0, exits, 3))
-    return Table(
+    return PaperTable(
         "stopping",
         "Section 5.3: speed [m/s] after one more column",
         "behind the paper's Table 4 layout and one more column at 0°, by v0 [m/s]; "
@@ -258,10 +258,10 @@ def build_stopping(targets: Targets, track: claims.Track) -> Table:
 
 def _cell(
     speed: float, size: str, paper: Any, ours: Iterable[tuple[Any, Any]], decimals: int = 0
-) -> Cell:
+) -> TableCell:
     """Make the cell in the row of a speed and the column of a box."""
-    found = tuple(Found(*each) for each in ours)
-    return Cell(f"{speed:.1f}", f"{size}-box", size, paper, found, decimals)
+    found = tuple(ComputedValue(*each) for each in ours)
+    return TableCell(f"{speed:.1f}", f"{size}-box", size, paper, found, decimals)
 
 
 def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, runs.SlowingLayout], ...]:
@@ -272,7 +272,7 @@ def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, runs.SlowingLayo
     )
 
 
-def count_agreements(targets: Targets, track: claims.Track) -> tuple[Agreement, ...]:
+def count_agreements(targets: Targets, track: claims.Track) -> tuple[AgreementCount, ...]:
     """Compare Tables 2, 3 and 4 by explicit steps of 0.5 to 10 ms."""
     found = []
     for integration in track([Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS], "Steps"):
@@ -283,18 +283,20 @@ def count_agreements(targets: Targets, track: claims.Track) -> tuple[Agreement, 
             build_table3(targets, [runs.sort_case(*each, 0.0, only) for each in sorting]),
             build_table4(targets, only),
         )
-        found.append(Agreement(integration, {table.key: table.agreeing(0) for table in tables}))
+        found.append(
+            AgreementCount(integration, {table.key: table.agreeing(0) for table in tables})
+        )
     return tuple(found)
 
 
 def compare_steps(
     rows: Sequence[runs.SortingRun], integrations: tuple[Integration, ...]
-) -> StepSpread:
+) -> StepEndSpread:
     """Integrate the rows of Table 2 in several ways and compare the end poses."""
     ends = (
         [runs.displacement(runs.run_table2(row, each)) for each in integrations] for row in rows
     )
-    return StepSpread(*_widest(ends), integrations)
+    return StepEndSpread(*_widest(ends), integrations)
 
 
 def run_turned(
@@ -348,7 +350,7 @@ def to_json(reproduction: Reproduction) -> str:
     return json.dumps(report, indent=2) + "\n"
 
 
-def _table_data(table: Table) -> dict[str, Any]:
+def _table_data(table: PaperTable) -> dict[str, Any]:
     count = len(runs.INTEGRATIONS)
     return {
         "title": table.title,

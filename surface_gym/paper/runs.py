@@ -119,7 +119,7 @@ Value = int | float | SlowingLayout | None
 
 
 @dataclass(frozen=True)
-class Found:
+class ComputedValue:
     """One of our values, and the share of steps in which Eq. (1) has no solution."""
 
     value: Value
@@ -127,7 +127,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """One value of the paper and our values, in the unit that its column names.
 
     Numbers are rounded as in the paper, and agree if they differ by at most the tolerance. Other
@@ -138,7 +138,7 @@ class Cell:
     column: str
     size: str  # of the box, "S" or "B"
     paper: Value
-    ours: tuple[Found, ...]  # one per integration, in the order of `INTEGRATIONS`
+    ours: tuple[ComputedValue, ...]  # one per integration, in the order of `INTEGRATIONS`
     decimals: int = 0  # decimals printed in the paper
     tolerance: float = 0.0
 
@@ -152,13 +152,13 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Table:
+class PaperTable:
     """A table of the paper, or a sentence with numbers."""
 
     key: str  # its name in the JSON report
     title: str
     rule: str  # definition of the values, and of agreement
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
 
     def agreeing(self, integration: int) -> int:
         """Count the agreeing cells of one integration."""
@@ -259,7 +259,7 @@ def rotor_columns(
 
 
 @dataclass(frozen=True)
-class Sorted:
+class SortingResult:
     """Result of sorting a box."""
 
     columns: int | None  # touched columns from the first inclined one; None: it stays in the line
@@ -274,7 +274,7 @@ class SortingCase:
     size: str  # "S" or "B"
     speed: float  # [m/s] at the start
     tilt: float  # [deg]
-    ours: tuple[Sorted, ...]  # one per integration
+    ours: tuple[SortingResult, ...]  # one per integration
 
 
 def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
@@ -283,7 +283,9 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
     return integration.run(surface, "S", case.speed, case.time)
 
 
-def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Found]:
+def pass_by(
+    case: Passing, integration: Integration
+) -> tuple[ComputedValue, ComputedValue, ComputedValue]:
     """Return displacement x [m], theta [deg] and time [s] when displacement y is reached."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
@@ -293,10 +295,14 @@ def pass_by(case: Passing, integration: Integration) -> tuple[Found, Found, Foun
     x, _, theta = moved[after - 1] + part * (moved[after] - moved[after - 1])
     time = trajectory.time[after - 1] + part * integration.dt
     share = tipping_share(trajectory, after)
-    return Found(float(x), share), Found(math.degrees(theta), share), Found(float(time), share)
+    return (
+        ComputedValue(float(x), share),
+        ComputedValue(math.degrees(theta), share),
+        ComputedValue(float(time), share),
+    )
 
 
-def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sorted:
+def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
     """Sort a box that enters at `speed` [m/s] on a surface tilted by `tilt` [deg].
 
     Columns are counted as in Section 5.1: from the first inclined column to the last column that
@@ -314,7 +320,7 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     distance = float(base.outline[:, 1].max()) + base.reach
     clear = abs(trajectory.pose[:, 1] - trajectory.pose[0, 1]) >= distance
     rate = 3600.0 / float(trajectory.time[np.argmax(clear)]) if clear.any() else None
-    return Sorted(columns, rate, tipping_share(trajectory, end))
+    return SortingResult(columns, rate, tipping_share(trajectory, end))
 
 
 def sort_case(size: str, speed: float, tilt: float, integrations: Integrations) -> SortingCase:
@@ -323,12 +329,12 @@ def sort_case(size: str, speed: float, tilt: float, integrations: Integrations) 
     return SortingCase(size, speed, tilt, ours)
 
 
-def slowest_sorted(size: str, integration: Integration) -> Found:
+def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
     """Find the first speed among 0.1, 0.2, ... m/s at which a box leaves the line."""
     tenths = 1
     while (done := sort(size, tenths / 10.0, 0.0, integration)).columns is None:
         tenths += 1
-    return Found(tenths / 10.0, done.tipping)
+    return ComputedValue(tenths / 10.0, done.tipping)
 
 
 # Sections 5.2 and 5.3: slowing and stopping
@@ -344,30 +350,30 @@ def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Su
     return build(size, math.radians(layout.angle), layout.columns, columns=columns)
 
 
-class Exit(NamedTuple):
+class ExitState(NamedTuple):
     """State of a box as it leaves the task's columns."""
 
     speed: float  # [m/s] when its base leaves the last column; 0 if it stops before
     tipping: float | None  # [-] share of tipping steps until then
 
 
-def leave(surface: Surface, size: str, speed: float, integration: Integration) -> Exit:
+def leave(surface: Surface, size: str, speed: float, integration: Integration) -> ExitState:
     """Run a box over the task's columns of a `slowing_surface`."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]
     if not past.any():
-        return Exit(0.0, tipping_share(trajectory))
+        return ExitState(0.0, tipping_share(trajectory))
     end = int(np.argmax(past))
-    return Exit(float(trajectory.velocity[end, 0]), tipping_share(trajectory, end))
+    return ExitState(float(trajectory.velocity[end, 0]), tipping_share(trajectory, end))
 
 
-def smallest_layout(size: str, speed: float, integration: Integration) -> Found:
+def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
     """Find the smallest number of columns with 0.5 v0 >= v_out > 0; None if there is none."""
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)
             left = leave(slowing_surface(size, layout), size, speed, integration)
             if 0.5 * speed >= left.speed > 0.0:
-                return Found(layout, left.tipping)
-    return Found(None, None)
+                return ComputedValue(layout, left.tipping)
+    return ComputedValue(None, None)

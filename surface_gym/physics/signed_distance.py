@@ -13,7 +13,7 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Bodies
 
 
-class Outline(NamedTuple):
+class BaseOutline(NamedTuple):
     """Outline of a base in its own frame."""
 
     # (corners, 2) [m] from the centroid, anti-clockwise; repeated corners add no edge
@@ -24,7 +24,7 @@ class Outline(NamedTuple):
     com_y: float  # [m]
 
 
-class Sweep(NamedTuple):
+class StepMotion(NamedTuple):
     """Motion of a centre of mass through a step: a start and a velocity."""
 
     x: float  # [m]
@@ -54,11 +54,11 @@ class SignedDistance(NamedTuple):
 
 
 @inlined
-def read_outline(bodies: Bodies, site: int) -> Outline:
+def read_outline(bodies: Bodies, site: int) -> BaseOutline:
     """Read the outline of the base in a row of the bodies."""
     corners = bodies.corners[site]
     is_disc = corners[0, 0] == 0.0 and corners[0, 1] == 0.0
-    return Outline(
+    return BaseOutline(
         corners,
         bodies.edges[site],
         bodies.body[site, ph.RADIUS] if is_disc else 0.0,
@@ -68,7 +68,7 @@ def read_outline(bodies: Bodies, site: int) -> Outline:
 
 
 @inlined
-def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
+def transform_at(outline: BaseOutline, motion: StepMotion, time: float) -> Transform:
     """Return the pose of a base at a time [s] of its sweep."""
     theta = motion.theta + time * motion.omega
     cosine = math.cos(theta)
@@ -82,15 +82,15 @@ def transform_at(outline: Outline, motion: Sweep, time: float) -> Transform:
 
 
 @inlined
-def sweep_at_rest(state: Array) -> Sweep:
+def sweep_at_rest(state: Array) -> StepMotion:
     """Return the sweep of a state at rest."""
-    return Sweep(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
+    return StepMotion(state[ph.X], state[ph.Y], state[ph.THETA], 0.0, 0.0, 0.0)
 
 
 @inlined
-def sweep_between(before: Array, after: Array) -> Sweep:
+def sweep_between(before: Array, after: Array) -> StepMotion:
     """Return the sweep of a step at its mean velocity, as in the implicit step."""
-    return Sweep(
+    return StepMotion(
         before[ph.X],
         before[ph.Y],
         before[ph.THETA],
@@ -108,7 +108,7 @@ def next_corner(corners: Array, k: int) -> int:
 
 @inlined
 def _separating_edge(
-    outline: Outline, pose: Transform, other: Outline, other_pose: Transform
+    outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
     """Return the edge of a base farthest from the corners of another."""
     corners = outline.corners
@@ -139,7 +139,9 @@ def _separating_edge(
 
 
 @inlined
-def _to_point(outline: Outline, pose: Transform, x: float, y: float) -> tuple[float, float, float]:
+def _to_point(
+    outline: BaseOutline, pose: Transform, x: float, y: float
+) -> tuple[float, float, float]:
     """Return the distance [m] and unit normal from a polygon to a point outside it."""
     corners = outline.corners
     dx = pose.cosine * (x - pose.x) + pose.sine * (y - pose.y)
@@ -169,7 +171,7 @@ def _to_point(outline: Outline, pose: Transform, x: float, y: float) -> tuple[fl
 
 @inlined
 def _polygon_to_disc(
-    polygon: Outline, pose: Transform, disc: Outline, other_pose: Transform
+    polygon: BaseOutline, pose: Transform, disc: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
     inside = _separating_edge(polygon, pose, disc, other_pose)
     width, nx, ny = inside.width, inside.nx, inside.ny
@@ -180,7 +182,7 @@ def _polygon_to_disc(
 
 @linked
 def signed_distance(
-    first: Outline, pose: Transform, second: Outline, other_pose: Transform
+    first: BaseOutline, pose: Transform, second: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
     """Return the signed distance from one base to another, at their poses."""
     if first.disc > 0.0 and second.disc > 0.0:
@@ -204,7 +206,7 @@ def signed_distance(
 
 @inlined
 def facing_gap(
-    outline: Outline, pose: Transform, other: Outline, other_pose: Transform
+    outline: BaseOutline, pose: Transform, other: BaseOutline, other_pose: Transform
 ) -> SignedDistance:
     """Return the distance of another base from the edge closest to its centroid.
 
@@ -237,9 +239,9 @@ CLEAR = 1e-4  # [m] margin beyond an edge at which `signed_distance` finds no to
 
 @inlined
 def stay_clear(
-    first: Outline,
+    first: BaseOutline,
     pose: Transform,
-    second: Outline,
+    second: BaseOutline,
     other_pose: Transform,
     ux: float,
     uy: float,
@@ -272,13 +274,13 @@ class Manifold(NamedTuple):
 
 
 @inlined
-def _corner(outline: Outline, pose: Transform, k: int) -> tuple[float, float]:
+def _corner(outline: BaseOutline, pose: Transform, k: int) -> tuple[float, float]:
     x, y = outline.corners[k, 0], outline.corners[k, 1]
     return (pose.x + pose.cosine * x - pose.sine * y, pose.y + pose.sine * x + pose.cosine * y)
 
 
 @inlined
-def _opposite_edge(outline: Outline, pose: Transform, nx: float, ny: float) -> int:
+def _opposite_edge(outline: BaseOutline, pose: Transform, nx: float, ny: float) -> int:
     """Return the edge whose normal is most opposed to (nx, ny)."""
     corners = outline.corners
     own_x = pose.cosine * nx + pose.sine * ny
@@ -298,10 +300,10 @@ def _opposite_edge(outline: Outline, pose: Transform, nx: float, ny: float) -> i
 
 @inlined
 def _facing_edges(
-    outline: Outline,
+    outline: BaseOutline,
     pose: Transform,
     edge: int,
-    other: Outline,
+    other: BaseOutline,
     other_pose: Transform,
     nx: float,
     ny: float,
@@ -343,7 +345,11 @@ def _facing_edges(
 
 @linked
 def find_manifold(
-    first: Outline, pose: Transform, second: Outline, other_pose: Transform, gap: SignedDistance
+    first: BaseOutline,
+    pose: Transform,
+    second: BaseOutline,
+    other_pose: Transform,
+    gap: SignedDistance,
 ) -> Manifold:
     """Find the contact manifold of two bases: two points if edges meet, else one.
 
@@ -369,7 +375,7 @@ MAX_ADVANCES = 64
 
 
 @inlined
-def _reach(outline: Outline) -> float:
+def _reach(outline: BaseOutline) -> float:
     """Return the distance [m] from the centre of mass to the farthest corner."""
     square = 0.0
     for k in range(outline.corners.shape[0]):
@@ -381,7 +387,7 @@ def _reach(outline: Outline) -> float:
 
 @linked
 def time_of_impact(
-    first: Outline, sweep: Sweep, second: Outline, other_sweep: Sweep, dt: float
+    first: BaseOutline, sweep: StepMotion, second: BaseOutline, other_sweep: StepMotion, dt: float
 ) -> float:
     """Return the time [s] until two bases touch, at most dt; infinite if they do not.
 

@@ -19,6 +19,19 @@ from surface_gym.rendering.scene import (
 )
 
 __all__ = [
-    "ExitMark", "ExitSide", "ExitSpeed", "Heading", "InletMark", "Painter", "Path", "Scene",
-    "SceneParcel", "StopLine", "TilePainter", "Traffic", "Window", "draw", "with_caption",
+    "ExitMark",
+    "ExitSide",
+    "ExitSpeed",
+    "Heading",
+    "InletMark",
+    "Painter",
+    "Path",
+    "Scene",
+    "SceneParcel",
+    "StopLine",
+    "TilePainter",
+    "Traffic",
+    "Window",
+    "draw",
+    "with_caption",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ import pygame
 
 from surface_gym.physics.types import Array
 from surface_gym.rendering import ink, scene as scenes
-from surface_gym.rendering.scene import Layout, Pose, Scene, SceneParcel, StopLine
+from surface_gym.rendering.scene import PixelLayout, Pose, Scene, SceneParcel, StopLine
 
 _FINE_STEP, _COARSE_STEP = 3.0, 7.0  # [px] between the points of a fading and of a coloured trail
 _TRAIL_PIECE = 8  # points with one opacity
@@ -40,7 +40,7 @@ def placed(points: Array, pose: Pose) -> Array:
     return points @ np.array([[cosine, sine], [-sine, cosine]]) + np.array([x, y])
 
 
-def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
+def draw_trail(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
     """Draw the recent path of the centre: fading, or coloured and thinner towards its start."""
     if len(parcel.trail) < 2:
         return
@@ -63,7 +63,9 @@ def draw_trail(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> N
         ink.stroke(canvas, piece, width, colour)
 
 
-def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: SceneParcel) -> None:
+def draw_parcel(
+    canvas: pygame.Surface, layout: PixelLayout, scene: Scene, parcel: SceneParcel
+) -> None:
     """Draw the base: translucent with an arrow, or in its colour with a front mark and label."""
     corners = layout.pixels(placed(parcel.outline, parcel.pose))
     index = parcel.colour_index
@@ -86,7 +88,7 @@ def draw_parcel(canvas: pygame.Surface, layout: Layout, scene: Scene, parcel: Sc
 
 
 def draw_heading(
-    canvas: pygame.Surface, layout: Layout, outline: Array, pose: Pose, colour: ink.Colour
+    canvas: pygame.Surface, layout: PixelLayout, outline: Array, pose: Pose, colour: ink.Colour
 ) -> None:
     """Draw an arrow from the base's centre along its frame's x."""
     centre = centroid(outline)
@@ -98,7 +100,7 @@ def draw_heading(
     ink.disc(canvas, tail, 1.7 * layout.stroke, colour)
 
 
-def draw_sensed(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> None:
+def draw_sensed(canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel) -> None:
     """Draw the outline of the base at the sensed pose."""
     if parcel.sensed_pose is not None:
         corners = layout.pixels(placed(parcel.outline, parcel.sensed_pose))
@@ -107,7 +109,7 @@ def draw_sensed(canvas: pygame.Surface, layout: Layout, parcel: SceneParcel) -> 
 
 
 def draw_touch(
-    canvas: pygame.Surface, layout: Layout, first: SceneParcel, second: SceneParcel
+    canvas: pygame.Surface, layout: PixelLayout, first: SceneParcel, second: SceneParcel
 ) -> None:
     """Draw a flash where two parcels touch."""
     x, y = layout.pixels(contact_point(first, second)).tolist()
@@ -134,7 +136,7 @@ def contact_point(first: SceneParcel, second: SceneParcel) -> Array:
 
 
 def _draw_front(
-    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, colour: ink.Colour
+    canvas: pygame.Surface, layout: PixelLayout, parcel: SceneParcel, colour: ink.Colour
 ) -> None:
     """Draw a triangle that points along the base's own x, at its front."""
     centre, front = centroid(parcel.outline), parcel.outline[:, 0].max()
@@ -145,7 +147,11 @@ def _draw_front(
 
 
 def _draw_label(
-    canvas: pygame.Surface, layout: Layout, parcel: SceneParcel, text: str, colour: ink.Colour
+    canvas: pygame.Surface,
+    layout: PixelLayout,
+    parcel: SceneParcel,
+    text: str,
+    colour: ink.Colour,
 ) -> None:
     """Draw a label in the middle of a base if it fits."""
     size, centre = layout.label_size, centroid(parcel.outline)
@@ -207,7 +213,7 @@ class ModuleSprites:
         return picture
 
 
-def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
+def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:
     """Paint the constant background: supports, zone, exits and label grounds."""
     sheet = pygame.Surface(layout.area.bottomright, depth=32)
     sheet.fill(ink.PAPER)
@@ -224,7 +230,7 @@ def paint_ground(layout: Layout, scene: Scene) -> pygame.Surface:
     return sheet.subsurface(layout.area).copy()
 
 
-def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
+def _paint_plate(layout: PixelLayout, scene: Scene) -> pygame.Surface:
     """Paint the supports' plate and the zone at the size of the whole surface."""
     plate = pygame.Surface(layout.surface.size, depth=32)
     plate.fill(ink.PLATE)
@@ -244,7 +250,7 @@ def _paint_plate(layout: Layout, scene: Scene) -> pygame.Surface:
 
 
 def draw_modules(
-    canvas: pygame.Surface, layout: Layout, sprites: ModuleSprites, scene: Scene
+    canvas: pygame.Surface, layout: PixelLayout, sprites: ModuleSprites, scene: Scene
 ) -> None:
     """Draw each rotor's module; modules that do not obey are pale."""
     row, column = np.nonzero(scene.rotor)
@@ -258,7 +264,7 @@ def draw_modules(
     canvas.fblits(list(zip(pictures, corners, strict=True)))
 
 
-def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
+def draw_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
     """Draw the goal under the parcels, without its label."""
     goal = scene.goal
     if isinstance(goal, scenes.ExitSide):
@@ -275,7 +281,7 @@ def draw_goal(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
         ink.disc(canvas, points[-1], 2.5 * layout.stroke, ink.GOAL)
 
 
-def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) -> None:
+def label_goal(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, size: int) -> None:
     """Write the label of the goal beside it."""
     goal = scene.goal
     if isinstance(goal, StopLine):
@@ -291,7 +297,7 @@ def label_goal(canvas: pygame.Surface, layout: Layout, scene: Scene, size: int) 
 
 
 def draw_asked_heading(
-    canvas: pygame.Surface, layout: Layout, goal: scenes.Heading, parcel: SceneParcel
+    canvas: pygame.Surface, layout: PixelLayout, goal: scenes.Heading, parcel: SceneParcel
 ) -> None:
     """Draw the base at the goal angle about its own centre, and the remaining turn."""
     angle, outline, pose = goal.angle, parcel.outline, parcel.pose
@@ -312,7 +318,7 @@ def draw_asked_heading(
     ink.line(canvas, layout.pixels(arc), layout.stroke, ink.GOAL)
 
 
-def draw_counts(canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
+def draw_counts(canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
     """Write the numbers of parcels delivered at the exits and waiting at the entry."""
     if scene.traffic is None:
         return
@@ -333,7 +339,7 @@ def exit_colour(scene: Scene, index: int) -> ink.Colour:
     return ink.RUNS if runs else ink.STANDS
 
 
-def _line_area(layout: Layout, scene: Scene) -> pygame.Rect:
+def _line_area(layout: PixelLayout, scene: Scene) -> pygame.Rect:
     """Find the area that a goal refers to: the line's rows, over the zone's columns."""
     columns = np.flatnonzero(scene.rotor.any(axis=0))
     if len(columns) == 0:
@@ -344,7 +350,7 @@ def _line_area(layout: Layout, scene: Scene) -> pygame.Rect:
     return layout.cells(*layout.line, first_column, count)
 
 
-def _gate(layout: Layout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
+def _gate(layout: PixelLayout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[float, float]]:
     """Find the hatched band beyond the line's edge, and its outward direction [px]."""
     line, depth = _line_area(layout, scene), round(_BAND * layout.cell)
     if side == 0:
@@ -356,7 +362,7 @@ def _gate(layout: Layout, scene: Scene, side: int) -> tuple[pygame.Rect, tuple[f
     return band.clamp(layout.surface), (0.0, -float(side)) if side else (1.0, 0.0)
 
 
-def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) -> None:
+def _draw_gate(canvas: pygame.Surface, layout: PixelLayout, scene: Scene, side: int) -> None:
     """Draw an exit band: hatched, with an outward arrow."""
     band, outward = _gate(layout, scene, side)
     ends = {0: ("topleft", "bottomleft"), 1: ("bottomleft", "bottomright")}
@@ -372,7 +378,7 @@ def _draw_gate(canvas: pygame.Surface, layout: Layout, scene: Scene, side: int) 
     ink.arrow(canvas, tip - reach, tip, 2.0 * layout.stroke, ink.GOAL)
 
 
-def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
+def _stop_line(layout: PixelLayout, scene: Scene, goal: StopLine) -> Array:
     """Compute the ends (2, 2) [px] of a line across the rotors, extended upwards."""
     line = _line_area(layout, scene).inflate(0, 3 * layout.cell).clip(layout.surface)
     x = float(layout.pixels((goal.x, 0.0))[0])
@@ -380,7 +386,7 @@ def _stop_line(layout: Layout, scene: Scene, goal: StopLine) -> Array:
 
 
 def _paint_exit(
-    canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour
+    canvas: pygame.Surface, layout: PixelLayout, mark: scenes.ExitMark, colour: ink.Colour
 ) -> None:
     """Paint the constant part of an exit: its area, and the ground of its label."""
     mouth, label, cell = layout.mouth(mark), layout.label(mark), layout.cell
@@ -402,7 +408,9 @@ def _paint_exit(
     )  # fmt: skip
 
 
-def _paint_closed(canvas: pygame.Surface, layout: Layout, exits: Sequence[scenes.ExitMark]) -> None:
+def _paint_closed(
+    canvas: pygame.Surface, layout: PixelLayout, exits: Sequence[scenes.ExitMark]
+) -> None:
     """Paint a bar across the end of the rotors, with gaps at the mouths."""
     mouths = [layout.mouth(mark) for mark in exits if mark.span is not None]
     if not mouths:
@@ -419,7 +427,7 @@ def _paint_closed(canvas: pygame.Surface, layout: Layout, exits: Sequence[scenes
 
 
 def _paint_inlet(
-    canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, colour: ink.Colour
+    canvas: pygame.Surface, layout: PixelLayout, mark: scenes.InletMark, colour: ink.Colour
 ) -> None:
     """Paint the constant part of an inlet: a pale area between two rails."""
     area, rail = layout.inlet(mark), max(2, layout.cell // 8)
@@ -468,7 +476,11 @@ def _paint_pointed(canvas: pygame.Surface, area: pygame.Rect, colour: ink.Colour
 
 
 def _write_label(
-    canvas: pygame.Surface, layout: Layout, mark: scenes.ExitMark, colour: ink.Colour, count: int
+    canvas: pygame.Surface,
+    layout: PixelLayout,
+    mark: scenes.ExitMark,
+    colour: ink.Colour,
+    count: int,
 ) -> None:
     """Write an exit's name and its count of parcels, cut to the available room."""
     label, size, text = layout.label(mark), layout.label_size, ink.text_on(colour)
@@ -488,7 +500,7 @@ def _write_label(
     ink.write(canvas, number, large, text, midleft=(left + name + gap, middle))
 
 
-def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
+def _draw_queue(canvas: pygame.Surface, layout: PixelLayout, waiting: int) -> None:
     """Draw the number of parcels that wait at the entry."""
     cell, rotors, size = layout.cell, layout.rotors, layout.label_size
     left, right, begin = layout.area.left, rotors.left, rotors.bottom
@@ -510,7 +522,7 @@ def _draw_queue(canvas: pygame.Surface, layout: Layout, waiting: int) -> None:
 
 
 def _write_queue(
-    canvas: pygame.Surface, layout: Layout, mark: scenes.InletMark, count: int
+    canvas: pygame.Surface, layout: PixelLayout, mark: scenes.InletMark, count: int
 ) -> None:
     """Write an inlet's name and its number of waiting parcels if they fit."""
     area, size, large = layout.inlet(mark), layout.label_size, round(1.25 * layout.label_size)

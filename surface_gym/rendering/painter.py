@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.rendering import ink, marks
-from surface_gym.rendering.scene import Heading, Layout, Scene
+from surface_gym.rendering.scene import Heading, PixelLayout, Scene
 
 _LEGEND = (
     ("0°", 0.0),
@@ -66,7 +66,7 @@ class Strips:
             )
             ink.write(canvas, text, size, colour, width, topleft=(x, middle + 2 - lift))
 
-    def write_foot(self, canvas: pygame.Surface, layout: Layout, scene: Scene) -> None:
+    def write_foot(self, canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
         """Write legend, tilt and scale bar below a surface."""
         area = layout.area
         end = self._write_scale(canvas, area, layout)
@@ -144,7 +144,7 @@ class Strips:
         after = (x + 4 * gap + gap // 2, middle)
         return ink.write(canvas, name, self.small, ink.INK, midleft=after).right
 
-    def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: Layout) -> int:
+    def _write_scale(self, canvas: pygame.Surface, area: pygame.Rect, layout: PixelLayout) -> int:
         """Draw the scale bar; return the x of its start."""
         third = layout.columns * layout.pitch[0] / 3.0
         metres = next((length for length in _BARS if length <= third), _BARS[-1])
@@ -224,15 +224,15 @@ class Painter:
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
-        margin, across = self._strips.margin, Layout.cells_across(scene)
+        margin, across = self._strips.margin, PixelLayout.cells_across(scene)
         cell = (width - 2 * margin) // across
         if cell < _LEAST_CELL:
             least = 2 * margin + _LEAST_CELL * across
             raise ValueError(
                 f"width must be at least {least} for {scene.columns} columns, got {width}"
             )
-        left = (width - Layout.extent(scene, cell)[0]) // 2
-        layout = Layout.of(scene, cell, left, self._strips.head)
+        left = (width - PixelLayout.extent(scene, cell)[0]) // 2
+        layout = PixelLayout.of(scene, cell, left, self._strips.head)
         if self._field is None or self._field.layout != layout:
             self._field = _Field(layout, marks.ModuleSprites(layout.cell))
         return self._field, self._strips
@@ -285,13 +285,13 @@ class TilePainter:
         grids = {(scene.rows, scene.columns, scene.pitches, scene.origin) for scene in scenes}
         if len(grids) > 1:
             raise ValueError(f"scenes must be of surfaces of one size, got {sorted(grids)}")
-        shown = {Layout.of(scene, 1, 0, 0).band[1] for scene in scenes}
+        shown = {PixelLayout.of(scene, 1, 0, 0).band[1] for scene in scenes}
         if len(shown) > 1:
             raise ValueError(f"scenes must show as many rows as each other, got {sorted(shown)}")
         plans = [self._plan_across(scenes, across) for across in range(1, len(scenes) + 1)]
         legible = [plan for plan in plans if plan.cell >= _LEAST_TILE_CELL]
         if not legible:
-            across = Layout.cells_across(scenes[0])
+            across = PixelLayout.cells_across(scenes[0])
             least = 2 * self._strips.margin + _LEAST_TILE_CELL * across
             raise ValueError(
                 f"width must be at least {least} for {scenes[0].columns} columns, got {self.width}"
@@ -300,8 +300,8 @@ class TilePainter:
 
     def _plan_across(self, scenes: Sequence[Scene], across: int) -> "_Plan":
         room = (self.width - 2 * self._strips.margin + _BETWEEN) // across - _BETWEEN
-        cell = room // Layout.cells_across(scenes[0])
-        width, height = Layout.extent(scenes[0], cell)
+        cell = room // PixelLayout.cells_across(scenes[0])
+        width, height = PixelLayout.extent(scenes[0], cell)
         caption = min(max(14, width // 14), self._strips.middle)
         return _Plan(across, -(-len(scenes) // across), cell, caption, width, height + caption)
 
@@ -310,7 +310,7 @@ class TilePainter:
         left, top = (self.width - plan.width) // 2, self._strips.margin + plan.caption
         corners = [plan.corner(k) for k in range(len(scenes))]
         layouts = [
-            Layout.of(scene, plan.cell, left + x, top + y)
+            PixelLayout.of(scene, plan.cell, left + x, top + y)
             for scene, (x, y) in zip(scenes, corners, strict=True)
         ]
         if [field.layout for field in self._fields] != layouts:
@@ -336,7 +336,7 @@ def with_caption(picture: Picture, text: str) -> Picture:
 class _Field:
     """Painter of scenes with one layout, which caches their constant parts."""
 
-    def __init__(self, layout: Layout, sprites: marks.ModuleSprites) -> None:
+    def __init__(self, layout: PixelLayout, sprites: marks.ModuleSprites) -> None:
         self.layout = layout
         self._sprites = sprites
         self._ground: pygame.Surface | None = None

@@ -359,7 +359,7 @@ _LABEL = 2.0  # [cells] height of the chutes' labels
 
 
 @dataclass(frozen=True)
-class Layout:
+class PixelLayout:
     """Positions of a surface and of the marks beside it in a picture.
 
     Elements are a whole number of pixels wide and high. With traffic, the picture shows only the
@@ -379,7 +379,7 @@ class Layout:
     box: tuple[int, int, int, int]  # [px] left, top, width and height of the drawing
 
     @classmethod
-    def of(cls, scene: Scene, cell: int, left: int, top: int) -> "Layout":
+    def of(cls, scene: Scene, cell: int, left: int, top: int) -> "PixelLayout":
         """Return the layout of a scene at a corner, with elements `cell` pixels wide."""
         line, band = _shown_rows(scene)
         height = _element_height(scene, cell)

@@ -7,9 +7,9 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from surface_gym.validation.simulation import Recipe, Scene, build, reachable, simulate
+    from surface_gym.validation.simulation import MujocoScene, Recipe, build, reachable, simulate
 
-__all__ = ["Recipe", "Scene", "build", "reachable", "simulate"]
+__all__ = ["MujocoScene", "Recipe", "build", "reachable", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

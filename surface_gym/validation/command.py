@@ -13,7 +13,7 @@ from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
 
 
 @dataclass(frozen=True)
-class Options:
+class ValidationOptions:
     """Compare the analytic model with MuJoCo, as Section 6 of the paper compares it with Adams.
 
     Prints Table 7 for Adams and for MuJoCo, Adams's displacements where the paper states them, the
@@ -43,7 +43,7 @@ class Options:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error prints one line and exits with status 2."""
     options = tyro.cli(
-        Options,
+        ValidationOptions,
         prog=typed("validation"),
         args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(2) from None
 
 
-def compare(options: Options) -> None:
+def compare(options: ValidationOptions) -> None:
     """Check the options, run the comparison, print it and write the requested files."""
     import json
 

@@ -25,7 +25,7 @@ UNIT = np.array([1e3, 1e3, 1.0])  # factors from [m, m, deg] to [mm, mm, deg]
 
 
 @dataclass(frozen=True)
-class Case:
+class SlopeCase:
     """One start on the sorting layout of Figure 7."""
 
     tilt: float  # [deg]
@@ -63,26 +63,26 @@ class Case:
         return simulate(self.surface, PARCEL, *start, integration.dt, integration.method)
 
 
-PUSHED = Case(tilt=0.0, speed=0.9)
-LONG = Case(tilt=5.0, duration=1.8)  # Figure 12c
+PUSHED = SlopeCase(tilt=0.0, speed=0.9)
+LONG = SlopeCase(tilt=5.0, duration=1.8)  # Figure 12c
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ComparedRun:
     """A case by MuJoCo and by the analytic model."""
 
-    case: Case
+    case: SlopeCase
     mujoco: Trajectory
     implicit: Trajectory  # at 1 ms
     explicit: Trajectory  # at 5 ms
 
 
-Model = Callable[[Run], Trajectory]  # selects one trajectory of a run
+Model = Callable[[ComparedRun], Trajectory]  # selects one trajectory of a run
 
 
-def run_case(case: Case) -> Run:
+def run_case(case: SlopeCase) -> ComparedRun:
     """Run a case in MuJoCo and by both methods of the analytic model."""
-    return Run(case, case.mujoco(), case.analytic(IMPLICIT), case.analytic(EXPLICIT))
+    return ComparedRun(case, case.mujoco(), case.analytic(IMPLICIT), case.analytic(EXPLICIT))
 
 
 def displacement(trajectory: Trajectory) -> Array:
@@ -90,13 +90,13 @@ def displacement(trajectory: Trajectory) -> Array:
     return np.array(runs.displacement(trajectory))
 
 
-def is_sorted(case: Case, trajectory: Trajectory) -> bool:
+def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
     """Return whether no rotor is under the base at the end: it is out of the sorting zone."""
     under = simulation.elements_under(case.surface, PARCEL, trajectory.pose[-1])
     return not (under & case.surface.rotor).any()
 
 
-def sorts_from(runs: Sequence[Run], model: Model) -> float | None:
+def sorts_from(runs: Sequence[ComparedRun], model: Model) -> float | None:
     """Return the smallest tilt [deg] from which every run is sorted, or None."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
@@ -107,7 +107,7 @@ def sorts_from(runs: Sequence[Run], model: Model) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class ErrorSummary:
     """Values of Table 7: rows are mean and standard deviation, columns x, y and theta."""
 
     title: str
@@ -116,36 +116,36 @@ class Summary:
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class DisplacementErrors:
     """MuJoCo's displacements minus the analytic model's, by run."""
 
     absolute: Array  # (runs, 3) [mm, mm, deg] Eq. (5a)
     percent: Array  # (runs, 3) [%] relative to MuJoCo's, Eq. (5b)
 
-    def summary(self, title: str) -> Summary:
+    def summary(self, title: str) -> ErrorSummary:
         """Compute mean and standard deviation over the runs."""
 
         def rows(values: Array) -> Array:
             deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(3)
             return np.stack([values.mean(axis=0), deviation])
 
-        return Summary(title, rows(self.percent), rows(self.absolute))
+        return ErrorSummary(title, rows(self.percent), rows(self.absolute))
 
 
-def compute_errors(runs: Sequence[Run], model: Model) -> Errors:
+def compute_errors(runs: Sequence[ComparedRun], model: Model) -> DisplacementErrors:
     """Compute the errors of one analytic model over the runs."""
     mujoco = np.array([displacement(run.mujoco) for run in runs])
     difference = mujoco - np.array([displacement(model(run)) for run in runs])
-    return Errors(difference * UNIT, 100.0 * difference / mujoco)
+    return DisplacementErrors(difference * UNIT, 100.0 * difference / mujoco)
 
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
     """Errors between Adams and MATLAB in Section 6.2."""
 
-    table7: Summary
-    tilted: Errors  # one run: 10 deg
-    pushed: Errors  # one run: v0 = 0.9 m/s
+    table7: ErrorSummary
+    tilted: DisplacementErrors  # one run: 10 deg
+    pushed: DisplacementErrors  # one run: v0 = 0.9 m/s
     sorts_from: float  # [deg]
 
 
@@ -156,10 +156,12 @@ def load_paper_errors() -> PaperErrors:
     percent = [[row[f"e{axis}_percent"] for axis in ("x", "y", "theta")] for row in rows]
     absolute = [[row[key] for key in ("ex_mm", "ey_mm", "etheta_deg")] for row in rows]
     tilted, pushed = (
-        Errors(np.array([printed[key]["abs"]]) * UNIT, np.array([printed[key]["percent"]]))
+        DisplacementErrors(
+            np.array([printed[key]["abs"]]) * UNIT, np.array([printed[key]["percent"]])
+        )
         for key in ("gamma10", "v09")
     )
-    table7 = Summary("Adams / MATLAB, printed", np.array(percent), np.array(absolute))
+    table7 = ErrorSummary("Adams / MATLAB, printed", np.array(percent), np.array(absolute))
     return PaperErrors(table7, tilted, pushed, printed["completes_from_gamma_deg"])
 
 

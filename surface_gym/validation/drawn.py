@@ -30,10 +30,10 @@ from surface_gym.simulation import Encounter, simulate, simulate_together, start
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, Case
+from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, SlopeCase
 from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE
 
-CASES = (Case(10.0), PUSHED)
+CASES = (SlopeCase(10.0), PUSHED)
 
 
 def uneven_normal_forces(
@@ -112,10 +112,10 @@ UNEVEN = (
 
 
 @dataclass(frozen=True)
-class Draw:
+class SurfaceDraw:
     """A case on a random surface."""
 
-    case: Case
+    case: SlopeCase
     unevenness: Unevenness
     seed: int
 
@@ -138,26 +138,26 @@ class Draw:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class PoseShifts:
     """Differences of the end poses on random surfaces from the end pose on the even surface."""
 
-    case: Case
+    case: SlopeCase
     unevenness: Unevenness
     mujoco: Array  # (draws, 3) [mm, mm, deg]
     analytic: Array  # (draws, 3) [mm, mm, deg] on the same surfaces
 
 
-def draw_surfaces(draws: int, seed: int) -> tuple[Draw, ...]:
+def draw_surfaces(draws: int, seed: int) -> tuple[SurfaceDraw, ...]:
     """List the even surface, then `draws` surfaces per unevenness, for each case."""
     return tuple(
-        Draw(case, unevenness, seed + k)
+        SurfaceDraw(case, unevenness, seed + k)
         for case in CASES
         for unevenness, count in ((EVEN, 1), *((uneven, draws) for uneven in UNEVEN))
         for k in range(count)
     )
 
 
-def run_draw(draw: Draw) -> Array:
+def run_draw(draw: SurfaceDraw) -> Array:
     """Run MuJoCo and the analytic model; return their end poses (2, 3) [m, m, rad]."""
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
@@ -169,15 +169,15 @@ def run_draw(draw: Draw) -> Array:
     return np.stack([mujoco, analytic])
 
 
-def compare_draws(draws: Sequence[Draw], results: Sequence[Array]) -> tuple[Spread, ...]:
+def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
     """Compare the end poses (2, 3) of the draws from `run_draw`."""
     table = np.array(results) * [1e3, 1e3, 180.0 / math.pi]
 
-    def ends_of(case: Case, unevenness: Unevenness) -> Array:
+    def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
         return table[[draw.case == case and draw.unevenness == unevenness for draw in draws]]
 
     return tuple(
-        Spread(case, uneven, *np.moveaxis(ends_of(case, uneven) - ends_of(case, EVEN), 1, 0))
+        PoseShifts(case, uneven, *np.moveaxis(ends_of(case, uneven) - ends_of(case, EVEN), 1, 0))
         for case in CASES
         for uneven in UNEVEN
     )

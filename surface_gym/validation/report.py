@@ -21,7 +21,7 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import comparison
 from surface_gym.validation.crowds import DURATION, CrowdRun
-from surface_gym.validation.drawn import STEPS, MeetingRun, Spread, apart, root_mean_square
+from surface_gym.validation.drawn import STEPS, MeetingRun, PoseShifts, apart, root_mean_square
 from surface_gym.validation.study import Study
 
 ABSOLUTE = ("x\n[mm]", "y\n[mm]", "theta\n[deg]")
@@ -167,7 +167,7 @@ def _crowds(runs: Sequence[CrowdRun]) -> Table:
     return table
 
 
-def _table7(summaries: Iterable[comparison.Summary], runs: int) -> Table:
+def _table7(summaries: Iterable[comparison.ErrorSummary], runs: int) -> Table:
     """Tabulate mean and standard deviation over the tilts."""
     table = make_table(
         f"Table 7: errors over {runs} tilts, Eq. (5)", "", "", *PERCENT, *ABSOLUTE, labels=2
@@ -192,7 +192,7 @@ def _single_runs(study: Study) -> Table:
     paper = comparison.load_paper_errors()
     for run in _printed_runs(study):
         name = run.case.name
-        rows: list[tuple[str, comparison.Errors]] = [
+        rows: list[tuple[str, comparison.DisplacementErrors]] = [
             (
                 "Adams / MATLAB, printed",
                 paper.pushed if run.case == comparison.PUSHED else paper.tilted,
@@ -242,7 +242,7 @@ def _beside_adams(study: Study) -> Table:
     return table
 
 
-def _printed_runs(study: Study) -> list[comparison.Run]:
+def _printed_runs(study: Study) -> list[comparison.ComparedRun]:
     """Select the runs of Figure 12a (if in the sweep) and 12b."""
     return [*(run for run in study.sweep if run.case.tilt == 10.0), study.pushed]
 
@@ -318,7 +318,7 @@ def as_data(study: Study) -> dict[str, Any]:
     }
 
 
-def _summary_data(summary: comparison.Summary) -> dict[str, Any]:
+def _summary_data(summary: comparison.ErrorSummary) -> dict[str, Any]:
     def rows(values: Array) -> dict[str, list[float]]:
         return {"mean": values[0].tolist(), "sd": values[1].tolist()}
 
@@ -431,7 +431,7 @@ def displacement_errors(study: Study) -> Figure:
     return figure
 
 
-def end_places(spreads: Sequence[Spread]) -> Figure:
+def end_places(spreads: Sequence[PoseShifts]) -> Figure:
     """Draw end positions on uneven supports; lines join runs with the same supports."""
     rows = math.ceil(len(spreads) / 3)
     figure = Figure(figsize=(12.0, 3.6 * rows), layout="constrained")

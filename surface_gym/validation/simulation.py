@@ -118,7 +118,7 @@ SIDES = Sides()
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class MujocoScene:
     """A compiled MuJoCo model of parcels on a surface, and its rotors' degrees of freedom.
 
     The parcels' free joints come first, so qpos[:7] and qvel[:6] are the first base frame's.
@@ -142,7 +142,7 @@ def load_mujoco() -> ModuleType:
 def build(
     surface: Surface, parcels: Parcel | Sequence[Parcel], recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
-) -> Scene:  # fmt: skip
+) -> MujocoScene:  # fmt: skip
     """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
 
     The tops of the spheres lie in the plane z = 0, and the direction of gravity represents the
@@ -196,7 +196,7 @@ def build(
     model = spec.compile()
     dof = np.where(model.geom_bodyid > 0, model.body_dofadr[model.geom_bodyid], -1)
     dof[np.isin(model.geom_bodyid, np.flatnonzero(model.body_dofnum == 6))] = -1
-    return Scene(model, dof.astype(np.int64))
+    return MujocoScene(model, dof.astype(np.int64))
 
 
 def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> None:
@@ -440,7 +440,7 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 
 
 def _run(
-    scene: Scene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
+    scene: MujocoScene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
     sags: Sequence[float], duration: float, recipe: Recipe,
     turns: Sequence[tuple[float, Array]] = (),
 ) -> tuple[Trajectory, ...]:  # fmt: skip
@@ -486,7 +486,7 @@ def _run(
     )
 
 
-def _turn_axes(scene: Scene, axis: Array) -> None:
+def _turn_axes(scene: MujocoScene, axis: Array) -> None:
     """Turn the rotors' hinges to axes (rows, columns) [rad]."""
     model = scene.model
     for k in range(1, model.nbody):

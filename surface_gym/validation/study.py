@@ -14,7 +14,7 @@ from surface_gym import parallel, trajectory
 from surface_gym.paper.runs import Integration
 from surface_gym.physics.types import Array
 from surface_gym.validation import comparison, drawn
-from surface_gym.validation.comparison import Case, Run, Summary
+from surface_gym.validation.comparison import ComparedRun, ErrorSummary, SlopeCase
 from surface_gym.validation.crowds import Crowd, CrowdRun, run_crowd
 from surface_gym.validation.simulation import RECIPE, Recipe
 
@@ -22,7 +22,7 @@ DRAWS = 20  # surfaces per unevenness
 MEETINGS = 30  # number of meetings of two parcels
 CROWDS = 24  # number of crowds
 
-CASES = (Case(5.0), Case(14.0), comparison.PUSHED)
+CASES = (SlopeCase(5.0), SlopeCase(14.0), comparison.PUSHED)
 VARIANTS = {
     "recipe": RECIPE,
     "step / 2": RECIPE.finer(2.0),
@@ -38,13 +38,13 @@ JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
 class Variant:
     """A case with a changed recipe."""
 
-    case: Case
+    case: SlopeCase
     change: str
     shift: Array  # (3,) [mm, mm, deg] difference from the unchanged recipe
     error: Array  # (3,) [mm, mm, deg] difference from the implicit method
 
 
-def run_variant(job: tuple[Case, Recipe]) -> Array:
+def run_variant(job: tuple[SlopeCase, Recipe]) -> Array:
     """Run a job, and return its displacement (3,) [m, m, deg]."""
     case, recipe = job
     return comparison.displacement(case.mujoco(recipe))
@@ -70,17 +70,17 @@ LEAST_TIME = 0.5  # [s] minimum duration of timing
 
 
 @dataclass(frozen=True)
-class Method:
+class TimedMethod:
     """A method to run a case, with steps to try and a reference step."""
 
     name: str
-    run: Callable[[Case, float], trajectory.Trajectory]
+    run: Callable[[SlopeCase, float], trajectory.Trajectory]
     fine: float  # [s]
     steps: tuple[float, ...]  # [s] increasing
 
 
 @dataclass(frozen=True)
-class Speed:
+class MethodSpeed:
     """Speed of a method at its largest accurate step."""
 
     method: str
@@ -90,19 +90,19 @@ class Speed:
 
 
 METHODS = (
-    Method(
+    TimedMethod(
         "MuJoCo",
         lambda case, step: case.mujoco(replace(RECIPE, step=step)),
         fine=2.5e-5,
         steps=(5e-5, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4),
     ),
-    Method(
+    TimedMethod(
         "implicit",
         lambda case, step: case.analytic(Integration("implicit", step)),
         fine=1e-5,
         steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 1e-2),
     ),
-    Method(
+    TimedMethod(
         "explicit",
         lambda case, step: case.analytic(Integration("explicit", step)),
         fine=2e-6,
@@ -111,7 +111,7 @@ METHODS = (
 )
 
 
-def measure(method: Method) -> Speed:
+def measure(method: TimedMethod) -> MethodSpeed:
     """Time a method at its largest step up to which every tried step is accurate."""
     fine = _ends(method, method.fine)
     step, error = 0.0, np.inf
@@ -125,15 +125,15 @@ def measure(method: Method) -> Speed:
             f"steps of {method.name} must hold one within {ACCURACY:g} % of its fine solution, "
             f"got {trial_error:.2f} % at {method.steps[0]:g} s"
         )
-    return Speed(method.name, step, error, _rate(method, step))
+    return MethodSpeed(method.name, step, error, _rate(method, step))
 
 
-def _ends(method: Method, step: float) -> Array:
+def _ends(method: TimedMethod, step: float) -> Array:
     """Return the displacements (cases, 3) [m, m, deg]."""
     return np.array([comparison.displacement(method.run(case, step)) for case in CASES])
 
 
-def _rate(method: Method, step: float) -> float:
+def _rate(method: TimedMethod, step: float) -> float:
     """Measure the simulated seconds per second; return the best round."""
     best, spent = np.inf, 0.0
     while spent < LEAST_TIME:
@@ -149,17 +149,17 @@ def _rate(method: Method, step: float) -> float:
 class Study:
     """Results of `python -m surface_gym.validation`."""
 
-    sweep: tuple[Run, ...]  # one run per tilt
-    pushed: Run  # v0 = 0.9 m/s on the level
-    long: Run  # Figure 12c
+    sweep: tuple[ComparedRun, ...]  # one run per tilt
+    pushed: ComparedRun  # v0 = 0.9 m/s on the level
+    long: ComparedRun  # Figure 12c
     convergence: tuple[Variant, ...]
-    speeds: tuple[Speed, ...]
-    spreads: tuple[drawn.Spread, ...]  # empty unless requested
+    speeds: tuple[MethodSpeed, ...]
+    spreads: tuple[drawn.PoseShifts, ...]  # empty unless requested
     meetings: tuple[drawn.MeetingRun, ...] = ()  # empty unless requested
     crowds: tuple[CrowdRun, ...] = ()  # empty unless requested
 
     @property
-    def summaries(self) -> tuple[Summary, Summary]:
+    def summaries(self) -> tuple[ErrorSummary, ErrorSummary]:
         """Table 7 against the implicit and against the explicit method."""
         implicit = comparison.compute_errors(self.sweep, lambda run: run.implicit)
         explicit = comparison.compute_errors(self.sweep, lambda run: run.explicit)
@@ -183,7 +183,7 @@ def run_study(
     seed: int, console: Console,
 ) -> Study:  # fmt: skip
     """Run the comparison in parallel, then the timing on one core."""
-    cases = (*(Case(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
+    cases = (*(SlopeCase(tilt) for tilt in tilts), comparison.PUSHED, comparison.LONG)
     draws = drawn.draw_surfaces(DRAWS, seed) if with_unevenness else ()
     meetings = [drawn.Meeting(seed + k) for k in range(MEETINGS if with_touching else 0)]
     held = [Crowd(seed + k) for k in range(CROWDS if with_touching else 0)]

@@ -7,12 +7,22 @@ import pytest
 
 from surface_gym.paper import command, reproduction as ours
 from surface_gym.paper.reproduction import LAST_DIGITS, POSITION_TOLERANCE
-from surface_gym.paper.runs import COARSE, SIZES, Cell, Found, SlowingLayout, Table, load_targets
+from surface_gym.paper.runs import (
+    COARSE,
+    SIZES,
+    ComputedValue,
+    PaperTable,
+    SlowingLayout,
+    TableCell,
+    load_targets,
+)
 
 
 def make_cell(paper, *ours, **options):
     """A cell of the S-box, with one value of ours per integration."""
-    return Cell("r", "c", "S", paper, tuple(Found(value, 0.0) for value in ours), **options)
+    return TableCell(
+        "r", "c", "S", paper, tuple(ComputedValue(value, 0.0) for value in ours), **options
+    )
 
 
 @pytest.mark.parametrize(
@@ -30,9 +40,11 @@ def test_the_first_value_agrees_and_the_second_does_not(compared):
 
 def test_a_table_counts_its_cells_and_gives_the_range_of_the_runs_that_tip():
     found = [("S", 0.3, 3), ("S", 0.1, 4), ("S", None, 4), ("B", 0.0, 4)]
-    pairs = [(size, (Found(3, share), Found(value, 0.5))) for size, share, value in found]
-    cells = tuple(Cell("r", "c", size, 3, ours) for size, ours in pairs)
-    table = Table("key", "title", "rule", cells)
+    pairs = [
+        (size, (ComputedValue(3, share), ComputedValue(value, 0.5))) for size, share, value in found
+    ]
+    cells = tuple(TableCell("r", "c", size, 3, ours) for size, ours in pairs)
+    table = PaperTable("key", "title", "rule", cells)
     assert (table.agreeing(0), table.agreeing(1)) == (4, 1)
     assert table.tipping(0) == {"S": (0.1, 0.3), "B": (0.0, 0.0)}
 

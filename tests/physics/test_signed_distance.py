@@ -13,7 +13,7 @@ import surface_gym as sg
 from surface_gym.compiler.jit import compiled
 from surface_gym.physics import signed_distance
 from surface_gym.physics.references import step_implicit
-from surface_gym.physics.signed_distance import Outline, Sweep
+from surface_gym.physics.signed_distance import BaseOutline, StepMotion
 from surface_gym.physics.types import OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y, make_scratch
 from surface_gym.simulation import make_bodies
 from tests.strategies import angles, bases, speeds, spins
@@ -29,17 +29,17 @@ Triple = tuple[float, float, float]
 RECTANGLE, DISC = sg.Rectangle(0.4, 0.2), sg.Disc(0.15)
 
 
-def outline(base: object, com_offset: tuple[float, float] = (0.0, 0.0)) -> Outline:
+def outline(base: object, com_offset: tuple[float, float] = (0.0, 0.0)) -> BaseOutline:
     return signed_distance.read_outline.py_func(
         make_bodies([sg.Parcel(base, com_offset=com_offset)]), 0
     )
 
 
-def at(x: float, y: float, theta: float = 0.0, *velocity: float) -> Sweep:
-    return Sweep(*map(float, (x, y, theta, *(velocity or (0, 0, 0)))))
+def at(x: float, y: float, theta: float = 0.0, *velocity: float) -> StepMotion:
+    return StepMotion(*map(float, (x, y, theta, *(velocity or (0, 0, 0)))))
 
 
-def extents(base: Outline, motion: Sweep, time: float = 0.0) -> Array:
+def extents(base: BaseOutline, motion: StepMotion, time: float = 0.0) -> Array:
     """(directions,) [m] how far the base reaches along each."""
     place = place_at(base, motion, time)
     turn = np.array([[place.cosine, -place.sine], [place.sine, place.cosine]])
@@ -47,7 +47,9 @@ def extents(base: Outline, motion: Sweep, time: float = 0.0) -> Array:
     return (NORMALS @ corners.T).max(axis=1) + base.disc
 
 
-def widest(first: Outline, one: Sweep, second: Outline, other: Sweep, time: float) -> float:
+def widest(
+    first: BaseOutline, one: StepMotion, second: BaseOutline, other: StepMotion, time: float
+) -> float:
     """[m] of the widest strip between two bases: less than none where they overlap."""
     there = extents(second, other, time)
     least = -np.roll(there, len(DIRECTIONS) // 2)
@@ -55,7 +57,7 @@ def widest(first: Outline, one: Sweep, second: Outline, other: Sweep, time: floa
 
 
 def measured(
-    first: Outline, one: Sweep, second: Outline, other: Sweep, time: float
+    first: BaseOutline, one: StepMotion, second: BaseOutline, other: StepMotion, time: float
 ) -> signed_distance.SignedDistance:
     return gap_between(first, place_at(first, one, time), second, place_at(second, other, time))
 
@@ -103,7 +105,9 @@ def test_edges_face_each_other_where_both_are_and_a_corner_or_a_disc_at_a_point(
     box, disc = outline(RECTANGLE), outline(DISC)
     diamond = outline(sg.Polygon([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]))
 
-    def points(first: Outline, one: Sweep, second: Outline, other: Sweep) -> Array:
+    def points(
+        first: BaseOutline, one: StepMotion, second: BaseOutline, other: StepMotion
+    ) -> Array:
         places = (first, place_at(first, one, 0.0), second, place_at(second, other, 0.0))
         found = find_facing(*places, gap_between(*places))
         both = np.array([found[1:4], found[4:]])

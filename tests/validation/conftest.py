@@ -1,6 +1,6 @@
 import pytest
 
-from surface_gym.validation.comparison import PUSHED, Case, run_case
+from surface_gym.validation.comparison import PUSHED, SlopeCase, run_case
 
 
 @pytest.fixture(scope="session")
@@ -13,7 +13,7 @@ def mujoco():
 def tilted(mujoco):
     """Figure 12a."""
     del mujoco  # which it needs
-    return run_case(Case(10.0))
+    return run_case(SlopeCase(10.0))
 
 
 @pytest.fixture(scope="session")

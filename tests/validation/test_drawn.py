@@ -9,7 +9,13 @@ import pytest
 import surface_gym as sg
 from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.validation import drawn
-from surface_gym.validation.drawn import CASES, UNEVEN, Draw, draw_surfaces, uneven_normal_forces
+from surface_gym.validation.drawn import (
+    CASES,
+    UNEVEN,
+    SurfaceDraw,
+    draw_surfaces,
+    uneven_normal_forces,
+)
 from surface_gym.validation.simulation import simulate_together
 
 SURFACE = sg.Surface(np.zeros((12, 14)), np.zeros((12, 14), dtype=bool))
@@ -140,8 +146,8 @@ def test_draws_repeat_with_their_seed_and_spreads_are_from_the_even_surface():
 @needs_mujoco
 @pytest.mark.parametrize("uneven", [UNEVEN[1], UNEVEN[5]], ids=lambda uneven: uneven.name)
 def test_mujoco_follows_the_model(uneven):
-    even = drawn.run_draw(Draw(CASES[0], drawn.EVEN, seed=0))
-    poses = [drawn.run_draw(Draw(CASES[0], uneven, seed)) for seed in (0, 1)]
+    even = drawn.run_draw(SurfaceDraw(CASES[0], drawn.EVEN, seed=0))
+    poses = [drawn.run_draw(SurfaceDraw(CASES[0], uneven, seed)) for seed in (0, 1)]
     mujoco, analytic = np.moveaxis(np.array(poses) - even, 1, 0)
     moved = np.hypot(*mujoco.T[:2])
     assert (moved > 5e-3).all()  # [m]

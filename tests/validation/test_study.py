@@ -11,7 +11,7 @@ import surface_gym as sg
 from surface_gym import validation
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import command, comparison, crowds, drawn, study
-from surface_gym.validation.comparison import Errors
+from surface_gym.validation.comparison import DisplacementErrors
 from surface_gym.validation.report import as_data, draw_all, print_report
 
 
@@ -23,12 +23,12 @@ def trajectory(*displacement: float) -> Trajectory:
 
 def test_errors_are_those_of_eq_5_and_a_summary_is_mean_and_sample_deviation():
     mujoco, implicit = trajectory(0.5, -0.2, -20.0), trajectory(0.49, -0.21, -21.0)
-    run = comparison.Run(comparison.PUSHED, mujoco, implicit, explicit=mujoco)
+    run = comparison.ComparedRun(comparison.PUSHED, mujoco, implicit, explicit=mujoco)
     error = comparison.compute_errors([run], lambda run: run.implicit)
     np.testing.assert_allclose(error.absolute, [[10.0, 10.0, 1.0]])
     np.testing.assert_allclose(error.percent, [[2.0, -5.0, -5.0]])
     rows = np.array([[1.0, 0.0, -1.0], [3.0, 0.0, -3.0]])
-    summary = Errors(10.0 * rows, rows).summary("")
+    summary = DisplacementErrors(10.0 * rows, rows).summary("")
     np.testing.assert_allclose(summary.percent, [[2.0, 0.0, -2.0], [2**0.5, 0.0, 2**0.5]])
     np.testing.assert_allclose(summary.absolute, 10.0 * summary.percent)
 
@@ -90,7 +90,7 @@ def found(tilted, pushed):
         pushed=pushed,
         long=tilted,
         convergence=study.compare_variants([np.zeros(3) for _ in study.JOBS]),
-        speeds=(study.Speed("implicit", 3e-3, 0.72, 7000.0),),
+        speeds=(study.MethodSpeed("implicit", 3e-3, 0.72, 7000.0),),
         spreads=drawn.compare_draws(draws, [rng.normal(size=(2, 3)) for _ in draws]),
         meetings=tuple(
             drawn.MeetingRun(drawn.Meeting(k), rng.normal(size=(2, 2, 3)), np.eye(2, 3), k == 1)
@@ -104,7 +104,7 @@ def found(tilted, pushed):
 
 
 def test_speed_is_taken_at_the_largest_step_up_to_which_all_are_accurate():
-    method = study.Method(
+    method = study.TimedMethod(
         "linear",
         lambda _, step: trajectory(*np.full(3, 2.0 if step == 0.5 else 1.0 + step)),
         fine=0.0,
@@ -114,7 +114,9 @@ def test_speed_is_taken_at_the_largest_step_up_to_which_all_are_accurate():
     assert measured.step == 0.009
     assert measured.error == pytest.approx(0.9)
     assert measured.rate > 0.0
-    method = study.Method("bad", lambda _, step: trajectory(*np.full(3, 1 + step)), 0.0, (0.5,))
+    method = study.TimedMethod(
+        "bad", lambda _, step: trajectory(*np.full(3, 1 + step)), 0.0, (0.5,)
+    )
     with pytest.raises(ValueError, match=r"steps of bad must hold one .* got 50.00 % at 0.5 s"):
         study.measure(method)
 

@@ -11,8 +11,8 @@ import surface_gym as sg
 from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.estimator import StateEstimator
-from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Entered, Frame, Message
-from surface_gym.agents.runtime.simulator import World
+from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Frame, Message, ParcelEntry
+from surface_gym.agents.runtime.simulator import SimulatedMachine
 from surface_gym.config import EnvConfig
 
 QUARTER_TURN = 0.05  # [s]
@@ -28,10 +28,10 @@ SQUARE = sg.Parcel(sg.Rectangle(0.25, 0.25))
 POSE, VELOCITY = (0.125, 1.0, 0.0), (1.0, 0.0, 0.0)
 
 
-def entered(number: int = 0, at: float = 0.0, **changed: Any) -> Entered:
+def entered(number: int = 0, at: float = 0.0, **changed: Any) -> ParcelEntry:
     """A square at 1 m/s, to stop at x = 1 m."""
     fields: dict[str, Any] = {"pose": POSE, "velocity": VELOCITY, "goal": (1.0,), **changed}
-    return Entered(number, at, SQUARE, **fields)
+    return ParcelEntry(number, at, SQUARE, **fields)
 
 
 def frame(taken_at: float, number: int | None = 0, x: float | None = None) -> Frame:
@@ -147,12 +147,12 @@ def nothing(now: float) -> None:
     """Between two periods."""
 
 
-class MuteWorld(World):
+class MuteWorld(SimulatedMachine):
     """A simulated machine whose camera gives no frames for a while.
 
     Args:
         mute: [s] from when to when.
-        options: of `World`.
+        options: of `SimulatedMachine`.
     """
 
     def __init__(self, mute: tuple[float, float], options: WorldOptions) -> None:

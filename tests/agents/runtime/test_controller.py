@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.runtime import controller as runtime
-from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed
+from surface_gym.agents.runtime.protocol import AxesAcknowledgement, ParcelDeparture
 from tests.agents.runtime import made
 from tests.agents.runtime.made import Always, entered
 
@@ -83,7 +83,7 @@ def test_messages_take_a_share_of_a_period_and_the_rest_waits() -> None:
     assert loop.counts.kept == loop.counts.periods == 10
     assert loop.counts.frames == 40
     assert max(loop.latencies.work) < 0.04
-    device.script = [(0.0, AxesAcknowledged(1, 0.0))] * (runtime.MAX_MESSAGES + 1)
+    device.script = [(0.0, AxesAcknowledgement(1, 0.0))] * (runtime.MAX_MESSAGES + 1)
     faults = run(device, 0.1).counts.faults
     assert [name.split(" a period")[0] for name in faults] == [
         f"device must give at most {runtime.MAX_MESSAGES} messages"
@@ -100,8 +100,8 @@ def test_no_parcel_no_commands(device) -> None:
 
 def test_parcels_are_counted_by_how_they_left(device) -> None:
     device.script = [
-        (0.0, entered(0)), (0.2, Departed(0, "success")), (0.24, entered(1, at=0.24)),
-        (0.4, Departed(1, "missed")),
+        (0.0, entered(0)), (0.2, ParcelDeparture(0, "success")), (0.24, entered(1, at=0.24)),
+        (0.4, ParcelDeparture(1, "missed")),
     ]  # fmt: skip
     controller = Always(made.ROLL, device.clock)
     loop = made.loop_of(device, controller)
@@ -132,8 +132,8 @@ def test_a_device_that_is_lost_while_axes_are_sent(device) -> None:
 
 
 def test_what_the_device_refuses_is_counted_and_forgotten(device) -> None:
-    refused, taken = AxesAcknowledged(1, 0.05, "no"), AxesAcknowledged(2, 0.09)
-    early = AxesAcknowledged(3, 0.11)  # by a clock that is late: before it was sent
+    refused, taken = AxesAcknowledgement(1, 0.05, "no"), AxesAcknowledgement(2, 0.09)
+    early = AxesAcknowledgement(3, 0.11)  # by a clock that is late: before it was sent
     device.script = [(0.0, entered()), (0.06, refused), (0.1, taken), (0.14, early)]
     loop = run(device, 0.2)
     assert (loop.counts.refused, loop.latencies.send) == (1, pytest.approx([0.01, 0.0]))

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.runtime import estimator as estimators
-from surface_gym.agents.runtime.protocol import Entered, Frame
+from surface_gym.agents.runtime.protocol import Frame, ParcelEntry
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from tests.agents.runtime import made
@@ -28,7 +28,7 @@ def held() -> estimators.StateEstimator:
 
 
 @pytest.fixture(scope="module")
-def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]]:
+def filtered() -> tuple[ParcelEntry, list[np.ndarray], list[Frame], list[np.ndarray]]:
     """What the environment's own filter makes of frames that are not late: the entry, and for each
     period the command, the frame at its end and the observation then.
     """
@@ -39,7 +39,7 @@ def filtered() -> tuple[Entered, list[np.ndarray], list[Frame], list[np.ndarray]
     about = parcels.sensor_state[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
     parcel = sg.Parcel(sg.Rectangle(size, size))
-    start = Entered(0, AT, parcel, about[:3], about[3:], tuple(parcels.goal[0]))
+    start = ParcelEntry(0, AT, parcel, about[:3], about[3:], tuple(parcels.goal[0]))
     sent, frames, seen = [], [], [parcels.observation[0].copy()]
     rng = np.random.default_rng(0)
     spread = np.array([CAMERA.position_noise] * 2 + [CAMERA.angle_noise])

@@ -17,7 +17,12 @@ from rich.console import Console
 
 from surface_gym.agents.runtime import cli, protocol, report
 from surface_gym.agents.runtime.config import RuntimeConfig
-from surface_gym.agents.runtime.protocol import AxesAcknowledged, Departed, Message, to_line
+from surface_gym.agents.runtime.protocol import (
+    AxesAcknowledgement,
+    Message,
+    ParcelDeparture,
+    to_line,
+)
 from tests.agents.runtime import made
 
 STEP = 0.02  # [s] between the machine's turns
@@ -43,7 +48,7 @@ def entered(now: float, number: int = 1, **changed: Any) -> bytes:
 
 
 def left(number: int = 0, outcome: str = "missed", **changed: Any) -> bytes:
-    return line(Departed(number, outcome), **changed)
+    return line(ParcelDeparture(number, outcome), **changed)
 
 
 def with_frames(says: Says) -> Says:
@@ -191,17 +196,17 @@ SAFE: dict[str, Says] = {
     "frames of another parcel": lambda now: frame(now, number=7),
     "frames of none": lambda now: frame(now, number=None),
     "the same parcel enters again and again": lambda now: entered(now, 0),
-    "only acknowledges": lambda now: line(AxesAcknowledged(1, now)),
+    "only acknowledges": lambda now: line(AxesAcknowledgement(1, now)),
     "parcels leave that never entered": numbered(lambda k: left(k)),
 }
 
 # What it sends beside frames of a camera that works: the policy goes on.
 CONTROLLED: dict[str, Says] = {
     "a parcel that never was leaves": lambda _: left(99),
-    "commands acknowledged that never were": lambda now: line(AxesAcknowledged(2**53, now)),
-    "acknowledged an hour ahead": lambda now: line(AxesAcknowledged(1, now + 3600.0)),
-    "acknowledged before all time": lambda _: line(AxesAcknowledged(1, -1e300)),
-    "refuses all": numbered(lambda k: line(AxesAcknowledged(k, 0.0, "[/x] no"))),
+    "commands acknowledged that never were": lambda now: line(AxesAcknowledgement(2**53, now)),
+    "acknowledged an hour ahead": lambda now: line(AxesAcknowledgement(1, now + 3600.0)),
+    "acknowledged before all time": lambda _: line(AxesAcknowledgement(1, -1e300)),
+    "refuses all": numbered(lambda k: line(AxesAcknowledgement(k, 0.0, "[/x] no"))),
     "frames an hour ahead between": lambda now: frame(now + 3600.0),
     "frames twice": frame,
     "the same parcel enters twice": lambda now: entered(now, 0),

@@ -37,9 +37,9 @@ def there_and_back(message: Any) -> Any:
     [
         protocol.Frame(1.25),
         protocol.Frame(1.25, 3, (0.1, 1.0, 0.2)),
-        protocol.AxesAcknowledged(7, 2.5),
-        protocol.AxesAcknowledged(7, 2.5, "out of range"),
-        protocol.Departed(3, "success", {"stop_error": 0.001}),
+        protocol.AxesAcknowledgement(7, 2.5),
+        protocol.AxesAcknowledgement(7, 2.5, "out of range"),
+        protocol.ParcelDeparture(3, "success", {"stop_error": 0.001}),
     ],
 )
 def test_messages_come_out_as_they_went_in(message) -> None:
@@ -60,7 +60,7 @@ def test_axes_come_out_as_they_went_in() -> None:
 @pytest.mark.parametrize("base", [sg.Rectangle(0.3, 0.2), sg.Disc(0.15), TRIANGLE])
 def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
     path = np.linspace(0.0, 1.0, 4)
-    sent = protocol.Entered(
+    sent = protocol.ParcelEntry(
         2, 1.5, sg.Parcel(base, mass=3.0), (0.1, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5,), 0.1, path
     )
     back = there_and_back(sent)
@@ -86,10 +86,10 @@ def test_a_line_that_is_no_message_is_refused(line) -> None:
 
 FRAME = protocol.to_fields(protocol.Frame(0.0, 0, axes=np.zeros(SHAPE)))
 ENTERED = protocol.to_fields(
-    protocol.Entered(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ())
+    protocol.ParcelEntry(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ())
 )
-ACKNOWLEDGED = protocol.to_fields(protocol.AxesAcknowledged(0, 0.0))
-DEPARTED = protocol.to_fields(protocol.Departed(0, "missed"))
+ACKNOWLEDGED = protocol.to_fields(protocol.AxesAcknowledgement(0, 0.0))
+DEPARTED = protocol.to_fields(protocol.ParcelDeparture(0, "missed"))
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ class TestDevice:
     def test_it_reads_messages(self, listener, device) -> None:
         lines = (to_line(protocol.hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED))
         read = [type(each) for each in self.receive(listener, device, *lines)]
-        assert read == [protocol.Frame, protocol.AxesAcknowledged]
+        assert read == [protocol.Frame, protocol.AxesAcknowledgement]
 
     @pytest.mark.parametrize(
         "line",

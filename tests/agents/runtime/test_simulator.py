@@ -25,7 +25,13 @@ from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, s
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
 from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
-from surface_gym.agents.runtime.simulator import MAX_BEHIND, Server, SimulatorProcess, World, serve
+from surface_gym.agents.runtime.simulator import (
+    MAX_BEHIND,
+    MachineServer,
+    SimulatedMachine,
+    SimulatorProcess,
+    serve,
+)
 from surface_gym.config import EnvConfig
 from tests.agents.runtime import made
 from tests.agents.runtime.made import CONFIG, entered, estimator
@@ -36,8 +42,8 @@ TOKEN = "0123456789abcdef"
 BRAKE = 0
 
 
-def world(seed: int = 0, **options: float) -> World:
-    return World(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
+def world(seed: int = 0, **options: float) -> SimulatedMachine:
+    return SimulatedMachine(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
 
 
 def of_kind(kind: type, said: list) -> list:
@@ -46,7 +52,7 @@ def of_kind(kind: type, said: list) -> list:
 
 def test_parcel_after_parcel_enters_and_leaves() -> None:
     said = world().advance(12.0)
-    entered, left = of_kind(protocol.Entered, said), of_kind(protocol.Departed, said)
+    entered, left = of_kind(protocol.ParcelEntry, said), of_kind(protocol.ParcelDeparture, said)
     assert len(left) >= 2
     assert [message.number for _, message in entered] == list(range(len(entered)))
     for (gone, _), (due, message) in zip(left, entered[1:], strict=False):
@@ -72,7 +78,7 @@ def test_frames_come_at_the_cameras_rate_and_late() -> None:
     noise = np.diff(x, n=3) / math.sqrt(20.0)  # of what is smooth
     assert 0.0003 < noise.std() < 0.003
     camera = replace(made.CONFIG.sensors, drop=0.5)
-    dropping = World(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
+    dropping = SimulatedMachine(replace(made.CONFIG, sensors=camera), 0, 0.0, WorldOptions())
     assert 15 < len(dropping.advance(1.0)) < 35
 
 
@@ -84,7 +90,7 @@ def test_axes_that_are_set_turn_and_others_are_refused() -> None:
     frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.1))
     assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
     answer = machine.set_axes(5, np.zeros(machine.shape))
-    assert answer == protocol.AxesAcknowledged(5, machine.now)
+    assert answer == protocol.AxesAcknowledgement(5, machine.now)
     frames = of_kind(protocol.Frame, machine.advance(machine.now + PAUSE + 0.4))
     first, last = (frames[k][1].axes for k in (0, -1))
     assert set(np.sign(first[last == 0.0])) == {1.0}  # they are on their way
@@ -96,16 +102,16 @@ def test_axes_that_are_set_turn_and_others_are_refused() -> None:
 
 class TestOverASocket:
     @pytest.fixture
-    def server(self) -> Iterator[Server]:
+    def server(self) -> Iterator[MachineServer]:
         listener = socket.create_server(("127.0.0.1", 0))
-        server = Server(world(), "stop", listener)
+        server = MachineServer(world(), "stop", listener)
         yield server
         server.close()
 
-    def address(self, server: Server) -> tuple[str, int]:
+    def address(self, server: MachineServer) -> tuple[str, int]:
         return server._listener.getsockname()
 
-    def run(self, server: Server, steps: int) -> ControlLoop:
+    def run(self, server: MachineServer, steps: int) -> ControlLoop:
         """A loop in step with the server: all arrives within a period, whatever the load."""
         clock = made.ManualClock()
         loop = made.loop_of(made.ScriptedDevice(clock), made.Always(BRAKE, clock))
@@ -133,7 +139,9 @@ class TestOverASocket:
 
     def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
-        server = Server(made.MuteWorld((0.2, 0.6), WorldOptions(pause=PAUSE)), "stop", listener)
+        server = MachineServer(
+            made.MuteWorld((0.2, 0.6), WorldOptions(pause=PAUSE)), "stop", listener
+        )
         counts = self.run(server, 200).counts
         server.close()
         assert counts.watchdog == 1
@@ -173,7 +181,7 @@ class TestOverASocket:
 
     def test_only_who_proves_to_have_the_token_takes_the_place(self) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
-        server = Server(world(), "stop", listener, TOKEN)
+        server = MachineServer(world(), "stop", listener, TOKEN)
         devices = [
             SocketDevice(listener.getsockname(), "stop", (4, 16), token)
             for token in (TOKEN, TOKEN.upper(), None)
@@ -225,7 +233,9 @@ class TestOverASocket:
 
 
 PATIENCE = 120.0  # [s] for another process, on a computer that does other work
-RUN = cli.Run("stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2)
+RUN = cli.RunConditions(
+    "stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2
+)
 
 
 def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:

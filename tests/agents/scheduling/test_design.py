@@ -14,8 +14,8 @@ from surface_gym.agents.scheduling.design import (
     MODULES,
     SIX,
     FlowCase,
-    Found,
-    Layout,
+    LineDesign,
+    LineLayout,
     Search,
 )
 from surface_gym.agents.scheduling.design_report import FlowAnswer
@@ -73,7 +73,7 @@ def test_more_actuators_and_more_orientations_carry_no_less():
     rates = []
     for hardware, groups in kinds.items():
         search = Search(CASE, hardware)
-        four, six = (search.rate(Layout(columns, groups), len(each)) for each in (FOUR, SIX))
+        four, six = (search.rate(LineLayout(columns, groups), len(each)) for each in (FOUR, SIX))
         assert six >= four > 0.0
         rates.append(four)
     assert rates == sorted(rates)
@@ -104,7 +104,7 @@ def test_a_long_parcel_has_a_long_lead_in():
     assert CASE.config(9).line.lead_in == 5
 
 
-def answer(row: Found, rate: float) -> FlowAnswer:
+def answer(row: LineDesign, rate: float) -> FlowAnswer:
     return FlowAnswer(replace(CASE, rate=rate), (row,))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.scheduling import trajectories
-from surface_gym.agents.scheduling.trajectories import DT, Followed, find_gaps, list_asked
+from surface_gym.agents.scheduling.trajectories import DT, TimedRuns, find_gaps, list_asked
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import box
@@ -79,20 +79,20 @@ SQUARE = np.array([(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)])  # [m]
 
 def straight(
     *speeds: float, aside: float = 0.0, seconds: float = 4.0, turns: float = math.inf
-) -> Followed:
+) -> TimedRuns:
     """Squares at constant speeds [m/s] along x, the modules under them turned after a time [s]."""
     time = DT * np.arange(round(seconds / DT))
     pose = np.zeros((len(speeds), len(time), 3))
     pose[..., 0] = np.outer(speeds, time)
     pose[..., 1] = aside
     count = len(speeds)
-    return Followed(
+    return TimedRuns(
         pose, np.full(count, len(time)), np.tile(SQUARE, (count, 1, 1)),
         np.full(count, math.hypot(0.1, 0.1)), np.tile(np.where(time > turns, 1, 0), (count, 1)),
     )  # fmt: skip
 
 
-def gap(one: Followed, other: Followed, margin: float = 0.0, late: float = 0.0) -> float:
+def gap(one: TimedRuns, other: TimedRuns, margin: float = 0.0, late: float = 0.0) -> float:
     """Find the gap [s] of the first of one behind the first of another."""
     found = np.zeros((len(one.moments), len(other.moments)))
     find_gaps(one, other, margin, late, found)
