@@ -31,7 +31,7 @@ COMMANDS = {
     "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.sweep"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
-    "export": Command("write an agent as ONNX and as C, checked", AGENTS + "export.cli"),
+    "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
     "web": Command("compile environments for a browser", "surface_gym.web.build", "web"),
     "play": Command("throw parcels and turn axes, in a browser", "surface_gym.play", "tools"),

@@ -39,7 +39,6 @@ def test_every_command_has_help_that_names_it(name, capsys):
     [
         "train.py", "evaluate.py", "-m surface_gym.design", "-m surface_gym.design columns",
         "-m surface_gym.paper", "-m surface_gym.play", "-m surface_gym.validation", "-m benchmarks",
-        "-m benchmarks.mutation",
     ],
 )  # fmt: skip
 def test_a_usage_line_names_the_command_that_was_typed(typed):

@@ -6,12 +6,8 @@ Any other difference is an error.
 """
 
 import math
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +16,7 @@ from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import Preset
 
 from ..base import Integers, Numbers, Singles
-from . import c_header, onnx
+from . import onnx
 from .policy import NetworkDecision, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
@@ -30,26 +26,6 @@ MAX_TIES = 1e-3  # [-] share of decisions that may differ by round-off alone
 NUM_ENVS = 50  # of the policy's episodes
 FARTHEST = 3.0  # [-] from 0 that a random number may be
 WHOLE_SHARE = 0.1  # [-] of the random numbers that are integers, where some comparisons jump
-COMPILERS = ("cc", "gcc", "clang")
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-_PROGRAM = """\
-#include <stdio.h>
-#include "{name}.h"
-
-/* Observations in; for each, choices and angles out. */
-int main(void) {{
-    float observation[{capital}_FEATURES];
-    int choices[{capital}_PARTS];
-    double angles[{capital}_PARTS];
-    while (fread(observation, sizeof observation, 1, stdin) == 1) {{
-        {prefix}_choose(observation, choices);
-        {prefix}_decide(observation, angles);
-        fwrite(choices, sizeof choices, 1, stdout);
-        fwrite(angles, sizeof angles, 1, stdout);
-    }}
-    return 0;
-}}
-"""
 
 
 @dataclass(frozen=True)
@@ -70,13 +46,12 @@ class Agreement:
 
 
 def compare(
-    what: str,
     decision: NetworkDecision | onnx.ModulesDecision,
     source: Source,
     observations: Singles,
     decide: Decide,
 ) -> Agreement:
-    """Compare decisions with the policy's."""
+    """Compare the decisions of an ONNX file with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
     wanted = source.config.action_kind.commands(actions, len(observations))
     choices, angles = decide(observations)
@@ -85,7 +60,7 @@ def compare(
     if (differs & ~close).any():
         first = int(np.argmax((differs & ~close).any(axis=1)))
         raise ValueError(
-            f"{what} must decide as the policy of {source.name} does, got "
+            f"the ONNX file must decide as the policy of {source.name} does, got "
             f"{int((differs & ~close).any(axis=1).sum())} of {len(observations)} observations "
             f"otherwise; of the first, {observations[first].tolist()}, choices "
             f"{choices[first].tolist()} in place of {wanted[first].tolist()}"
@@ -93,11 +68,11 @@ def compare(
     ties = int((differs & close).sum())
     if ties > math.ceil(MAX_TIES * differs.size):
         raise ValueError(
-            f"{what} must decide as the policy of {source.name} does, got {ties} of "
+            f"the ONNX file must decide as the policy of {source.name} does, got {ties} of "
             f"{differs.size} choices otherwise, though all where scores are close"
         )
     if not np.array_equal(angles, np.array(decision.angles)[choices]):
-        raise ValueError(f"{what} must give the angles of what it chooses, got others")
+        raise ValueError("the ONNX file must give the angles of what it chooses, got others")
     return Agreement(len(observations), decision.parts, ties, int(close.sum()))
 
 
@@ -111,39 +86,6 @@ def run_onnx(model: bytes) -> Decide:
     def decide(observations: Singles) -> tuple[Integers, Numbers]:
         choices, angles = session.run([onnx.CHOICES, onnx.ANGLES], {onnx.OBSERVATION: observations})
         return choices, angles
-
-    return decide
-
-
-def find_compiler() -> str | None:
-    """Return the path of a C compiler; None if there is none."""
-    return next((found for found in map(shutil.which, COMPILERS) if found), None)
-
-
-def run_c(compiler: str, header: str, name: str, parts: int) -> Decide:
-    """Return the decisions of a C header."""
-    prefix = c_header.make_prefix(name)
-
-    def decide(observations: Singles) -> tuple[Integers, Numbers]:
-        with tempfile.TemporaryDirectory() as made:
-            folder = Path(made)
-            (folder / f"{name}.h").write_text(header)
-            program = _PROGRAM.format(name=name, prefix=prefix, capital=prefix.upper())
-            (folder / "main.c").write_text(program)
-            built = subprocess.run(
-                [compiler, *FLAGS, "-o", "decide", "main.c", "-lm"],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-            )
-            if built.returncode:
-                raise ValueError(f"header must compile without a warning, got {built.stderr}")
-            output = subprocess.run(
-                [folder / "decide"], input=observations.tobytes(), capture_output=True, check=True
-            ).stdout
-        row = np.dtype([("choices", np.intc, (parts,)), ("angles", np.float64, (parts,))])
-        rows = np.frombuffer(output, dtype=row)
-        return rows["choices"].astype(np.int64), rows["angles"]
 
     return decide
 

@@ -1,11 +1,11 @@
-"""`surface-gym export`: write a policy as ONNX and as C, once it is checked."""
+"""`surface-gym export`: write a policy as ONNX, once it is checked."""
 
 import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -18,14 +18,13 @@ if TYPE_CHECKING:
     from .onnx import ModulesDecision
     from .policy import NetworkDecision, Source
 
-Format = Literal["onnx", "c"]
 OBSERVATIONS = 10_000
 
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """Export an agent for a machine without Python: an ONNX file, a C header, and a page that
-    describes the input and the output. Each file decides as the policy does, which is checked.
+    """Export an agent for a machine without Python: an ONNX file, and a page that describes its
+    input and output. The file decides as the policy does, which is checked.
     """
 
     name: tyro.conf.Positional[str | None] = None
@@ -36,9 +35,6 @@ class ExportConfig:
     """Folder of a training run: export its policy instead."""
     task: str | None = None
     """Custom task that the run is of, as path/to/file.py:Class, whose code is run."""
-    formats: tuple[Format, ...] = ()
-    """Formats to write; by default all that there are for the policy. Modules that share weights
-    have no C header."""
     out: Path = Path("exported")
     """Folder for the files."""
     observations: int = OBSERVATIONS
@@ -61,50 +57,26 @@ class ExportConfig:
         return policy.of_run(self.run, self.name, self.seed, self.task)
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The files of an export."""
-
-    files: tuple[Path, ...]
-    # By "ONNX" and "C", as far as they are written; None: there is no compiler.
-    checked: "dict[str, Agreement | None]"
-
-
 def export(
-    source: "Source", folder: Path, observations: int = OBSERVATIONS, formats: Sequence[Format] = ()
-) -> Exported:
-    """Write NAME.onnx, NAME.h and NAME.md, if they decide as the policy does."""
-    from . import c_header, check, onnx, page, policy
+    source: "Source", folder: Path, observations: int = OBSERVATIONS
+) -> "tuple[tuple[Path, Path], Agreement]":
+    """Write NAME.onnx and NAME.md, if they decide as the policy does; return them and the check."""
+    from . import check, onnx, page, policy
 
     checks.integer("observations", observations, least=100)
     is_modules = source.policy.card.algo == "modules"
-    if is_modules and "c" in formats:
-        raise ValueError(
-            f"formats must be onnx for {source.name}, got c: modules that share weights are "
-            "exported to ONNX alone"
-        )
-    metadata, contents = make_metadata(source), {}
-    checked: dict[str, Agreement | None] = {}
     make = onnx.modules_decision if is_modules else policy.network_decision
     decision: NetworkDecision | ModulesDecision = make(source)
+    metadata = make_metadata(source)
+    model = make_model(decision, metadata)
     examples = check.make_observations(source, observations)
-    if not formats or "onnx" in formats:
-        contents["onnx"] = make_model(decision, metadata)
-        decide = check.run_onnx(contents["onnx"])
-        checked["ONNX"] = check.compare("ONNX", decision, source, examples, decide)
-    if isinstance(decision, policy.NetworkDecision) and (not formats or "c" in formats):
-        period, compiler = source.config.control_period, check.find_compiler()
-        header = c_header.make_header(decision, source.name, period, metadata)
-        contents["h"], checked["C"] = header.encode(), None
-        if compiler is not None:
-            decide = check.run_c(compiler, header, source.name, decision.parts)
-            checked["C"] = check.compare("C", decision, source, examples, decide)
-    contents["md"] = page.make_page(source, metadata, checked).encode()
-    files = tuple(folder / f"{source.name}.{ending}" for ending in contents)
-    for file, content in zip(files, contents.values(), strict=True):
+    agreement = check.compare(decision, source, examples, check.run_onnx(model))
+    text = page.make_page(source, metadata, agreement)
+    files = folder / f"{source.name}.onnx", folder / f"{source.name}.md"
+    for file, content in zip(files, (model, text.encode()), strict=True):
         with replacing(file) as part:
             part.write_bytes(content)
-    return Exported(files, checked)
+    return files, agreement
 
 
 def make_model(decision: "NetworkDecision | ModulesDecision", metadata: dict[str, str]) -> bytes:
@@ -144,13 +116,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Export; an error ends it with one line."""
     config = tyro.cli(ExportConfig, prog=typed("export"), args=arguments)
     try:
-        exported = export(config.source(), config.out, config.observations, config.formats)
+        files, agreement = export(config.source(), config.out, config.observations)
     except ModuleNotFoundError:
         raise  # which `surface_gym.cli` reports
     except (ValueError, ImportError) as error:
         sys.exit(f"error: {error}")
-    for what, agreement in exported.checked.items():
-        result = "not tried, there is no compiler" if agreement is None else agreement.summary()
-        print(f"{what}: {result}")
-    for file in exported.files:
+    print(f"ONNX: {agreement.summary()}")
+    for file in files:
         print(file)

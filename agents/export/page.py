@@ -8,7 +8,7 @@ from surface_gym.tasks import Sort
 from surface_gym.tasks.base import Feature
 
 from ..evaluation.tables import markdown
-from . import c_header, check, onnx
+from . import check, onnx
 from .policy import Source
 
 POSE = "the parcel's place and angle: a camera, or switches in the modules, and a filter"
@@ -73,26 +73,17 @@ def find_need(feature: Feature) -> str:
     return next(found, UNKNOWN)
 
 
-def make_page(
-    source: Source, metadata: dict[str, str], checked: dict[str, check.Agreement | None]
-) -> str:
+def make_page(source: Source, metadata: dict[str, str], agreement: check.Agreement) -> str:
     """Return the page, in Markdown."""
     name, config = source.name, source.config
-    files = {
-        "ONNX": (f"`{name}.onnx`", f"a graph for any ONNX runtime, opset {onnx.OPSET}"),
-        "C": (
-            f"`{name}.h`",
-            f"a C99 header: `{c_header.make_prefix(name)}_decide(observation, angles)`",
-        ),
-    }
     parts = (
         f"# {name}, seed {source.seed}",
         f"Decides axes for `{source.policy.env_id}` every {config.control_period * 1e3:g} ms. "
-        "Made by surface_gym from a trained policy; each file decides as the policy does.",
-        markdown(("file", "content"), (files[each] for each in checked)),
+        f"Made by surface_gym from a trained policy. `{name}.onnx` decides as the policy does: a "
+        f"graph for any ONNX runtime, opset {onnx.OPSET}.",
         "## In",
-        f"`{onnx.OBSERVATION}`: float32, {len(config.features)} numbers a parcel; in ONNX as many "
-        "rows as there are parcels.",
+        f"`{onnx.OBSERVATION}`: float32, {len(config.features)} numbers a parcel; as many rows "
+        "as there are parcels.",
         _features(source),
         *((_MIRRORED,) if isinstance(config.task, Sort) else ()),
         "Outside of least and greatest the policy was never trained: stop there, or let a rule "
@@ -105,7 +96,7 @@ def make_page(
         "## Trained in",
         _training(source),
         "## Checked",
-        _checked(checked),
+        _checked(agreement),
         "## Metadata of the ONNX file",
         markdown(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
     )
@@ -181,13 +172,9 @@ def _preset(preset: Preset) -> str:
     return f"**{preset.label}**: {preset.meaning} Sensors: `{preset.sensors!r}`."
 
 
-def _checked(checked: dict[str, check.Agreement | None]) -> str:
-    lines = [
-        f"- {what}: " + ("not tried, there was no compiler" if each is None else each.summary())
-        for what, each in checked.items()
-    ]
-    return "\n".join(lines) + (
-        "\n\nCompared with the policy on observations of its own episodes and random ones, half "
-        f"each. Scores that differ by less than {check.TIE:g} of the largest are a tie: single "
-        "precision, summed in another order, may decide either way."
+def _checked(agreement: check.Agreement) -> str:
+    return (
+        f"{agreement.summary()}.\n\nCompared with the policy on observations of its own episodes "
+        f"and random ones, half each. Scores that differ by less than {check.TIE:g} of the largest "
+        "are a tie: single precision, summed in another order, may decide either way."
     )

@@ -98,13 +98,13 @@ class Presence(Observer):
     module; where it cannot be, it is looked for around the pressed ones. It stays over the surface,
     and no faster than a parcel of that entry can be.
 
-    What to expect, by `python -m benchmarks.observer`, over all tasks, 37 controllers and both
-    boxes, at a pitch of 100 mm: where the world is as assumed, half of the errors in position are
-    up to 1.3 mm and 99.9 % below 21 mm. With a load off centre by up to half the way to the edge
-    99.9 % are below 70 mm, the worst is 122 mm; with friction 0.8 or 1.2 of the assumed 46 mm and
-    79 mm. With everything wrong at once, single errors of some 0.3 m remain: of parcels that leave
-    a line, with a rotor or two pressed, or none, which say little. Headings may then err by any
-    angle, and a square's slip by a quarter turn.
+    What to expect, over all tasks, 37 controllers and both boxes, at a pitch of 100 mm: where the
+    world is as assumed, half of the errors in position are up to 1.3 mm and 99.9 % below 21 mm.
+    With a load off centre by up to half the way to the edge 99.9 % are below 70 mm, the worst is
+    122 mm; with friction 0.8 or 1.2 of the assumed 46 mm and 79 mm. With everything wrong at once,
+    single errors of some 0.3 m remain: of parcels that leave a line, with a rotor or two pressed,
+    or none, which say little. Headings may then err by any angle, and a square's slip by a quarter
+    turn.
     """
 
     sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step

@@ -11,7 +11,6 @@ from torch import nn
 
 from surface_gym import agents
 from surface_gym.agents.export import check, onnx as graphs, policy
-from surface_gym.agents.export.c_header import make_header
 from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
@@ -76,30 +75,15 @@ def test_it_decides_as_the_policy(name) -> None:
         names = [each.name for each in source.config.features]
         if "side" in names:
             assert {-1.0, 0.0, 1.0} <= set(seen[:, names.index("side")].tolist())
-    compiler = check.find_compiler()
-    if not is_modules and compiler is not None:
-        header = make_header(decision, name, source.config.control_period, {"of": "a */ test"})
-        decide = check.run_c(compiler, header, name, decision.parts)
-        assert compare("C", decision, source, seen, decide).observations == COUNT
     needed("onnx", "onnxruntime")
     decide = check.run_onnx(make_model(decision, {}))
-    agreement = compare("ONNX", decision, source, seen, decide)
+    agreement = compare(decision, source, seen, decide)
     assert agreement.observations == COUNT
     assert agreement.close < 0.01 * COUNT * agreement.parts
     choices, angles = decide(seen)
     assert angles.shape == choices.shape == (COUNT, decision.parts)
     # Parcels do not mix.
     np.testing.assert_array_equal(decide(seen[7:8])[0], choices[7:8])
-
-
-@pytest.mark.skipif(check.find_compiler() is None, reason="there is no C compiler")
-def test_a_header_that_does_not_compile_is_refused() -> None:
-    source, compiler = made("quadrants"), check.find_compiler()
-    decision = policy.network_decision(source)
-    header = make_header(decision, "quadrants", 0.05, {}).replace("#include <math.h>", "")
-    seen = random_observations(source, 4, seed=0)
-    with pytest.raises(ValueError, match="header must compile without a warning"):
-        check.run_c(compiler, header, "quadrants", decision.parts)(seen)
 
 
 CPU = ["CPUExecutionProvider"]
@@ -160,10 +144,10 @@ def test_another_choice_and_another_angle_are_errors_that_name_it(stop) -> None:
     choices = wanted(stop, seen)
     angles = choices.astype(np.float64)
     with pytest.raises(ValueError, match="must give the angles of what it chooses"):
-        compare("it", decision, stop, seen, lambda _: (choices, angles))
+        compare(decision, stop, seen, lambda _: (choices, angles))
     choices[13, 1] = (choices[13, 1] + 1) % 4
     with pytest.raises(ValueError, match="must decide as the policy of stop does, got 1 of 200"):
-        compare("it", decision, stop, seen, deciding(choices, stop))
+        compare(decision, stop, seen, deciding(choices, stop))
 
 
 def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
@@ -174,14 +158,14 @@ def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
     decision = replace(decision, network=replace(decision.network, layers=(*first, flat)))
     seen = random_observations(stop, 200, seed=0)
     choices = wanted(stop, seen)
-    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    agreement = compare(decision, stop, seen, deciding(choices, stop))
     assert (agreement.ties, agreement.close) == (0, 400)
     choices[13, 1] = (choices[13, 1] + 1) % 4
-    agreement = compare("it", decision, stop, seen, deciding(choices, stop))
+    agreement = compare(decision, stop, seen, deciding(choices, stop))
     assert agreement.ties == 1
     assert "1 of them otherwise, all ties" in agreement.summary()
     with pytest.raises(ValueError, match="though all where scores are close"):
-        compare("it", decision, stop, seen, deciding((choices + 1) % 4, stop))
+        compare(decision, stop, seen, deciding((choices + 1) % 4, stop))
 
 
 @pytest.mark.parametrize(
@@ -193,14 +177,13 @@ def test_a_network_of_another_kind_is_refused(between) -> None:
         policy.read_network(nn.Sequential(nn.Linear(2, 2), *between))
 
 
-def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
+def test_it_writes_two_files_that_it_has_checked(tmp_path, capsys) -> None:
     onnx, runtime = needed("onnx", "onnxruntime")
     main(["sort-ppo", "--seed", "1", "--out", str(tmp_path), "--observations", "400"])
     printed = "".join(capsys.readouterr().out.split())
     assert "ONNX:400observations,800choices:thesame" in printed
-    assert ("C:nottried" in printed) == (check.find_compiler() is None)
     names = {file.name for file in tmp_path.iterdir()}
-    assert names == {"sort-ppo.onnx", "sort-ppo.h", "sort-ppo.md"}
+    assert names == {"sort-ppo.onnx", "sort-ppo.md"}
     model = onnx.load(tmp_path / "sort-ppo.onnx")
     says = {each.key: each.value for each in model.metadata_props}
     source = policy.shipped("sort-ppo", 1)
@@ -208,7 +191,7 @@ def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     assert (says["agent"], says["seed"], says["control_period"]) == ("sort-ppo", "1", "0.04")
     assert json.loads(says["orientations"]) == list(source.config.chosen_orientations)
     assert json.loads(says["features"])[14] == "side"
-    assert source.digest in (tmp_path / "sort-ppo.h").read_text()
+    assert source.digest in (tmp_path / "sort-ppo.md").read_text()
     assert [each.version for each in model.opset_import] == [17]
     session = runtime.InferenceSession(tmp_path / "sort-ppo.onnx", providers=CPU)
     (value,) = session.get_inputs()
@@ -218,17 +201,11 @@ def test_it_writes_three_files_that_it_has_checked(tmp_path, capsys) -> None:
     assert outputs == {"choices": "tensor(int64)", "angles": "tensor(double)"}
 
 
-def test_modules_that_share_weights_have_no_c_header(tmp_path) -> None:
+def test_modules_that_share_weights_are_exported_too(tmp_path) -> None:
     needed("onnx")
-    with pytest.raises(SystemExit, match=r"formats must be onnx for sort-modules, .* ONNX alone"):
-        main(["sort-modules", "--formats", "c", "--out", str(tmp_path)])
-    assert list(tmp_path.iterdir()) == []
     main(["sort-modules", "--out", str(tmp_path), "--observations", "200"])
     names = {file.name for file in tmp_path.iterdir()}
     assert names == {"sort-modules.onnx", "sort-modules.md"}
-    assert "sort-modules.h" not in (tmp_path / "sort-modules.md").read_text()
-    main(["slow-dqn", "--formats", "c", "--out", str(tmp_path / "c"), "--observations", "200"])
-    assert {file.name for file in (tmp_path / "c").iterdir()} == {"slow-dqn.h", "slow-dqn.md"}
 
 
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
@@ -252,13 +229,13 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
 @pytest.mark.parametrize("name", CARDS)
 def test_the_page_lists_every_feature_and_angle(name) -> None:
     source = made(name)
-    page = make_page(source, make_metadata(source), {"ONNX": None, "C": None})
+    page = make_page(source, make_metadata(source), check.Agreement(400, 2, 0, 1))
     for each in source.config.features:
         assert f"| {each.name} | {each.low:g} | {each.high:g} | {each.meaning} |" in page
     for angle in source.config.chosen_orientations:
         assert f"| {angle:.9g} | {np.degrees(angle):g} |" in page
     assert f"every {source.config.control_period * 1e3:g} ms" in page
-    assert "not tried" in page
+    assert "400 observations, 800 choices: the same (1 too close" in page
     assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
 
 
