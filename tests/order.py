@@ -93,7 +93,7 @@ NIGHTLY = (
     "tests/docs/test_site.py::TestNotebook::test_it_runs",
     "tests/docs/test_site.py::TestSite",
     "tests/parallel/test_jobs.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
-    "tests/parallel/test_jobs.py::test_a_design_map_is_the_same",
+    "tests/parallel/test_jobs.py::test_a_design_s_answer_is_the_same",
     "tests/parallel/test_jobs.py::test_a_job_whose_node_dies_is_done_again_and_only_that",
     "tests/parallel/test_jobs.py::test_a_search_has_trials_of_the_nodes",
     "tests/parallel/test_jobs.py::test_results_are_the_same_those_of_a_runs_policies_too",

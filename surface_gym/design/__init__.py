@@ -24,16 +24,14 @@ if TYPE_CHECKING:
         least_tilt,
     )
     from surface_gym.design.runs import DesignLine, line_for
-    from surface_gym.design.sweep import Sensitivity, SuccessMap, sensitivity, success_map
 
 __all__ = [
     "BestLayout", "Case", "Columns", "ControlGain", "DesignLine", "EveryLayout", "FrictionRange",
-    "Limits", "Purpose", "Sensitivity", "Slow", "Sort", "Span", "Stop", "SuccessMap", "Turn",
+    "Limits", "Purpose", "Slow", "Sort", "Span", "Stop", "Turn",
     "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "control_gain", "every_layout",
-    "friction_range", "least_columns", "least_speed", "least_tilt", "line_for", "sensitivity",
-    "success_map",
+    "friction_range", "least_columns", "least_speed", "least_tilt", "line_for",
 ]  # fmt: skip
-_MODULES = ("case", "columns", "control", "fixed_layout", "limits", "runs", "sweep")
+_MODULES = ("case", "columns", "control", "fixed_layout", "limits", "runs")
 
 
 def __getattr__(name: str) -> Any:

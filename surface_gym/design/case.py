@@ -359,7 +359,7 @@ class Unknown(Randomisation):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.size:
-            raise ValueError(f"size must be 0, got {self.size!r}: a map goes over sizes")
+            raise ValueError(f"size must be 0, got {self.size!r}: the parcel is given")
         checks.not_negative("speed", self.speed, 20.0)
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 

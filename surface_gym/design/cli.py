@@ -302,42 +302,6 @@ class AskFriction(Question):
 
 
 @dataclass(frozen=True)
-class AskMap(Question):
-    """Map the success of one surface over entry speeds and sizes of the parcel."""
-
-    speeds: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="LOW HIGH")] = None
-    """[m/s] least and most; else 0.1 and 3, or half as much again as --speed."""
-    sizes: tuple[float, float] = (0.5, 1.5)
-    """Least and most, over the parcel's own."""
-    cells: int = 40
-    """Number of speeds, and of sizes."""
-    resume: bool = False
-    """Resume an interrupted map from its map.npz in --out."""
-
-    file = "map.npz"
-
-    def answer(self, on_progress: "OnProgress") -> "Answer":
-        import numpy as np
-
-        case = self.case()
-        checks.integer("cells", self.cells, least=1)
-        ends = (0.1, max(3.0, 1.5 * case.speed)) if self.speeds is None else self.speeds
-        return design.success_map(
-            case, self.columns, np.linspace(*ends, self.cells).tolist(),
-            np.linspace(*self.sizes, self.cells).tolist(), self.rows, self.shared_by,
-            self.checkpoint, on_progress,
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class AskSensitivity(Question):
-    """Find the effect of each unknown quantity alone."""
-
-    def answer(self, on_progress: "OnProgress") -> "Answer":
-        return design.sensitivity(self.case(), self.columns, self.rows, self.shared_by, on_progress)
-
-
-@dataclass(frozen=True)
 class AskLayout(Question):
     """Search the fixed layout that does best over a range of entry speeds."""
 
@@ -396,8 +360,6 @@ QUESTIONS: dict[str, Callable[..., Question | AskFlow]] = {
     "speed": AskSpeed,
     "tilt": AskTilt,
     "friction": AskFriction,
-    "map": AskMap,
-    "sensitivity": AskSensitivity,
     "layout": AskLayout,
     "control": AskControl,
     "flow": AskFlow,

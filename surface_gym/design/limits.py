@@ -9,8 +9,8 @@ import numpy as np
 
 from surface_gym import checks, parallel
 from surface_gym.design import report, runs
+from surface_gym.design.arrangement import Arrangement, arrange, success_shares
 from surface_gym.design.case import NOMINAL, SURE, TOGETHER, WORST, Case, Unknown, is_reliable
-from surface_gym.design.sweep import Arrangement, arrange, success_shares
 from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws

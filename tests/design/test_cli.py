@@ -93,11 +93,6 @@ def test_an_assumed_entry_speed_is_said(tmp_path, capsys):
     assert asked("--parcel", "S").case().speed == 1.0
 
 
-def test_speeds_of_a_map_must_rise(tmp_path, capsys):
-    out = ("--parcel", "S", "--draws", "1", "--out", str(tmp_path))
-    assert refused(capsys, "map", *out, "--speeds", "1", "0.5") == "speeds must rise, got 1 to 0.5"
-
-
 def test_more_workers_than_any_machine_has_are_refused(capsys):
     said = refused(capsys, "columns", "--parcel", "S", "--workers", "100000")
     assert said.startswith("workers must be at most 32 for each usable core")
@@ -107,7 +102,6 @@ OWN = ("--parcel", "0.3x0.4", "--speed", "1.2", "--draws", "4", "--workers", "1"
 QUICK = {
     "speed": ("--highest", "1.5"),
     "tilt": ("--highest-deg", "3"),
-    "map": ("--cells", "3"),
     "layout": (
         "--columns", "6", "--speeds", "1.0", "1.2", "--speed-step", "0.1", "--members", "5",
         "--epochs", "1",
@@ -149,7 +143,7 @@ def test_columns_are_answered_and_mass_is_said_to_cancel_where_it_does(tmp_path,
     first, second = capsys.readouterr().out.splitlines()[:2]
     assert first.startswith("6 columns of 4 rows (24 modules at +45 deg)")
     assert second.startswith("Mass cancels out of the motion")
-    cli.main(["sensitivity", *flags, "--inertia", "0.3"])
+    cli.main(["columns", *flags, "--rows", "4", "--inertia", "0.3"])
     assert "cancels" not in capsys.readouterr().out
 
 
@@ -164,26 +158,24 @@ def stopping_after(runs: int) -> type[cli.Progress]:
     return Stopping
 
 
-def test_a_map_that_is_stopped_goes_on_and_other_questions_just_stop(tmp_path, monkeypatch, capsys):
-    flags = ["map", *OWN, "--cells", "3", "--out", str(tmp_path)]
-    other = ["sensitivity", *OWN, "--out", str(tmp_path)]
-    for asked, runs, said in ((flags, 20, "stopped; --resume goes on\n"), (other, 0, "stopped\n")):
+def test_a_search_that_is_stopped_goes_on_and_other_questions_just_stop(
+    tmp_path, monkeypatch, capsys
+):
+    flags = ["layout", *OWN, *QUICK["layout"], "--epochs", "2", "--out", str(tmp_path)]
+    other = ["friction", *OWN, "--out", str(tmp_path)]
+    for asked, runs, said in ((flags, 1, "stopped; --resume goes on\n"), (other, 0, "stopped\n")):
         monkeypatch.setattr(cli, "Progress", stopping_after(runs))
         with pytest.raises(SystemExit) as ended:
             cli.main(asked)
         assert (ended.value.code, capsys.readouterr().err) == (cli.STOPPED, said)
     monkeypatch.undo()
-
-    unknown = np.isnan(np.load(tmp_path / "map.npz")["found"])
-    assert unknown.any()
-    assert not unknown.all()
     cli.main([*flags, "--resume"])
-    resumed = (tmp_path / "map.csv").read_text()
+    resumed = (tmp_path / "layout.csv").read_text()
     cli.main(flags)
-    assert resumed == (tmp_path / "map.csv").read_text()
+    assert resumed == (tmp_path / "layout.csv").read_text()
     capsys.readouterr()
     line = refused(capsys, *flags, "--resume", "--seed", "1")
-    assert line.startswith("checkpoint must be of this map")
+    assert line.startswith("checkpoint must be of this search")
     assert line.endswith("another seed: 0, not 1")
 
 
@@ -193,7 +185,6 @@ def test_a_flag_that_a_question_does_not_take_is_one_line(tmp_path, capsys):
         (("friction", "--parcel", "S", "--speed", "0.3"), "columns must be given"),
         (("columns", *OWN, "--columns", "3"), "columns must not be given: they are what is asked"),
         (("layout", *OWN, "--speeds", "2", "1"), "speeds must be the least and the most, got (2.0"),
-        (("map", *OWN, "--cells", "0"), "cells must be a whole number of at least 1, got 0"),
     ):
         assert refused(capsys, *arguments, "--out", str(tmp_path / "none")).startswith(error)
 
@@ -224,7 +215,7 @@ def test_neither_the_package_nor_its_help_imports_what_is_heavy():
         "import sys, surface_gym.design\n"
         f"print([name for name in {heavy!r} if name in sys.modules])\n"
         "from surface_gym.design import cli\n"
-        "try: cli.main(['map', '--help'])\n"
+        "try: cli.main(['layout', '--help'])\n"
         "except SystemExit: print('matplotlib' in sys.modules)"
     )
     assert done.stdout.startswith("[]\n"), done.stderr

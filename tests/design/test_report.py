@@ -15,7 +15,6 @@ from surface_gym.design.fixed_layout import best_layout
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
 from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
 from surface_gym.design.search import Effort
-from surface_gym.design.sweep import sensitivity, success_map
 
 BOX = layouts.box("S")
 CASE = Case(BOX, Sort(), speed=1.2, draws=5)
@@ -38,8 +37,6 @@ ANSWERS: dict[str, Callable[[Case, int], Answer]] = {
     "columns": lambda case, _: columns_of(case),
     "speed": lambda case, columns: least_speed(case, columns, highest=2.0),
     "friction": friction_range,
-    "map": lambda case, columns: success_map(case, columns, SPEEDS, [0.8, 1.0]),
-    "sensitivity": sensitivity,
     "layout": lambda case, columns: best_layout(case, SPEEDS, columns, effort=EFFORT),
 }
 
@@ -59,7 +56,7 @@ def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(name, cas
     assert (tmp_path / "figure.png").stat().st_size < 200_000
     assert "?" in figure.get_suptitle()
     assert any(axes.get_xlabel() for axes in figure.axes)
-    assert figure.axes[0].get_ylabel() or name == "sensitivity"
+    assert figure.axes[0].get_ylabel()
 
 
 def test_lines_differ_in_colour_and_in_style():
@@ -156,29 +153,6 @@ def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_fric
 )
 def test_spans_in_words(case, columns, highest, text):
     assert text in least_speed(case, columns, highest=highest).sentence
-
-
-def test_a_map_by_size_and_by_cell_and_one_cell_without_contours(tmp_path):
-    found = success_map(CASE, 4, [0.3, 1.0, 1.5], [0.8, 1.0])
-    sizes, cells = found.tables()
-    assert sizes.rows[1][:3] == (1.0, 1.0, 1.5)
-    assert not sizes.written
-    assert len(cells.rows) == 6
-    assert cells.rows[3] == (1.0, 0.3, False, 0.0)
-    assert "67% of these speeds and sizes" in found.sentence
-    assert "no speed and size here" in success_map(CASE, 4, [0.3], [1.0]).sentence
-    success_map(CASE, 4, [1.0], [1.0]).draw().savefig(tmp_path / "map.png")
-
-
-def test_sensitivity_field_by_field():
-    found = sensitivity(Case(BOX, Turn(), speed=1.5, draws=5), columns=6)
-    (table,) = found.tables()
-    assert table.title == "Angle on leaving the zone [deg]"
-    assert len(table.rows) == 1 + len(found.bars)
-    assert table.rows[0][1] == pytest.approx(math.degrees(found.measure))
-    assert "success suffers most from" in found.sentence
-    assert "no draw comes as far" in sensitivity(LOST, columns=4).sentence
-    assert "all succeed" in sensitivity(CASE, columns=4).sentence
 
 
 def test_a_layout_beside_the_study_s():
