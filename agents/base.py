@@ -16,7 +16,7 @@ import surface_gym as sg
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
-from surface_gym.tasks.sort import FEATURES
+from surface_gym.tasks.sort import COLUMN
 
 SAME = 1e-6  # [rad] axes closer than this are one
 
@@ -148,7 +148,7 @@ def find_axes(config: EnvConfig) -> Axes:
     )
 
 
-SIDE = len(FEATURES) - 1  # index of the asked side in the observation
+SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
 def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:

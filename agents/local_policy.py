@@ -112,7 +112,7 @@ class LocalPolicy(SlopePolicy):
         it has been there, and by its row in the table.
         """
         rows = tables.shape[1]
-        since = 4.0 * tables[..., ta.TIME].reshape(-1)[row] / self._config.control_period
+        since = ta.COLUMN.time.of(tables).reshape(-1)[row] / self._config.control_period
         place = (since / HOLD + 1e-3).astype(np.int64) + APART * (row % rows)
         return torch.from_numpy(self._numbers[place % NUMBERS])
 

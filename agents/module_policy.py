@@ -35,6 +35,7 @@ ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; ha
 LEAST_ROWS = 2.0  # of a line amid supports
 MARGIN = 0.01  # [m] a module this near to the base may bear it
 
+BESIDE, ACROSS = 0.3, 0.15  # [m] scales of a module's place beside the parcel and the line
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
 # The side is mirrored away. The time would tie the policy to one length of lead-in.
 SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
@@ -84,8 +85,8 @@ class Outline:
 def outline_from_features(
     length: Numbers, width: Numbers, fill: Numbers, line: BaseLine
 ) -> Outline:
-    """Compute the outlines of bases from the features (num_envs,) of the group "parcel"."""
-    half = 0.175 + 0.05 * np.stack([length, width])
+    """Compute the outlines of bases from their half length and width [m] and how full they are."""
+    half = np.stack([length, width])
     return Outline(
         half,
         np.clip((1.0 - fill) / (1.0 - ELLIPSE), 0.0, 1.0),
@@ -155,7 +156,6 @@ class ModuleView:
         columns = {feature.name: k for k, feature in enumerate(config.features)}
         of_groups = [columns[feature.name] for feature in group_features(config.observe)]
         self._shared = np.array([*SHARED, *of_groups])
-        self._columns = columns
         exact = "parcel" in config.observe
         self._locate = self._locate_exactly if exact else self._locate_by_clearance
         # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
@@ -165,8 +165,9 @@ class ModuleView:
 
     def __call__(self, observations: Singles) -> ModuleObservations:
         """Compute the modules' observations from those of environments (num_envs, features)."""
-        see = _mirrored_to_left(self._config.decode(observations))
-        outlines, into_zone = self._locate(see, observations)
+        shown = self._config.observed(observations)
+        see = _mirrored_to_left(planning.decode_line(shown))
+        outlines, into_zone = self._locate(see, shown)
         env, index, x, y = self._find_near(see, outlines, into_zone)
         outline = outlines.select(env)
         period = self._config.control_period
@@ -177,7 +178,7 @@ class ModuleView:
             (see.theta + period * see.omega)[env],
         )
         distance = np.stack([outline.distance(now), outline.distance(later)])
-        beside = np.stack([x / 0.3, y / 0.3, (y + see.offset[env]) / 0.15])
+        beside = np.stack([x / BESIDE, y / BESIDE, (y + see.offset[env]) / ACROSS])
         parts = (now / outline.half, later / outline.half, distance <= 0.0, beside)
         place = np.concatenate([*parts, self._axes(observations, env, x, y)]).T
         bears = distance.min(axis=0) <= MARGIN
@@ -186,21 +187,18 @@ class ModuleView:
         )
 
     def _locate_by_clearance(
-        self, see: planning.LineObservation, observations: Singles
+        self, see: planning.LineObservation, shown: planning.Observed
     ) -> tuple[Outline, Numbers]:
         """Infer outlines, and x [m] of the bases' centres (num_envs,) past the zone's edge."""
-        clearance = 0.2 * observations[:, self._columns["clearance"]].astype(np.float64)
-        outline = outline_from_clearance(see, clearance, self._line)
+        outline = outline_from_clearance(see, shown["clearance"], self._line)
         return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
 
     def _locate_exactly(
-        self, see: planning.LineObservation, observations: Singles
+        self, see: planning.LineObservation, shown: planning.Observed
     ) -> tuple[Outline, Numbers]:
         """Compute the same from an observed outline: the phase in a pitch makes x exact."""
         names = ("length", "width", "fill", "sine of phase x", "cosine of phase x")
-        length, width, fill, sine, cosine = (
-            observations[:, self._columns[name]].astype(np.float64) for name in names
-        )
+        length, width, fill, sine, cosine = (shown[name] for name in names)
         outline = outline_from_features(length, width, fill, self._line)
         pitch = self._line.pitch_x
         into_zone = see.into_zone + (outline.reach(see.theta) - see.reach)

@@ -76,7 +76,7 @@ class ParcelNetwork(nn.Module):
             tables: (num_envs, rows, features).
             proposed: (num_envs, rows) choice of the rule.
         """
-        present = tables[..., ta.PRESENT] > 0.5
+        present = ta.COLUMN.present.of(tables) > 0.5
         index = present.flatten().nonzero()[:, 0]
         rows = tables.flatten(0, 1)[index].clamp(-MOST, MOST)
         rule = nn.functional.one_hot(proposed.flatten()[index], self.choices).to(rows.dtype)
@@ -100,7 +100,8 @@ class ParcelNetwork(nn.Module):
             room = values.new_zeros(len(present), most, values.shape[1])
             return room.index_put((surface, place), values)
 
-        lie = torch.stack([-rows[:, ta.END], 0.5 * rows[:, ta.OFFSET], rows[:, ta.FORWARD]], dim=1)
+        x, y, vx = ta.COLUMN.to_the_end, ta.COLUMN.offset, ta.COLUMN.forward_speed
+        lie = torch.stack([-x.of(rows), y.of(rows), rows[:, vx.place]], dim=1)
         where = packed(lie)
         apart = where[:, None] - where[:, :, None]
         apart = apart.clamp(-torch.tensor(APART), torch.tensor(APART))
@@ -217,7 +218,7 @@ class ParcelPolicy(SlopePolicy):
             uniform = torch.rand(len(index), 1).numpy()
             choice[index] = (uniform > probability.cumsum(axis=1)[:, :-1]).sum(axis=1)
         halves = to_halves(choice.reshape(batch.shape[:2]), self._orientations)
-        since = batch[..., ta.TIME].astype(np.float64)
+        since = ta.COLUMN.time.of(batch).astype(np.float64)
         return halves.reshape(len(batch), -1), ParcelMemory(memory, due, since)
 
     @torch.no_grad()
@@ -232,7 +233,7 @@ def _carry_over(state: Any, fresh: Booleans, batch: Any, choices: int) -> Number
     """Return (num_envs, rows, choices) what is owed those parcels that are there still."""
     due = np.zeros((*batch.shape[:2], choices))
     if state is not None:
-        stays = (batch[..., ta.TIME] > state.since) & (batch[..., ta.PRESENT] > 0.5)
+        stays = (ta.COLUMN.time.of(batch) > state.since) & (ta.COLUMN.present.of(batch) > 0.5)
         stays &= ~fresh[:, np.newaxis]
         due[stays] = state.due[stays]
     return due

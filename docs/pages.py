@@ -18,7 +18,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.task import ACTIONS, StreamTask
 from surface_gym.registration import FLOW_TASK, env_id
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature
 
 # Tasks on streams of parcels, and where each page leads on.
 MATERIAL_FLOW = (
@@ -90,10 +90,10 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 def _feature_table(features: Iterable[Feature]) -> str:
     rows = (
-        (str(place), feature.name, feature.meaning, f"{feature.low:g}", f"{feature.high:g}")
-        for place, feature in enumerate(features)
+        (str(place), each.name, each.meaning, each.formula, f"{each.low:g}", f"{each.high:g}")
+        for place, each in enumerate(features)
     )
-    return _table(("place", "feature", "meaning / unit", "least", "most"), rows)
+    return _table(("place", "feature", "value", "shown", "least", "most"), rows)
 
 
 def _argument_table(kind: type[Any]) -> str:

@@ -20,6 +20,18 @@ ARM = 0.1  # [m] an angle off the heading counts for as much way, a radian
 OUTCOMES = ("passed the point", "stalled", "off the surface")
 PASSED, STALLED, OFF_SURFACE = own.failures(OUTCOMES)
 
+FEATURES = (  # name, bounds of the number shown, value, its unit, and the scale it is divided by
+    own.Feature("to go along", -10.0, 10.0, "x to the point", "m"),
+    own.Feature("to go across", -20.0, 20.0, "y to the point", "m", 0.2),
+    own.Feature("fine to go across", -1.0, 1.0, "the same", "m", 0.03, bent=True),
+    own.Feature("angle to turn", -100.0, 100.0, "heading - theta", "rad", 0.3),
+    own.Feature("forward speed", -10.0, 10.0, "vx", "m/s"),
+    own.Feature("lateral speed", -50.0, 50.0, "vy", "m/s", 0.3),
+    own.Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0),
+    own.Feature("size", 0.0, 20.0, "half length", "m", 0.2),
+)
+COLUMN = own.columns(FEATURES)
+
 
 @dataclass(frozen=True)
 class Reach(own.Task):
@@ -30,18 +42,7 @@ class Reach(own.Task):
     headings: tuple[float, float] = (-math.pi / 6, math.pi / 6)  # [rad] asked
 
     line = own.Field(rows=16, columns=30)
-    features = (
-        own.Feature("to go along", -10.0, 10.0, "x to the point / 1 m"),
-        own.Feature("to go across", -20.0, 20.0, "y to the point / 0.2 m"),
-        own.Feature(
-            "fine to go across", -1.0, 1.0, "hyperbolic tangent of y to the point / 0.03 m"
-        ),
-        own.Feature("angle to turn", -100.0, 100.0, "heading - theta / 0.3 rad"),
-        own.Feature("forward speed", -10.0, 10.0, "vx / 1 m/s"),
-        own.Feature("lateral speed", -50.0, 50.0, "vy / 0.3 m/s"),
-        own.Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
-        own.Feature("size", 0.0, 20.0, "half length / 0.2 m"),
-    )
+    features = FEATURES
     terms = ("approach", "success", "failure")
     outcomes = OUTCOMES
     metrics = ("miss", "angle_error")  # [m] from the point, [rad] off the heading
@@ -101,14 +102,14 @@ class Reach(own.Task):
     def observe(state: EnvState) -> None:
         sensed, see = state.sensed, state.observation
         across = state.goal[GOAL_Y] - sensed[Y]
-        see[0] = state.goal[GOAL_X] - sensed[X]
-        see[1] = across / 0.2
-        see[2] = math.tanh(across / 0.03)
-        see[3] = (state.goal[HEADING] - sensed[THETA]) / 0.3
-        see[4] = sensed[own.VX]
-        see[5] = sensed[own.VY] / 0.3
-        see[6] = sensed[own.OMEGA] / 3.0
-        see[7] = state.body[own.HALF_LENGTH] / 0.2
+        own.show(see, COLUMN.to_go_along, state.goal[GOAL_X] - sensed[X])
+        own.show(see, COLUMN.to_go_across, across)
+        own.show_bent(see, COLUMN.fine_to_go_across, across)
+        own.show(see, COLUMN.angle_to_turn, state.goal[HEADING] - sensed[THETA])
+        own.show(see, COLUMN.forward_speed, sensed[own.VX])
+        own.show(see, COLUMN.lateral_speed, sensed[own.VY])
+        own.show(see, COLUMN.turning_speed, sensed[own.OMEGA])
+        own.show(see, COLUMN.size, state.body[own.HALF_LENGTH])
 
 
 @kernel_function

@@ -21,7 +21,8 @@ from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import DEFAULT_TASK, TASKS
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
 from surface_gym.state import Timing
-from surface_gym.tasks.base import Feature, Task
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.features import Feature
 from surface_gym.tasks.planning import Observed
 from surface_gym.tasks.start import Start
 
@@ -338,16 +339,17 @@ class EnvConfig:
 
     def decode(self, observations: ArrayLike) -> Any:
         """Decode observations (num_envs, features) into SI units, as the task does."""
-        return self.task.decode(self._observed(observations))
+        return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
         """Decode an observation (features,) into the start that it shows, as the task does."""
-        return self.task.decode_start(self._observed(observation))
+        return self.task.decode_start(self.observed(observation))
 
-    def _observed(self, observations: ArrayLike) -> Observed:
+    def observed(self, observations: ArrayLike) -> Observed:
+        """Return observations (num_envs, features) that are read by name, in SI units."""
         return Observed(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
-            {feature.name: k for k, feature in enumerate(self.features)},
+            self.features,
             self.chosen_line,
             self.zone,
             *self.sensors.learned_spreads,

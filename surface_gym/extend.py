@@ -16,6 +16,8 @@ They read and write an `EnvState`, one parcel on one surface, and may use `math`
   `MASS`;
 - places in `state.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
 - what `outcome` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
+- `show`, `show_within` and `show_bent`, which write a value into an observation by its column, one
+  of `columns(features)`;
 - `reach_along`, `zone_start`, `zone_end`, `planar_speed`, `is_slower`, and in `is_done` also
   `read_truth`.
 
@@ -96,7 +98,8 @@ from surface_gym.state import (
     zone_start,
 )
 from surface_gym.tasks import Task
-from surface_gym.tasks.base import Feature, entry, failures
+from surface_gym.tasks.base import entry, failures
+from surface_gym.tasks.features import Feature, columns, show, show_bent, show_within
 from surface_gym.tasks.start import Draw, Parcels, Start, between
 
 __all__ = [
@@ -106,7 +109,8 @@ __all__ = [
     "SIDE", "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY",
     "Array", "BaseLine", "Draw", "EnvState", "Exit", "Exits", "Feature", "Field", "Inlet", "Inlets",
     "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Spread", "Start", "Steady",
-    "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y", "between", "entry",
-    "failures", "flow_line", "is_slower", "kernel_function", "planar_speed", "reach_along",
-    "read_truth", "register", "slope_line", "zone_end", "zone_start",
+    "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y", "between", "columns",
+    "entry", "failures", "flow_line", "is_slower", "kernel_function", "planar_speed", "reach_along",
+    "read_truth", "register", "show", "show_bent", "show_within", "slope_line", "zone_end",
+    "zone_start",
 ]  # fmt: skip

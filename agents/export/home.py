@@ -16,16 +16,14 @@ import numpy as np
 from surface_gym.compiler.wasm_image import make_image
 from surface_gym.config import EnvConfig
 from surface_gym.files import replacing
-from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.tasks.sort import HORIZON
+from surface_gym.flow.task import COLUMN
 from surface_gym.web.starts import describe, goal_marks
 
 from ..evaluation.capacity import WARM_UP, StreamMethod
 from ..evaluation.streams import ARRANGED, FILMED, MODULES, stream_methods
-from ..scheduling.maneuvers import FIFTH, HALF, LENGTH, PAST_START, SPEED, UNIT
-from ..scheduling.scheduler import BOOKED, LONG_AGO, TIME, WIDTH, Scheduler
+from ..scheduling.scheduler import BOOKED, LONG_AGO, WIDTH, Scheduler
 from ..scheduling.trajectories import SIGNATURE
 
 FILES = ("home.bin", "home.json")
@@ -89,9 +87,11 @@ def describe_schedule(scheduler: Scheduler) -> dict[str, Any]:
 def describe_table() -> dict[str, Any]:
     """Describe what all schedulers share: columns of the table, units, sizes of their memory."""
     return {
-        "present": task.PRESENT, "time": TIME, "past": PAST_START, "speed": SPEED,
-        "length": LENGTH, "seen": SIGNATURE,
-        "horizon": HORIZON, "unit": UNIT, "half": HALF, "fifth": FIFTH,
+        "present": COLUMN.present.place, "time": COLUMN.time.place,
+        "past": COLUMN.past_the_exit_s_start.place, "speed": COLUMN.forward_speed.place,
+        "length": COLUMN.size.place, "seen": SIGNATURE, "horizon": COLUMN.time.scale,
+        "unit": COLUMN.past_the_exit_s_start.scale,
+        "half": COLUMN.size.offset, "fifth": COLUMN.size.scale,
         "booked": BOOKED, "width": WIDTH, "longAgo": LONG_AGO,
     }  # fmt: skip
 

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
+from surface_gym.tasks.features import columns, decode
 
 from ..base import SIDE, Integers, Singles, mirrored_orientations
-from ..module_policy import ELLIPSE, EXACT, MARGIN, ROUND
+from ..module_policy import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
 from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators
@@ -177,17 +178,22 @@ def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> tuple[tuple[A
         Numbers that a module sees of itself, whether it bears the parcel, or will by the next
         decision, and whether the asked side is y < 0: arrays (parcels, modules), or (parcels, 1).
     """
-    see = {each.name: feature for each, feature in zip(config.features, features, strict=True)}
+    see = {
+        each.name: decode(column, feature)
+        for each, column, feature in zip(
+            config.features, columns(config.features), features, strict=True
+        )
+    }
     kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0
-    offset = 0.3 * see["lateral offset"]
-    vx, vy = 1.0 + see["forward speed"], 0.5 * see["lateral speed"]
+    offset = see["lateral offset"]
+    vx, vy = see["forward speed"], see["lateral speed"]
     sine, cosine = see["sine of theta"], see["cosine of theta"]
     length = _hypot(sine, cosine)
     turned = length > 0.0
     cosine, sine = np.where(turned, cosine / length, 1.0), np.where(turned, sine / length, 0.0)
     outline, into_zone = _lie(config, see, offset, (cosine, sine))
-    turn = period * 3.0 * see["turning speed"]
+    turn = period * see["turning speed"]
     c, s = np.cos(turn), np.sin(turn)
     later_axes = (cosine * c - sine * s, sine * c + cosine * s)
     row, column = np.divmod(np.arange(kind.size), kind.columns)
@@ -201,7 +207,7 @@ def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> tuple[tuple[A
         now[0] / outline.half[0], now[1] / outline.half[1],
         later[0] / outline.half[0], later[1] / outline.half[1],
         np.where(outside <= 0.0, 1.0, 0.0), np.where(outside_later <= 0.0, 1.0, 0.0),
-        x / 0.3, y / 0.3, (y + offset) / 0.15,
+        x / BESIDE, y / BESIDE, (y + offset) / ACROSS,
         *_axes_around(config, see, x, y),
     )  # fmt: skip
     close = _hypot(*outline.half) + period * (abs(vx) + abs(vy)) + 2.0 * MARGIN
@@ -250,17 +256,17 @@ def _lie(
 
     cosine, sine = abs(axes[0]), abs(axes[1])
     if "parcel" in config.observe:
-        length, width = (0.175 + 0.05 * see[name] for name in ("length", "width"))
+        length, width = see["length"], see["width"]
         roundness = _clip((1.0 - see["fill"]) / (1.0 - ELLIPSE), 0.0, 1.0)
         outline = _Outline((length, width), roundness, rows(width / line.pitch_y + EXACT))
-        into_zone = 0.5 * see["distance into zone"] + outline.reach(*axes)
+        into_zone = see["distance into zone"] + outline.reach(*axes)
         # The nearest place whose phase within a pitch is the one that is shown.
         phase = _angle(see["sine of phase x"], see["cosine of phase x"])
         in_pitch = 0.5 + phase / (2.0 * math.pi)
         pitch = line.pitch_x
         return outline, pitch * (np.rint(into_zone / pitch - in_pitch) + in_pitch)
-    length = 0.175 + 0.05 * see["size"]
-    beyond = offset - 0.2 * see["clearance"]
+    length = see["size"]
+    beyond = offset - see["clearance"]
     across = beyond - length * sine
     count = rows((across / line.pitch_y + (1.5 - ROUND)) / (1.0 + cosine))
     half_line = 0.5 * line.pitch_y * (count - 1.0)
@@ -269,7 +275,7 @@ def _lie(
     is_disc = abs(beyond - half_line - length) < EXACT
     width = _clip(reach / np.maximum(cosine, _LEAST_COSINE), 0.5 * length, 2.0 * length)
     outline = _Outline((length, np.where(as_wide | is_disc, length, width)), None, count)
-    return outline, 0.5 * see["distance into zone"] + outline.reach(*axes)
+    return outline, see["distance into zone"] + outline.reach(*axes)
 
 
 def _axes_around(config: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tuple[Any, ...]:

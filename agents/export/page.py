@@ -5,7 +5,7 @@ import math
 from surface_gym.config import Preset
 from surface_gym.core.actions import GROUPS, ActionKind, group_features
 from surface_gym.tasks import Sort
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature
 
 from ..evaluation.tables import markdown
 from . import check, onnx
@@ -105,10 +105,14 @@ def make_page(source: Source, metadata: dict[str, str], agreement: check.Agreeme
 
 def _features(source: Source) -> str:
     rows = (
-        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, find_need(each))
+        (
+            str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, each.formula,
+            find_need(each),
+        )
         for place, each in enumerate(source.config.features)
-    )
-    return markdown(("place", "feature", "least", "greatest", "meaning", "a machine needs"), rows)
+    )  # fmt: skip
+    titles = ("place", "feature", "least", "greatest", "value", "shown", "a machine needs")
+    return markdown(titles, rows)
 
 
 def _out(source: Source) -> str:

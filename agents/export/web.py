@@ -30,7 +30,7 @@ from surface_gym.flow import take_away as ta
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
-from surface_gym.flow.task import OWN, PRESENT, WAITS
+from surface_gym.flow.task import COLUMN
 from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.build import AGENTS, SITE, make_config
@@ -49,7 +49,7 @@ from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
 from ..rules.slopes import SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
-from ..rules.streams import PAST_START, SIDE
+from ..rules.streams import OWN
 from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
 from .rules import describe_rules
@@ -270,7 +270,8 @@ def describe_parcel_rules(policy: Card) -> dict[str, Card]:
     """Describe, by name, rules of Flow that decide for each parcel, one of them by a policy."""
     axes = find_axes(EnvConfig(FLOW_TASK))
     card = {
-        "present": PRESENT, "waits": WAITS, "past": PAST_START, "side": SIDE, "own": OWN,
+        "present": COLUMN.present.place, "waits": COLUMN.waits.place,
+        "past": COLUMN.past_the_exit_s_start.place, "side": COLUMN.side.place, "own": OWN,
         "axes": {"roll": axes.roll, "left": axes.left, "right": axes.right},
     }  # fmt: skip
     return {"event rule": {**card, "policy": None}, "sort-ppo": {**card, "policy": policy}}
@@ -332,8 +333,9 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
         **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
         **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
         "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
-        "most": parcel_policy.MOST, "present": ta.PRESENT, "time": ta.TIME,
-        "end": ta.END, "offset": ta.OFFSET, "forward": ta.FORWARD,
+        "most": parcel_policy.MOST, "present": ta.COLUMN.present.place,
+        "time": ta.COLUMN.time.place, "end": ta.COLUMN.to_the_end.place,
+        "offset": ta.COLUMN.offset.place, "forward": ta.COLUMN.forward_speed.place,
     }  # fmt: skip
 
 
@@ -344,7 +346,8 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
         "actor": weights.add_layers(tensors, "actor"),
         "numbers": [weights.add(local_policy.find_numbers()), local_policy.NUMBERS],
         "hold": local_policy.HOLD, "apart": local_policy.APART, "most": local_policy.MOST,
-        "period": config.control_period, "rest": local_policy.find_rest(config), "time": ta.TIME,
+        "period": config.control_period, "rest": local_policy.find_rest(config),
+        "time": ta.COLUMN.time.place,
     }  # fmt: skip
 
 

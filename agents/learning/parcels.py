@@ -88,7 +88,7 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
         tables, proposed = map(np.concatenate, zip(*all_seen, strict=True))
         shape = proposed.shape
         returns, advantage = returns.reshape(shape), advantage.reshape(shape)
-        there = advantage[tables[..., ta.PRESENT] > 0.5]
+        there = advantage[ta.COLUMN.present.of(tables) > 0.5]
         advantage = (advantage - there.mean()) / (there.std() + 1e-8)
         of_rows = (np.concatenate(chosen), np.concatenate(likely), advantage, returns)
         old = [torch.from_numpy(each.reshape(shape).astype(np.float32)) for each in of_rows]

@@ -19,7 +19,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import Task, track
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.planning import Nodes, Observed, square_reach
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
@@ -164,8 +164,17 @@ LOST = 1e6  # cost of a failure, higher than any success
 LATER = 1.1  # [-] maximum distance in a period, relative to the current speed times the period
 NEAR = 0.002  # [m] smaller distances to a column are too small to go on
 
-OWN = len(track.FEATURES)  # index of the first feature that Track does not show
 FARTHEST = 1000.0  # [m] maximum distance from the origin
+FEATURES = (
+    *track.FEATURES,
+    Feature("x", -FARTHEST, FARTHEST, "of the base's centre", "m"),
+    Feature("y", -FARTHEST, FARTHEST, "of the base's centre", "m"),
+    Feature("path's first x", -FARTHEST, FARTHEST, unit="m"),
+    Feature("path's step", 0.0, FARTHEST, "in x, from point to point", "m"),
+    *(Feature(f"path {k}", -FARTHEST, FARTHEST, "its y", "m") for k in range(PATH_POINTS)),
+)
+COLUMN = columns(FEATURES)
+PATH = COLUMN.path_0.place  # the first of its points
 
 _observe_track = Track.observe  # compiled code cannot use classes
 
@@ -173,14 +182,7 @@ _observe_track = Track.observe  # compiled code cannot use classes
 class ShownPath(Track):
     """Track with an observation that also shows the whole path and the parcel's position."""
 
-    features = (
-        *track.FEATURES,
-        Feature("x", -FARTHEST, FARTHEST, "of the base's centre / 1 m"),
-        Feature("y", -FARTHEST, FARTHEST, ""),
-        Feature("path's first x", -FARTHEST, FARTHEST, "/ 1 m"),
-        Feature("path's step", 0.0, FARTHEST, "in x, from point to point / 1 m"),
-        *(Feature(f"path {k}", -FARTHEST, FARTHEST, "y / 1 m") for k in range(PATH_POINTS)),
-    )
+    features = FEATURES
 
     @classmethod
     def of(cls, task: Task) -> "ShownPath":
@@ -189,20 +191,22 @@ class ShownPath(Track):
 
     def decode_start(self, seen: Observed) -> Start:
         """Decode the start of an episode from its first observation."""
-        x, y, first_x, step, *path = seen.values[0, OWN:].tolist()
-        return self.decode(seen).start(self.parcels, (x, y), (first_x, step), np.array(path))
+        names = ("x", "y", "path's first x", "path's step")
+        x, y, first_x, step = (float(seen[name][0]) for name in names)
+        path = seen.shown[0, PATH:]
+        return self.decode(seen).start(self.parcels, (x, y), (first_x, step), path)
 
     @staticmethod
     @kernel_function
     def observe(state: EnvState) -> None:
         _observe_track(state)
         see = state.observation
-        see[OWN] = state.sensed[X]
-        see[OWN + 1] = state.sensed[Y]
-        see[OWN + 2] = state.goal[track.FIRST_X]
-        see[OWN + 3] = state.goal[track.STEP_X]
+        show(see, COLUMN.x, state.sensed[X])
+        show(see, COLUMN.y, state.sensed[Y])
+        show(see, COLUMN.path_s_first_x, state.goal[track.FIRST_X])
+        show(see, COLUMN.path_s_step, state.goal[track.STEP_X])
         for k in range(PATH_POINTS):
-            see[OWN + 4 + k] = state.path[k]
+            see[PATH + k] = state.path[k]
 
 
 def path_model(config: EnvConfig) -> LayoutModel:

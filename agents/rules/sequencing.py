@@ -12,6 +12,7 @@ from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.sequence import PLACE, Sequence
+from surface_gym.tasks.features import read
 
 from ..base import Integers, Numbers, Singles
 from .slopes import (
@@ -58,7 +59,8 @@ def sort_by_place(table: Singles, order: Integers) -> int:
         if not ta.is_there(table[k]):
             continue
         place = count
-        while place > 0 and table[order[place - 1], PLACE] > table[k, PLACE]:
+        own = read(table[k], PLACE)
+        while place > 0 and read(table[order[place - 1]], PLACE) > own:
             order[place] = order[place - 1]
             place -= 1
         order[place] = k
@@ -185,11 +187,12 @@ def choose_in_order(
         read_parcels(table, slope, tuning, parcels)
         count = sort_by_place(table, order[i])
         for k in range(table.shape[0]):
-            if table[k, ta.PRESENT] > 0.5 and table[k, ta.TIME] < came[i, k]:
+            time = read(table[k], ta.COLUMN.time)
+            if read(table[k], ta.COLUMN.present) > 0.5 and time < came[i, k]:
                 brakes.due[i, k] = 0.5
-            came[i, k] = table[k, ta.TIME]
+            came[i, k] = time
         ready = 0  # so many of the first in the order are all there
-        while ready < count and 8.0 * table[order[i, ready], PLACE] < ready + 0.5:
+        while ready < count and read(table[order[i, ready]], PLACE) < ready + 0.5:
             ready += 1
         forget_slots(slots)
         for place in range(count):

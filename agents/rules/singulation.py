@@ -10,6 +10,7 @@ from surface_gym import checks
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
+from surface_gym.tasks.features import read
 
 from ..base import Integers, Numbers, Singles
 from .slopes import (
@@ -58,7 +59,7 @@ def sort_by_progress(
         if k == NOBODY:
             break
         row = table[k]
-        if ta.is_there(row) and row[ta.TIME] > came[k]:
+        if ta.is_there(row) and read(row, ta.COLUMN.time) > came[k]:
             order[count] = k
             count += 1
         else:
@@ -71,7 +72,7 @@ def sort_by_progress(
         if came[k] == -math.inf:
             order[count] = k
             count += 1
-        came[k] = row[ta.TIME]
+        came[k] = read(row, ta.COLUMN.time)
     for place in range(count, order.shape[0]):
         order[place] = NOBODY
     for place in range(1, count):

@@ -14,9 +14,10 @@ from surface_gym import checks
 from surface_gym.compiler.jit import inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
-from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.flow.take_away import COLUMN, TakeAwayTask
 from surface_gym.physics.types import GRAVITY
 from surface_gym.sensors import Exact
+from surface_gym.tasks.features import read
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
 
@@ -116,20 +117,20 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels)
         row = table[k]
         if not ta.is_there(row):
             continue
-        parcels.x[k] = slope.length - row[ta.END]
-        parcels.y[k] = 0.5 * row[ta.OFFSET]
-        parcels.vx[k] = row[ta.FORWARD] + 1.0
-        parcels.vy[k] = 0.5 * row[ta.LATERAL]
-        parcels.omega[k] = 3.0 * row[ta.TURNING]
-        front, rear = 0.2 + 0.1 * row[ta.FRONT], 0.2 + 0.1 * row[ta.REAR]
-        left, right = 0.2 + 0.1 * row[ta.LEFT], 0.2 + 0.1 * row[ta.RIGHT]
+        parcels.x[k] = slope.length - read(row, COLUMN.to_the_end)
+        parcels.y[k] = read(row, COLUMN.offset)
+        parcels.vx[k] = read(row, COLUMN.forward_speed)
+        parcels.vy[k] = read(row, COLUMN.lateral_speed)
+        parcels.omega[k] = read(row, COLUMN.turning_speed)
+        front, rear = read(row, COLUMN.front), read(row, COLUMN.rear)
+        left, right = read(row, COLUMN.left), read(row, COLUMN.right)
         parcels.front[k], parcels.rear[k] = front, rear
         parcels.along[k], parcels.across[k] = 0.5 * (front + rear), 0.5 * (left + right)
         parcels.x[k] += 0.5 * (front - rear)
         parcels.y[k] += 0.5 * (left - right)
-        parcels.turn[k] = 0.25 * math.pi * row[ta.TO_TURN]
-        parcels.clear[k] = 0.5 * row[ta.CLEAR]
-        parcels.runs[k] = row[ta.TAKES_AWAY] > 0.5
+        parcels.turn[k] = read(row, COLUMN.to_turn)
+        parcels.clear[k] = read(row, COLUMN.clear)
+        parcels.runs[k] = read(row, COLUMN.takes_away) > 0.5
         nearest = ta.nearest_mouth(slope.mouths, 0, parcels.y[k])
         parcels.mouth[k] = nearest
         reach = parcels.across[k] + tuning.margin

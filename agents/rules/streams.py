@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.flow.task import OWN, PRESENT, WAITS
+from surface_gym.flow.task import COLUMN
+from surface_gym.tasks import Sort
 
 from .. import library
 from ..base import BatchController, find_axes
@@ -16,8 +17,7 @@ from ..base import BatchController, find_axes
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
 
-PAST_START = 13  # column of how far its rear is past the exit's start
-SIDE = 14  # column of the side of its exit
+OWN = len(Sort.features)  # features that Sort shows of a parcel, and so does a row
 OPEN = 1  # the gate opens with the first physics step, if there is room
 
 
@@ -40,7 +40,7 @@ class ParcelRule(BatchController):
     def _predict(self, batch: Rows, *_: Any, **__: bool) -> tuple[Halves, None]:
         num_envs = len(batch)
         rows = batch[:, : self._places].reshape(-1, batch.shape[-1])
-        present = (rows[:, PRESENT] > 0.5) & (rows[:, WAITS] < 0.5)
+        present = (COLUMN.present.of(rows) > 0.5) & (COLUMN.waits.of(rows) < 0.5)
         choices = np.full((len(rows), 2), self._axes.roll)
         if present.any():
             choices[present] = self.halves(rows[present])
@@ -54,7 +54,8 @@ class StreamEventRule(ParcelRule):
     """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
 
     def halves(self, rows: Rows) -> Halves:
-        side = np.where(rows[:, PAST_START] > 0.0, rows[:, SIDE].astype(np.float64), 0.0)
+        past = COLUMN.past_the_exit_s_start.of(rows) > 0.0
+        side = np.where(past, COLUMN.side.of(rows).astype(np.float64), 0.0)
         choice = self._axes.towards(side)
         return np.stack([choice, choice], axis=-1)
 
@@ -71,7 +72,7 @@ class SortEach(ParcelRule):
 
     def halves(self, rows: Rows) -> Halves:
         choices = np.full((len(rows), 2), self._axes.roll)
-        aside = rows[:, SIDE] != 0.0
+        aside = COLUMN.side.of(rows) != 0.0
         if aside.any():
             actions, _ = self._policy.predict(rows[aside, :OWN])
             choices[aside] = np.stack(np.divmod(actions, self._choices), axis=-1)

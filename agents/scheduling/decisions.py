@@ -13,8 +13,8 @@ import numpy as np
 from surface_gym import Randomisation, checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
-from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
 
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh
@@ -128,7 +128,7 @@ class DecidingScheduler(Scheduler):
 
     def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
         """Decide for parcels at the gate that may enter now and are undecided."""
-        waits = tables[:, self._parcels, task.PRESENT] > 0.5
+        waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
         if found is not None:
@@ -155,7 +155,7 @@ class DecidingScheduler(Scheduler):
         found = []
         for i in undecided.tolist():
             waiting = tables[i, self._parcels : self._parcels + DEPTH]
-            queue = self._recognise(waiting[waiting[:, task.PRESENT] > 0.5])
+            queue = self._recognise(waiting[COLUMN.present.of(waiting) > 0.5])
             entry, binding = np.empty((most, len(LEVELS))), np.empty((most, len(LEVELS)), np.int64)
             options, now = self.library.options[queue[0]], book.clock[i] + self._dt
             find_entries(

@@ -11,13 +11,14 @@ import numpy as np
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
 from surface_gym.tasks.sort import HORIZON
 
 from ..base import Booleans, Integers, Numbers, Singles
 from .bounds import entrance_bound
-from .maneuvers import PAST_START, SPEED, UNIT, Library, find_rears
-from .scheduler import DEPTH, NOBODY, TIME, Book
+from .maneuvers import Library, find_rears
+from .scheduler import DEPTH, NOBODY, Book
 from .trajectories import DT, SIGNATURE, SPEED_STEP
 
 # Levels of clearance, from just apart (0) to a margin plus a control period (1).
@@ -30,12 +31,13 @@ STATIC, SEEN = 10, 3  # features of a maneuver; deviations from its trajectory (
 TOKEN = 3 + 1 + STATIC + 4 + SEEN
 OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
 ABOUT = 9
-ACROSS = 0.3  # [m] unit of lateral offset in a row
 # Units that scale most features to about 1.
 GAP, LENGTH, SIZE, SPEED_MEAN = 0.1, 6.0, 0.35, 1.5  # [s], [m], [m], [m/s]
 DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
 MOST = 5.0  # features are clipped to -5 and 5
+SPEED = COLUMN.forward_speed.place
 AT_SPEED = SIGNATURE.index(SPEED)
+MOVING = [COLUMN.time, COLUMN.past_the_exit_s_start, COLUMN.lateral_offset, COLUMN.forward_speed]
 
 
 class Candidates(NamedTuple):
@@ -131,9 +133,9 @@ class Features:
             last[env, 0] = seen[env, place]
         i, row = np.nonzero(book.rows != NOBODY)
         own, rows = book.rows[i, row], tables[i, row].astype(np.float64)
-        moment = np.rint(HORIZON * rows[:, TIME] / DT).astype(np.int64)
-        rear = UNIT * rows[:, PAST_START] + self._origin[own]
-        now = np.stack([rear, ACROSS * rows[:, 0], 1.0 + rows[:, SPEED]], axis=1)
+        time, past, aside, speed = (column.of(rows) for column in MOVING)
+        moment = np.rint(time / DT).astype(np.int64)
+        now = np.stack([past + self._origin[own], aside, speed], axis=1)
         known = moment < self._moments[own]
         path = self._path[own, moment.clip(0, self._moments[own] - 1)]
         deviation = ((now - path) / DEVIATION).clip(-3.0, 3.0)
@@ -154,7 +156,7 @@ class Features:
         # The booked parcel, and its deviation if it is on the line.
         behind = given.binding.clip(0)
         ahead, entered = book.booked[each, behind], book.entered[each, behind]
-        since = book.clock[each] - HORIZON * tables[env, : self._parcels, TIME]
+        since = book.clock[each] - COLUMN.time.of(tables[env, : self._parcels])
         same = np.abs(since[:, np.newaxis] - entered[..., np.newaxis]) < 0.1
         same &= book.rows[env][:, np.newaxis] == ahead[..., np.newaxis]
         deviation = watched.seen[each, same.argmax(axis=2)] * same.any(axis=2)[..., np.newaxis]
@@ -199,7 +201,7 @@ class Features:
         static = self._of_kind[given.queue], self._static[rows], self._static[gone]
         token[..., 3] = np.concatenate(sides, axis=1) * side
         token[..., 4 : 4 + STATIC] = np.concatenate(static, axis=1)
-        moving = tables[env, : self._parcels][..., [TIME, PAST_START, 0, SPEED]]
+        moving = tables[env, : self._parcels][..., [column.place for column in MOVING]]
         unit = np.array([1.0, 0.1, 1.0, 1.0], dtype=np.float32)
         token[:, line, 4 + STATIC : 8 + STATIC] = moving * unit
         token[:, left, 4 + STATIC] = (book.clock[env][:, np.newaxis] - watched.left[env]) / HORIZON

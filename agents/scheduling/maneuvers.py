@@ -20,7 +20,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
-from surface_gym.flow import task
+from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
 
 from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes
@@ -41,9 +41,6 @@ UPSTREAM = 2.0  # [m] before an exit begins, at most, that a parcel turns off to
 SLOW, FAST, EARLY, LATE = range(4)
 RESERVE = 0.05  # [-] by which a parcel's speed may differ, and a maneuver still leads it right
 TRIES = 4  # of each maneuver, where sensors err or anything is drawn; else one
-PAST_START, SPEED = 13, 3  # columns of a row: rear past the exit's start / 0.5 m, vx - 1 m/s
-LENGTH, HALF, FIFTH = 6, 0.175, 0.05  # of a parcel in its row: (half of it - 0.175 m) / 0.05 m
-UNIT = 0.5  # [m] in which a row says how far the rear is past the exit's start
 BEFORE = 0.5  # [m] by which a zone that is arranged beforehand is turned before a parcel is over it
 NO_GROUP = -1
 ROUNDS = 50  # of value iteration
@@ -138,14 +135,15 @@ class Lead:
         """
         num_envs, parcels = booked.shape
         own = maneuvers.pick(booked.clip(0))
-        past = UNIT * tables[:, :parcels, PAST_START].astype(np.float64)
+        tables = tables[:, :parcels]
+        past = COLUMN.past_the_exit_s_start.of(tables).astype(np.float64)
         turns = (booked >= 0) & (past > own.place)
         choice = np.where(turns, own.choice, self.axes.roll)
         if self.groups is None:
             return np.repeat(choice, 2, axis=1), np.empty((num_envs, 0), dtype=np.int64)
         rear = past + self.origin[own.kind]
-        length = 2.0 * (HALF + FIFTH * tables[:, :parcels, LENGTH])
-        soon = rear + length + self.ahead * (1.0 + tables[:, :parcels, SPEED])
+        length = 2.0 * COLUMN.size.of(tables)
+        soon = rear + length + self.ahead * COLUMN.forward_speed.of(tables)
         over = (booked >= 0)[..., np.newaxis] & (rear[..., np.newaxis] <= self.last_x)
         over &= soon[..., np.newaxis] >= self.first_x
         # Of several, the one that is farthest along decides.
@@ -329,7 +327,7 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
 
     def act(tables: Singles) -> Integers:
         nonlocal stands
-        here = np.where(tables[:, :1, task.PRESENT] > 0.5, booked, -1)
+        here = np.where(COLUMN.present.of(tables[:, :1]) > 0.5, booked, -1)
         action, stands = lead.choose(tables, tried, here, stands)
         return action
 

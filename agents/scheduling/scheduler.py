@@ -16,12 +16,11 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
-from surface_gym.flow import task
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, JAM, TOUCHES, WRONG
+from surface_gym.flow.task import COLUMN
 from surface_gym.state import RUNNING
-from surface_gym.tasks.sort import HORIZON
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, is_fresh
 from .bounds import entrance_bound
@@ -31,7 +30,6 @@ from .trajectories import SIGNATURE
 BOOKED = 24  # the latest entries that a new one is held against
 WIDTH = 16  # sequences that the search keeps
 DEPTH = 8  # parcels that wait and are looked at, at most
-TIME = 12  # column of the time since a parcel entered; negative: since it came to the gate
 SHUT = 0
 LONG_AGO = -1e6  # [s]
 NOBODY = -1
@@ -203,10 +201,10 @@ class Scheduler(BatchController):
 
     def _follow(self, tables: Singles, book: Book) -> Book:
         """Find the row of the parcel that entered, or take back its entry where it still waits."""
-        here = tables[:, : self._parcels, task.PRESENT] > 0.5
+        here = COLUMN.present.of(tables[:, : self._parcels]) > 0.5
         rows = np.where(here, book.rows, NOBODY)
-        waits = tables[:, self._parcels, task.PRESENT] > 0.5
-        due = book.clock + HORIZON * tables[:, self._parcels, TIME].astype(np.float64)
+        waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
+        due = book.clock + COLUMN.time.of(tables[:, self._parcels]).astype(np.float64)
         stayed = book.pending & waits & (np.abs(due - book.due) < 1e-3)
         entered, booked = book.entered.copy(), book.booked.copy()
         entered[stayed] = np.roll(entered[stayed], -1, axis=1)
@@ -225,7 +223,7 @@ class Scheduler(BatchController):
         """Choose when the gate opens (num_envs,), and book it."""
         opens, maneuver = np.full(len(tables), SHUT), np.full(len(tables), NOBODY)
         waiting = tables[:, self._parcels :]
-        waits = waiting[:, :DEPTH, task.PRESENT] > 0.5
+        waits = COLUMN.present.of(waiting[:, :DEPTH]) > 0.5
         library, space = self.library, self._space
         for i in np.nonzero(waits[:, 0])[0].tolist():
             clock = book.clock[i]
@@ -247,8 +245,8 @@ class Scheduler(BatchController):
         entered[now] = np.roll(entered[now], 1, axis=1)
         booked[now, 0] = maneuver[now]
         entered[now, 0] = book.clock[now] + self._dt * opens[now]
-        waited = tables[now, self._parcels, TIME].astype(np.float64)
-        due[now] = book.clock[now] + HORIZON * waited
+        waited = COLUMN.time.of(tables[now, self._parcels]).astype(np.float64)
+        due[now] = book.clock[now] + waited
         return book._replace(booked=booked, entered=entered, due=due, pending=now)
 
     def _recognise(self, rows: Singles) -> Integers:

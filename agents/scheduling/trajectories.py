@@ -14,6 +14,7 @@ from surface_gym.flow import arrivals
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import COLUMN
 from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers, Singles
@@ -21,7 +22,13 @@ from ..base import Booleans, Integers, Numbers, Singles
 DT = 0.005  # [s] between the times at which bases are compared
 LONGEST = 20.0  # [s] longest gap to try
 SPEED_STEP = 0.1  # [m/s] maximum step between the speeds of a stream with variable speed
-SIGNATURE = (3, 6, 13, 14, 16, 17)  # features that identify a waiting parcel
+SIGNATURE = tuple(  # columns that identify a waiting parcel
+    each.place
+    for each in (
+        COLUMN.forward_speed, COLUMN.size, COLUMN.past_the_exit_s_start, COLUMN.side, COLUMN.width,
+        COLUMN.to_the_exit_s_end,
+    )
+)  # fmt: skip
 
 Asked = tuple[sg.Parcel, float, str]  # a parcel, its speed [m/s] and its exit's name
 

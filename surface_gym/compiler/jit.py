@@ -65,7 +65,8 @@ class _Walk:
         elif isinstance(value, np.ndarray):
             self._write("array", value.dtype.str, value.shape, value.tobytes())
         elif isinstance(value, (tuple, list)):
-            self._write(type(value).__qualname__, len(value))
+            names = getattr(value, "_fields", ())  # which value is whose
+            self._write(type(value).__qualname__, len(value), *names)
             for each in value:
                 self.take(each)
         elif isinstance(value, type):

@@ -23,7 +23,8 @@ from surface_gym.physics.contacts import bounded
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import RADIUS, THETA, Array, Integers, X, Y
 from surface_gym.state import EnvState, SurfaceState
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.base import LENGTH, WIDTH
+from surface_gym.tasks.features import Feature, columns, show
 
 WINDOW_SIDE = 5  # modules
 JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
@@ -278,10 +279,11 @@ QUADRANT_SIZE = 3  # numbers that a quadrant of the parcel shows of its rotors
 QUADRANTS = ("ahead left", "ahead right", "behind left", "behind right")
 
 PARCEL_FEATURES = (
-    Feature("length", -10.0, 100.0, "(half of it - 0.175 m) / 0.05 m, along the base's x"),
-    Feature("width", -10.0, 100.0, "(half of it - 0.175 m) / 0.05 m, along the base's y"),
+    LENGTH,
+    WIDTH,
     Feature("fill", 0.0, 1.0, "share of the base in the rectangle around it"),
 )
+OUTLINE = columns(PARCEL_FEATURES)
 ROTOR_FEATURES = tuple(
     Feature(f"{name} {quadrant}", low, 1.0, meaning)
     for quadrant in QUADRANTS
@@ -315,9 +317,10 @@ def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> N
         last = k
     if state.edges[0, 2] > state.body[RADIUS]:  # a disc, which has neither edges nor corners
         twice = 2.0 * math.pi * state.body[RADIUS] ** 2
-    state.observation[first] = (0.5 * (front + rear) - 0.175) / 0.05
-    state.observation[first + 1] = (0.5 * (left + right) - 0.175) / 0.05
-    state.observation[first + 2] = min(1.0, 0.5 * twice / ((front + rear) * (left + right)))
+    see = state.observation[first:]
+    show(see, OUTLINE.length, 0.5 * (front + rear))
+    show(see, OUTLINE.width, 0.5 * (left + right))
+    show(see, OUTLINE.fill, min(1.0, 0.5 * twice / ((front + rear) * (left + right))))
 
 
 @inlined

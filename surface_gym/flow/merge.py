@@ -10,9 +10,10 @@ from surface_gym.flow.inlets import MOST_INLETS, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import FEATURES, NEARLY_STRAIGHT, TakeAwayTask, bulk_parcels
 from surface_gym.state import EnvState
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature, columns, show
 
-LINE = len(FEATURES)  # place of the feature of a parcel's line
+MERGE_FEATURES = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "that it came by", "", 8.0))
+LINE = columns(MERGE_FEATURES).line
 _observe = TakeAwayTask.observe
 
 
@@ -79,7 +80,7 @@ class Merge(TakeAwayTask):
     inlets: Any = THREE
     exits: Any = "mouth"
 
-    features = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "that it came by / 8"))
+    features = MERGE_FEATURES
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,4 +92,4 @@ class Merge(TakeAwayTask):
     def observe(state: EnvState, waits: bool) -> None:
         """Show a parcel as it is sensed, and its line."""
         _observe(state, waits)
-        state.observation[LINE] = state.goal[fs.INLET] / 8.0
+        show(state.observation, LINE, state.goal[fs.INLET])

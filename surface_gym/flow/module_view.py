@@ -21,8 +21,9 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.sequence import PLACE, Sequence
 from surface_gym.flow.state import NOBODY
-from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.flow.take_away import COLUMN, TakeAwayTask
 from surface_gym.physics.types import Array, Booleans, Integers
+from surface_gym.tasks.features import read
 
 Singles = NDArray[np.float32]
 
@@ -114,10 +115,10 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
         if not ta.is_there(row):
             continue
         parcel = decoded[k]
-        parcel[_X], parcel[_Y] = -row[ta.END], 0.5 * row[ta.OFFSET]
-        parcel[_VX], parcel[_VY] = row[ta.FORWARD] + 1.0, 0.5 * row[ta.LATERAL]
-        parcel[_FRONT], parcel[_REAR] = 0.2 + 0.1 * row[ta.FRONT], 0.2 + 0.1 * row[ta.REAR]
-        parcel[_LEFT], parcel[_RIGHT] = 0.2 + 0.1 * row[ta.LEFT], 0.2 + 0.1 * row[ta.RIGHT]
+        parcel[_X], parcel[_Y] = -read(row, COLUMN.to_the_end), read(row, COLUMN.offset)
+        parcel[_VX], parcel[_VY] = read(row, COLUMN.forward_speed), read(row, COLUMN.lateral_speed)
+        parcel[_FRONT], parcel[_REAR] = read(row, COLUMN.front), read(row, COLUMN.rear)
+        parcel[_LEFT], parcel[_RIGHT] = read(row, COLUMN.left), read(row, COLUMN.right)
         place = count
         while place > 0:
             other = order[place - 1]
@@ -144,9 +145,9 @@ def _write_early(
     for place in range(count):
         k = order[place]
         parcel = decoded[k]
-        rolls = 4.0 * table[k, ta.ROLLS]
+        rolls = read(table[k], COLUMN.rolling)
         mouth = ta.nearest_mouth(surface.mouths, 0, parcel[_Y])
-        free = (parcel[_FRONT] - 0.5 * table[k, ta.CLEAR]) / surface.take_away
+        free = (parcel[_FRONT] - read(table[k], COLUMN.clear)) / surface.take_away
         for before in range(place - 1, -1, -1):
             other = decoded[order[before]]
             if ta.nearest_mouth(surface.mouths, 0, other[_Y]) == mouth:
@@ -161,17 +162,17 @@ def _write_early(
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
     """Write what the modules below a parcel know of it, but how early it is."""
     seen[0] = 1.0
-    seen[1] = _within(row[ta.END])
-    seen[2] = row[ta.OFFSET]
-    seen[3] = row[ta.FORWARD]
-    seen[4] = row[ta.LATERAL]
-    seen[5] = _within(row[ta.TURNING])
-    seen[6] = _within(1.0 + 0.25 * (row[ta.FRONT] + row[ta.REAR]))
-    seen[7] = _within(1.0 + 0.25 * (row[ta.LEFT] + row[ta.RIGHT]))
-    seen[8] = row[ta.TO_MOUTH]
-    seen[9] = row[ta.TO_TURN]
-    seen[10] = row[ta.ROLLS]
-    seen[12] = row[ta.TAKES_AWAY]
+    seen[1] = _within(row[COLUMN.to_the_end.place])
+    seen[2] = row[COLUMN.offset.place]
+    seen[3] = row[COLUMN.forward_speed.place]
+    seen[4] = row[COLUMN.lateral_speed.place]
+    seen[5] = _within(row[COLUMN.turning_speed.place])
+    seen[6] = _within(1.0 + 0.25 * (row[COLUMN.front.place] + row[COLUMN.rear.place]))
+    seen[7] = _within(1.0 + 0.25 * (row[COLUMN.left.place] + row[COLUMN.right.place]))
+    seen[8] = row[COLUMN.to_the_mouth.place]
+    seen[9] = row[COLUMN.to_turn.place]
+    seen[10] = row[COLUMN.rolling.place]
+    seen[12] = row[COLUMN.takes_away.place]
     seen[13] = _within(row[surface.own]) if surface.own >= 0 else 0.0
 
 
@@ -231,7 +232,8 @@ def _claim(
     high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)
     low_y = -parcel[_RIGHT] + min(0.0, parcel[_VY] * reach)
     high_y = parcel[_LEFT] + max(0.0, parcel[_VY] * reach)
-    length, width = 0.175 + 0.05 * row[ta.LENGTH], 0.175 + 0.05 * row[ta.WIDTH]
+    length, width = read(row, COLUMN.length), read(row, COLUMN.width)
+    sine, cosine = row[COLUMN.sine_of_theta.place], row[COLUMN.cosine_of_theta.place]
     columns = len(surface.x)
     for c in range(columns):
         x = surface.x[c] - parcel[_X]
@@ -241,8 +243,8 @@ def _claim(
             y = surface.y[r] - parcel[_Y]
             if y < low_y or y > high_y or not surface.rotor[r, c]:
                 continue
-            along = abs(row[ta.COSINE] * x + row[ta.SINE] * y) - length
-            across = abs(row[ta.COSINE] * y - row[ta.SINE] * x) - width
+            along = abs(cosine * x + sine * y) - length
+            across = abs(cosine * y - sine * x) - width
             outside = max(0.0, along, across)
             far = outside + 1e-3 * math.sqrt(x * x + y * y)
             m = r * columns + c
@@ -309,7 +311,7 @@ class ModuleView:
             take_away=task.take_away,
             gap=task.gap,
             ahead=task.ahead,
-            place=PLACE if isinstance(task, Sequence) else -1,
+            place=PLACE.place if isinstance(task, Sequence) else -1,
             own=len(ta.FEATURES) if len(config.features) > len(ta.FEATURES) else -1,
         )
 

@@ -18,9 +18,13 @@ from surface_gym.flow.take_away import (
 )
 from surface_gym.physics.types import Array
 from surface_gym.state import EnvState
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature, columns, show_within
 
-PLACE = len(FEATURES)  # place of the feature of a parcel's place in the order
+SEQUENCE_FEATURES = (
+    *FEATURES,
+    Feature("place", -100.0, 100.0, "parcels still to leave before it", "", 8.0),
+)
+PLACE = columns(SEQUENCE_FEATURES).place
 MOST_WINDOW = 64
 _observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
 
@@ -81,10 +85,7 @@ class Sequence(TakeAwayTask):
     patience: float = 20.0  # [s] without motion that make a jam: parcels may wait for one to come
 
     line = slope_line(3.0)
-    features = (
-        *FEATURES,
-        Feature("place", -100.0, 100.0, "how many are to leave before it, of those still to / 8"),
-    )
+    features = SEQUENCE_FEATURES
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -107,4 +108,4 @@ class Sequence(TakeAwayTask):
         """Show a parcel as it is sensed, and its place in the order."""
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
-        state.observation[PLACE] = min(100.0, max(-100.0, before / 8.0))
+        show_within(state.observation, PLACE, before)

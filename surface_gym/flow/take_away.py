@@ -17,7 +17,18 @@ from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import HOUR, Poisson
 from surface_gym.flow.exits import PITCH, RUN_OUT
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import SURFACE_TERMS, StreamTask
+from surface_gym.flow.task import (
+    ASIDE,
+    FAR,
+    GAP,
+    PRESENT,
+    SPEED,
+    SURFACE_TERMS,
+    TIME,
+    WAITS,
+    StreamTask,
+    both_ways,
+)
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import (
@@ -35,7 +46,17 @@ from surface_gym.physics.types import (
     Y,
 )
 from surface_gym.state import EnvState, reach_along
-from surface_gym.tasks.base import Feature, rising
+from surface_gym.tasks.base import (
+    DIRECTION,
+    FORWARD_SPEED,
+    LATERAL_SPEED,
+    LENGTH,
+    TURNING_SPEED,
+    WIDTH,
+    rising,
+)
+from surface_gym.tasks.features import Feature, columns, show, show_within
+from surface_gym.tasks.sort import HORIZON
 
 
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
@@ -50,6 +71,7 @@ def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
     return Pattern(rotor=rotor)
 
 
+QUARTER, EIGHTH = 0.5 * math.pi, 0.25 * math.pi  # [rad]
 BULK_SEED = 28
 NEARLY_STRAIGHT = (-math.radians(5.0), math.radians(5.0))  # [rad] how parcels in a row are turned
 LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
@@ -98,45 +120,27 @@ class Stops:
 
 
 # Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
+EXTENT = Feature("extent", -10.0, 100.0, "half of its extent along y", "m", 0.1, 0.2)
+NEIGHBOUR_FEATURES = (GAP, SPEED, ASIDE, EXTENT)
 FEATURES: tuple[Feature, ...] = (
-    Feature("to the end", -20.0, 1000.0, "from its centre along x / 1 m"),
-    Feature("offset", -20.0, 20.0, "of its centre from the line's middle, y / 0.5 m"),
-    Feature("sine of theta", -1.0, 1.0, ""),
-    Feature("cosine of theta", -1.0, 1.0, ""),
-    Feature("forward speed", -10.0, 10.0, "vx / 1 m/s - 1"),
-    Feature("lateral speed", -20.0, 20.0, "vy / 0.5 m/s"),
-    Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
-    Feature("length", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m"),
-    Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
-    Feature("front", -10.0, 100.0, "(reach of its base along x, turned as it is - 0.2 m) / 0.1 m"),
-    Feature("rear", -10.0, 100.0, "of its base against x, in the same way"),
-    Feature("left", -10.0, 100.0, "of its base along y"),
-    Feature("right", -10.0, 100.0, "of its base against y"),
-    Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth / 0.3 m"),
-    Feature("to turn", -1.0, 1.0, "until its sides lie along the line / 45 deg"),
-    Feature("rolling", 0.0, 20.0, "time until it has left if it rolls / 4 s"),
-    Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap / 0.5 m"),
-    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
-    Feature("time", -1000.0, 1000.0, "since it entered / 4 s; negative: since its time came"),
-    Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
-    Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface"),
+    Feature("to the end", -20.0, 1000.0, "from its centre along x", "m"),
+    Feature("offset", -20.0, 20.0, "y of its centre from the line's middle", "m", 0.5),
+    *DIRECTION, FORWARD_SPEED, LATERAL_SPEED, TURNING_SPEED, LENGTH, WIDTH,
     *(
-        Feature(f"{name} {where}", low, high, meaning)
-        for where in ("ahead", "behind")
-        for name, low, high, meaning in (
-            ("gap", -20.0, 20.0, "clear along x / 0.5 m; 8: there is none"),
-            ("speed", -20.0, 20.0, "its vx over the own / 0.5 m/s"),
-            ("offset", -20.0, 20.0, "its y over the own / 0.3 m"),
-            ("extent", -10.0, 100.0, "half of its extent along y, as of this one"),
+        Feature(name, -10.0, 100.0, f"reach of its base {way}, turned as it is", "m", 0.1, 0.2)
+        for name, way in (
+            ("front", "along x"), ("rear", "against x"), ("left", "along y"), ("right", "against y")
         )
     ),
-)
-END, OFFSET, SINE, COSINE, FORWARD, LATERAL, TURNING, LENGTH, WIDTH = range(9)
-FRONT, REAR, LEFT, RIGHT, TO_MOUTH, TO_TURN, ROLLS, CLEAR = range(9, 17)
-TAKES_AWAY, TIME, PRESENT, WAITS = range(17, 21)
-NEIGHBOUR = WAITS + 1  # place of the first number of the neighbour ahead
-NEIGHBOUR_SIZE = 4
-FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
+    Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth", "m", 0.3),
+    Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
+    Feature("rolling", 0.0, 20.0, "time until it has left if it rolls", "s", HORIZON),
+    Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap", "m", 0.5),
+    Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
+    TIME, PRESENT, WAITS, *both_ways(NEIGHBOUR_FEATURES),
+)  # fmt: skip
+COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
+AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # where neighbours' numbers begin
 
 PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "progress", "time")
 RIGHT_REWARD = 1.0  # once, as a parcel leaves as it was to
@@ -148,10 +152,9 @@ TIME_REWARD = -0.02  # per second of each parcel on the surface
 GRIP = 0.5  # [-] friction of the take-away's belt, which a parcel slides on until it has its speed
 ROUND_OFF = 1e-6  # [m]
 AT_LEAST = 1e-3  # [m/s] speed of one that leaves, for where it was as its centre passed the end
-QUARTER, EIGHTH = 0.5 * math.pi, 0.25 * math.pi  # [rad]
 
 # Places in a parcel's goal, after those of every stream.
-LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
+LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, ASKED_GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
 BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
 
 
@@ -228,7 +231,7 @@ def nearest_mouth(mouths: Array, first: int, y: float) -> int:
 @inlined
 def is_there(row: NDArray[np.float32]) -> bool:
     """Whether a row (features,) of a table holds a parcel that is on the surface."""
-    return row[PRESENT] > 0.5 and row[WAITS] < 0.5
+    return row[COLUMN.present.place] > 0.5 and row[COLUMN.waits.place] < 0.5
 
 
 @dataclass(frozen=True)
@@ -472,7 +475,7 @@ class TakeAwayTask(StreamTask):
         goal[LAST_REAR] = belt + passed[nearest, fs.REAR] if passed[nearest, fs.ANY] else math.inf
         goal[RUNS] = 1.0 if runs and not stops else 0.0
         goal[SLOPE_END] = params.rotors_end
-        goal[GAP] = params.gap
+        goal[ASKED_GAP] = params.gap
         goal[NEXT] = passed[0, fs.NEXT]
 
     @staticmethod
@@ -502,47 +505,46 @@ class TakeAwayTask(StreamTask):
             to_mouth = 0.5 * (below + above)
         acceleration = state.surface[st.GRAVITY_X] - 0.01 * state.surface[st.GRAVITY_NORMAL]
         see = state.observation
-        see[END] = min(1000.0, max(-20.0, distance))
-        see[OFFSET] = min(20.0, max(-20.0, offset / 0.5))
-        see[SINE] = math.sin(theta)
-        see[COSINE] = math.cos(theta)
-        see[FORWARD] = min(10.0, max(-10.0, sensed[VX] - 1.0))
-        see[LATERAL] = min(20.0, max(-20.0, sensed[VY] / 0.5))
-        see[TURNING] = min(50.0, max(-50.0, sensed[OMEGA] / 3.0))
-        see[LENGTH] = (state.body[HALF_LENGTH] - 0.175) / 0.05
-        see[WIDTH] = (reach_along(state, 0.0, 0.0, 1.0) - 0.175) / 0.05
-        see[FRONT] = (reach_along(state, theta, 1.0, 0.0) - 0.2) / 0.1
-        see[REAR] = (reach_along(state, theta, -1.0, 0.0) - 0.2) / 0.1
-        see[LEFT] = (left - 0.2) / 0.1
-        see[RIGHT] = (right - 0.2) / 0.1
-        see[TO_MOUTH] = min(20.0, max(-20.0, to_mouth / 0.3))
-        see[TO_TURN] = min(1.0, max(-1.0, -misalignment(state, theta) / EIGHTH))
-        see[ROLLS] = min(20.0, rolling_time(max(0.0, distance), sensed[VX], acceleration) / 4.0)
-        see[CLEAR] = min(20.0, max(-20.0, (goal[LAST_REAR] - goal[GAP]) / 0.5))
-        see[TAKES_AWAY] = goal[RUNS]
-        see[TIME] = min(1000.0, max(-1000.0, state.clock / 4.0))
-        see[PRESENT] = 1.0
-        see[WAITS] = 1.0 if waits else 0.0
+        show_within(see, COLUMN.to_the_end, distance)
+        show_within(see, COLUMN.offset, offset)
+        show(see, COLUMN.sine_of_theta, math.sin(theta))
+        show(see, COLUMN.cosine_of_theta, math.cos(theta))
+        show_within(see, COLUMN.forward_speed, sensed[VX])
+        show_within(see, COLUMN.lateral_speed, sensed[VY])
+        show_within(see, COLUMN.turning_speed, sensed[OMEGA])
+        show(see, COLUMN.length, state.body[HALF_LENGTH])
+        show(see, COLUMN.width, reach_along(state, 0.0, 0.0, 1.0))
+        show(see, COLUMN.front, reach_along(state, theta, 1.0, 0.0))
+        show(see, COLUMN.rear, reach_along(state, theta, -1.0, 0.0))
+        show(see, COLUMN.left, left)
+        show(see, COLUMN.right, right)
+        show_within(see, COLUMN.to_the_mouth, to_mouth)
+        show_within(see, COLUMN.to_turn, -misalignment(state, theta))
+        rolling = rolling_time(max(0.0, distance), sensed[VX], acceleration)
+        show_within(see, COLUMN.rolling, rolling)
+        show_within(see, COLUMN.clear, goal[LAST_REAR] - goal[ASKED_GAP])
+        show(see, COLUMN.takes_away, goal[RUNS])
+        show_within(see, COLUMN.time, state.clock)
+        show(see, COLUMN.present, 1.0)
+        show(see, COLUMN.waits, 1.0 if waits else 0.0)
 
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
         """Show the next parcel ahead or behind, seen from this one."""
-        see = state.observation
-        first = NEIGHBOUR if ahead else NEIGHBOUR + NEIGHBOUR_SIZE
+        see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)
-        see[first] = min(2.0 * FAR, max(-2.0 * FAR, gap / 0.5))
-        see[first + 1] = min(20.0, max(-20.0, (other.sensed[VX] - state.sensed[VX]) / 0.5))
-        see[first + 2] = min(20.0, max(-20.0, (other.sensed[Y] - state.sensed[Y]) / 0.3))
-        see[first + 3] = (0.5 * across - 0.2) / 0.1
+        show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))
+        show_within(see, NEIGHBOUR.speed, other.sensed[VX] - state.sensed[VX])
+        show_within(see, NEIGHBOUR.offset, other.sensed[Y] - state.sensed[Y])
+        show(see, NEIGHBOUR.extent, 0.5 * across)
 
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
         """Show that there is no parcel that way."""
-        see = state.observation
-        first = NEIGHBOUR if ahead else NEIGHBOUR + NEIGHBOUR_SIZE
-        see[first] = 2.0 * FAR
-        for k in range(1, NEIGHBOUR_SIZE):
-            see[first + k] = 0.0
+        see = state.observation[AHEAD if ahead else BEHIND :]
+        show(see, NEIGHBOUR.gap, FAR)
+        for k in range(1, len(NEIGHBOUR)):
+            see[k] = 0.0

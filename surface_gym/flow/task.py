@@ -1,7 +1,7 @@
 """Tasks on streams of parcels: their actions, features, rewards and parameters."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -23,8 +23,9 @@ from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
-from surface_gym.tasks.base import Feature, Task
-from surface_gym.tasks.sort import FEATURES as SORT_FEATURES, HORIZON, lateral_reach
+from surface_gym.tasks.base import SIZE, WIDTH, Task
+from surface_gym.tasks.features import Feature, columns, show, show_within
+from surface_gym.tasks.sort import HORIZON, SIDE_FEATURES, lateral_reach
 
 HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
 
@@ -377,36 +378,38 @@ class StreamTask(Task):
 # Features of a row of Flow's table. The first are those of Sort, so that a policy that sorts one
 # parcel can sort each of a stream.
 FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
-NEIGHBOUR = (
-    ("gap", -20.0, 20.0, "clear along x / 0.5 m; 8: there is none"),
-    ("speed", -20.0, 20.0, "its vx over the own / 0.5 m/s"),
-    ("offset", -20.0, 20.0, "its y over the own, towards the asked side / 0.3 m"),
-    ("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
-    ("size", -10.0, 100.0, "of it, as of this one"),
-)
-NEIGHBOUR_SIZE = len(NEIGHBOUR)
-OWN = len(SORT_FEATURES)
+GAP = Feature("gap", -20.0, 20.0, f"clear along x; there is none: {FAR:g} m", "m", 0.5)
+SPEED = Feature("speed", -20.0, 20.0, "its vx over the own", "m/s", 0.5)
+ASIDE = Feature("offset", -20.0, 20.0, "its y over the own", "m", 0.3)
+TIME = Feature("time", -1000.0, 1000.0, "since it entered; since it came: < 0", "s", HORIZON)
+PRESENT = Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else")
+WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface")
+
+
+def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:
+    """Return the features of the neighbour ahead, then of the one behind."""
+    ways = ("ahead", "behind")
+    return tuple(replace(each, name=f"{each.name} {way}") for way in ways for each in features)
+
+
+NEIGHBOUR_FEATURES = (
+    GAP, SPEED, replace(ASIDE, meaning="its y over the own, towards the asked side"),
+    Feature("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
+    replace(SIZE, meaning="of it, as of this one"),
+)  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
-    *SORT_FEATURES[:12],
-    Feature("time", -1000.0, 1000.0, "since it entered / 4 s; negative: since its time came"),
-    Feature(
-        "past the exit's start", -20.0, 20.0, "of its rear / 0.5 m; straight on: of the zone's"
-    ),
+    *SIDE_FEATURES,
+    TIME,
+    Feature("past the exit's start", -20.0, 20.0, "of its rear; straight on: zone's", "m", 0.5),
     Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
-    Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
-    Feature("width", -10.0, 100.0, "(half width - 0.175 m) / 0.05 m"),
-    Feature("to the exit's end", -20.0, 20.0, "from its centre / 0.5 m; straight on: 20"),
-    Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the line"),
-    *(
-        Feature(f"{name} {where}", low, high, meaning)
-        for where in ("ahead", "behind")
-        for name, low, high, meaning in NEIGHBOUR
-    ),
+    PRESENT,
+    WIDTH,
+    Feature("to the exit's end", -20.0, 20.0, "from its centre; straight on: 20", "m", 0.5),
+    WAITS,
+    *both_ways(NEIGHBOUR_FEATURES),
 )
-PRESENT = OWN
-WAITS = OWN + 3
-AHEAD = OWN + 4  # place of the first number of the neighbour ahead
-BEHIND = AHEAD + NEIGHBOUR_SIZE
+COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
+AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # where neighbours' numbers begin
 
 # Flow's reward, term by term; each parcel earns the first.
 PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "reach", "time")
@@ -425,11 +428,6 @@ REACH = fs.OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last d
 def _mirror(state: EnvState) -> float:
     """-1 where a parcel's row is mirrored, else 1."""
     return -1.0 if state.goal[fs.SIDE] < 0.0 else 1.0
-
-
-@inlined
-def _within(value: float, most: float) -> float:
-    return min(most, max(-most, value))
 
 
 @inlined
@@ -603,50 +601,48 @@ class Flow(StreamTask):
         turn_x = 2.0 * math.pi / state.elements.pitch_x
         turn_y = 2.0 * math.pi / state.elements.pitch_y
         half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
-        half_width = reach_along(state, 0.0, 0.0, 1.0)
         rear = x - reach_along(state, theta, -1.0, 0.0)
         side = state.goal[fs.SIDE]
         see = state.observation
-        see[0] = _within(offset / 0.3, 10.0)
-        see[1] = mirror * math.sin(theta)
-        see[2] = math.cos(theta)
-        see[3] = _within(sensed[VX] - 1.0, 10.0)
-        see[4] = _within(mirror * sensed[VY] / 0.5, 20.0)
-        see[5] = _within(mirror * sensed[OMEGA] / 3.0, 50.0)
-        see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
+        show_within(see, COLUMN.lateral_offset, offset)
+        show(see, COLUMN.sine_of_theta, mirror * math.sin(theta))
+        show(see, COLUMN.cosine_of_theta, math.cos(theta))
+        show_within(see, COLUMN.forward_speed, sensed[VX])
+        show_within(see, COLUMN.lateral_speed, mirror * sensed[VY])
+        show_within(see, COLUMN.turning_speed, mirror * sensed[OMEGA])
+        show(see, COLUMN.size, state.body[HALF_LENGTH])
         clearance = offset - reach_along(state, theta, 0.0, -mirror) - half_line
-        see[7] = _within(clearance / 0.2, 20.0)
-        see[8] = math.sin(turn_x * (x - state.elements.x0))
-        see[9] = math.cos(turn_x * (x - state.elements.x0))
-        see[10] = math.sin(turn_y * offset)
-        see[11] = math.cos(turn_y * offset)
-        see[12] = state.clock / HORIZON
-        see[13] = _within((rear - _exit_start(state)) / 0.5, 20.0)
-        see[14] = side
-        see[PRESENT] = 1.0
-        see[PRESENT + 1] = (half_width - 0.175) / 0.05
-        see[PRESENT + 2] = 20.0 if side == 0.0 else _within((state.goal[fs.LAST] - x) / 0.5, 20.0)
-        see[WAITS] = 1.0 if waits else 0.0
+        show_within(see, COLUMN.clearance, clearance)
+        show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
+        show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
+        show(see, COLUMN.time, state.clock)
+        show_within(see, COLUMN.past_the_exit_s_start, rear - _exit_start(state))
+        show(see, COLUMN.side, side)
+        show(see, COLUMN.present, 1.0)
+        show(see, COLUMN.width, reach_along(state, 0.0, 0.0, 1.0))
+        to_end = math.inf if side == 0.0 else state.goal[fs.LAST] - x
+        show_within(see, COLUMN.to_the_exit_s_end, to_end)
+        show(see, COLUMN.waits, 1.0 if waits else 0.0)
 
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
         """Show the next parcel ahead or behind, seen from this one."""
         mirror = _mirror(state)
-        see = state.observation
-        first = AHEAD if ahead else BEHIND
-        see[first] = _within(gap / 0.5, 2.0 * FAR)
-        see[first + 1] = _within((other.sensed[VX] - state.sensed[VX]) / 0.5, 20.0)
-        see[first + 2] = _within(mirror * (other.sensed[Y] - state.sensed[Y]) / 0.3, 20.0)
-        see[first + 3] = mirror * other.goal[fs.SIDE]
-        see[first + 4] = (other.body[HALF_LENGTH] - 0.175) / 0.05
+        see = state.observation[AHEAD if ahead else BEHIND :]
+        show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))
+        show_within(see, NEIGHBOUR.speed, other.sensed[VX] - state.sensed[VX])
+        show_within(see, NEIGHBOUR.offset, mirror * (other.sensed[Y] - state.sensed[Y]))
+        show(see, NEIGHBOUR.side, mirror * other.goal[fs.SIDE])
+        show(see, NEIGHBOUR.size, other.body[HALF_LENGTH])
 
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
         """Show that there is no parcel that way."""
-        see = state.observation
-        first = AHEAD if ahead else BEHIND
-        see[first] = 2.0 * FAR
-        for k in range(1, NEIGHBOUR_SIZE):
-            see[first + k] = 0.0
+        see = state.observation[AHEAD if ahead else BEHIND :]
+        show(see, NEIGHBOUR.gap, FAR)
+        for k in range(1, len(NEIGHBOUR)):
+            see[k] = 0.0

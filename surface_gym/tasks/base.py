@@ -13,18 +13,9 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState
 from surface_gym.tasks.benchmark import Benchmark, default_benchmark
+from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.planning import Observed, PlanCost, decode_line, line_start
 from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_draw
-
-
-@dataclass(frozen=True)
-class Feature:
-    """One number of an observation."""
-
-    name: str
-    low: float  # [-] it cannot be below
-    high: float  # [-] it cannot be above
-    meaning: str  # with the unit it is scaled by
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
@@ -239,24 +230,27 @@ STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
 LINE_OUTCOMES = ("off the surface", "off the line", "stalled")
 OFF_SURFACE, OFF_LINE, STALLED = failures(LINE_OUTCOMES)
 
-# What `see_parcel` writes.
-PARCEL_FEATURES = (
-    Feature("lateral offset", -10.0, 10.0, "from the line's middle / 0.3 m"),
-    Feature("sine of theta", -1.0, 1.0, ""),
-    Feature("cosine of theta", -1.0, 1.0, ""),
-    Feature("forward speed", -10.0, 10.0, "vx / 1 m/s - 1"),
-    Feature("lateral speed", -20.0, 20.0, "vy / 0.5 m/s"),
-    Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
-    Feature(
-        "size", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m: -1 for the S-box, 1 for the B"
-    ),
+# What `see_parcel` writes. What any task shows of a parcel it shows by these.
+OFFSET = Feature("lateral offset", -10.0, 10.0, "y from the line's middle", "m", 0.3)
+DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.0, 1.0))
+FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
+LATERAL_SPEED = Feature("lateral speed", -20.0, 20.0, "vy", "m/s", 0.5)
+TURNING_SPEED = Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0)
+SIZE = Feature("size", -10.0, 100.0, "half length: -1 for the S-box, 1 for the B", "m", 0.05, 0.175)
+LENGTH = replace(SIZE, name="length", meaning="half length")
+WIDTH = replace(SIZE, name="width", meaning="half width")
+PHASE = (
     Feature("sine of phase x", -1.0, 1.0, "of the position within a pitch"),
-    Feature("cosine of phase x", -1.0, 1.0, ""),
-    Feature("sine of phase y", -1.0, 1.0, ""),
-    Feature("cosine of phase y", -1.0, 1.0, ""),
-    Feature("front in zone", -20.0, 20.0, "of the parcel's front past the zone's start / 0.5 m"),
-    Feature("rear to go", -20.0, 20.0, "from the parcel's rear to the zone's end / 0.5 m"),
+    Feature("cosine of phase x", -1.0, 1.0),
+    Feature("sine of phase y", -1.0, 1.0),
+    Feature("cosine of phase y", -1.0, 1.0),
 )
+PARCEL_FEATURES = (
+    OFFSET, *DIRECTION, FORWARD_SPEED, LATERAL_SPEED, TURNING_SPEED, SIZE, *PHASE,
+    Feature("front in zone", -20.0, 20.0, "parcel's front past the zone's start", "m", 0.5),
+    Feature("rear to go", -20.0, 20.0, "from the parcel's rear to the zone's end", "m", 0.5),
+)  # fmt: skip
+COLUMN = columns(PARCEL_FEATURES)
 
 
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
@@ -318,16 +312,17 @@ def see_parcel(state: EnvState) -> None:
     turn_x = 2.0 * math.pi / state.elements.pitch_x
     turn_y = 2.0 * math.pi / state.elements.pitch_y
     see = state.observation
-    see[0] = offset / 0.3
-    see[1] = math.sin(theta)
-    see[2] = math.cos(theta)
-    see[3] = sensed[VX] - 1.0
-    see[4] = sensed[VY] / 0.5
-    see[5] = sensed[OMEGA] / 3.0
-    see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
-    see[7] = math.sin(turn_x * (x - state.elements.x0))
-    see[8] = math.cos(turn_x * (x - state.elements.x0))
-    see[9] = math.sin(turn_y * offset)
-    see[10] = math.cos(turn_y * offset)
-    see[11] = (x + st.reach_along(state, theta, 1.0, 0.0) - st.zone_start(state)) / 0.5
-    see[12] = rear_to_go(state, x, theta) / 0.5
+    show(see, COLUMN.lateral_offset, offset)
+    show(see, COLUMN.sine_of_theta, math.sin(theta))
+    show(see, COLUMN.cosine_of_theta, math.cos(theta))
+    show(see, COLUMN.forward_speed, sensed[VX])
+    show(see, COLUMN.lateral_speed, sensed[VY])
+    show(see, COLUMN.turning_speed, sensed[OMEGA])
+    show(see, COLUMN.size, state.body[HALF_LENGTH])
+    show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
+    show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
+    show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
+    show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
+    front = x + st.reach_along(state, theta, 1.0, 0.0)
+    show(see, COLUMN.front_in_zone, front - st.zone_start(state))
+    show(see, COLUMN.rear_to_go, rear_to_go(state, x, theta))

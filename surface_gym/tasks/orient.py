@@ -12,6 +12,7 @@ from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # place in the goal: [rad] asked theta
@@ -35,12 +36,11 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    base.Feature("asked angle", -4.0, 4.0, "/ 1 rad"),
-    base.Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta / 0.2 rad"),
-    base.Feature(
-        "angle to turn, near", -1.0, 1.0, "hyperbolic tangent of asked angle - theta / 2 deg"
-    ),
+    Feature("asked angle", -4.0, 4.0, "theta to leave at", "rad"),
+    Feature("angle to turn", -1000.0, 1000.0, "asked angle - theta", "rad", 0.2),
+    Feature("angle to turn, near", -1.0, 1.0, "the same", "rad", SUCCESS_ERROR, bent=True),
 )
+COLUMN = columns(FEATURES)
 
 
 @dataclass(frozen=True)
@@ -211,9 +211,9 @@ class Orient(base.Task):
         base.see_parcel(state)
         left = state.goal[ANGLE] - state.sensed[THETA]
         see = state.observation
-        see[13] = state.goal[ANGLE]
-        see[14] = left / 0.2
-        see[15] = math.tanh(left / SUCCESS_ERROR)
+        show(see, COLUMN.asked_angle, state.goal[ANGLE])
+        show(see, COLUMN.angle_to_turn, left)
+        show_bent(see, COLUMN.angle_to_turn_near, left)
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:

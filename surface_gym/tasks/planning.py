@@ -1,8 +1,9 @@
 """Decoded observations and costs of tasks, for rules and planners."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.state import SUCCESS, ParcelState
+from surface_gym.tasks.features import Column, Feature, columns
 from surface_gym.tasks.start import Start
 
 Numbers = NDArray[np.float64]
@@ -23,31 +25,35 @@ def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Observations of some environments, read by feature name; an absent feature reads 0."""
+    """Observations of some environments, read by feature name, in SI units."""
 
-    values: Numbers  # (num_envs, features)
-    columns: Mapping[str, int]  # of `values`, by the name of the feature
+    shown: Numbers  # (num_envs, features)
+    features: tuple[Feature, ...]
     line: BaseLine
     zone: tuple[int, int] | None  # first and last column that obey; None: the line's own
     friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 where nothing is learned
     load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
 
+    @cached_property
+    def _columns(self) -> dict[str, Column]:
+        return dict(zip((each.name for each in self.features), columns(self.features), strict=True))
+
     def __contains__(self, name: str) -> bool:
-        return name in self.columns
+        return name in self._columns
 
     def __getitem__(self, name: str) -> Numbers:
-        column = self.columns.get(name)
-        return np.zeros(len(self.values)) if column is None else self.values[:, column]
+        if name not in self._columns:
+            raise ValueError(f"features must contain {name!r}, got {', '.join(self._columns)}")
+        return self._columns[name].of(self.shown)
+
+    def get(self, name: str, absent: float | Numbers = 0.0) -> Numbers:
+        """Return a feature that not every observation has."""
+        return self[name] if name in self else np.full(len(self.shown), absent)
 
     @property
     def theta(self) -> Numbers:
         """(num_envs,) [rad] as shown."""
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
-
-    @property
-    def half_length(self) -> Numbers:
-        """(num_envs,) [m] of the base."""
-        return 0.175 + 0.05 * self["size"]
 
     @property
     def pitch(self) -> tuple[float, float]:
@@ -103,42 +109,42 @@ class LineObservation:
 
 def decode_line(seen: Observed) -> LineObservation:
     """Decode observations that show the features of `tasks.base` or of Sort."""
-    side = seen["side"]
+    side = seen.get("side")
     # A parcel that is to go to y < 0 is shown in a mirror.
     mirror = np.where(side < 0.0, -1.0, 1.0)
     theta = mirror * seen.theta
-    half_length = seen.half_length
+    half_length = seen["size"]
     reach = square_reach(half_length, theta)
     if "distance into zone" in seen:  # no more of the front and the rear than of a square
-        into_zone = 0.5 * seen["distance into zone"] + reach
+        into_zone = seen["distance into zone"] + reach
         front_in_zone = into_zone + reach
         rear_to_go = seen.zone_length - into_zone + reach
     else:
-        front_in_zone, rear_to_go = 0.5 * seen["front in zone"], 0.5 * seen["rear to go"]
+        front_in_zone, rear_to_go = seen["front in zone"], seen["rear to go"]
         into_zone = front_in_zone - reach
-    shown = "width" in seen
     # A mirror turns both theta and the load's y round, and so leaves its x as it is.
-    load_x, load_y = seen["load learned, x"], seen["load learned, y"]
+    load_x, load_y = seen.get("load learned, x"), seen.get("load learned, y")
     load_ahead = np.cos(seen.theta) * load_x - np.sin(seen.theta) * load_y
+    ratio = seen.get("asked ratio")
     return LineObservation(
         into_zone=into_zone,
-        offset=mirror * 0.3 * seen["lateral offset"],
+        offset=mirror * seen["lateral offset"],
         theta=theta,
-        vx=1.0 + seen["forward speed"],
-        vy=mirror * 0.5 * seen["lateral speed"],
-        omega=mirror * 3.0 * seen["turning speed"],
+        vx=seen["forward speed"],
+        vy=mirror * seen["lateral speed"],
+        omega=mirror * seen["turning speed"],
         half_length=half_length,
         pitch=seen.pitch,
         side=side,
-        ratio=seen["asked ratio"],
-        entry_speed=np.where(seen["asked ratio"] > 0.0, 1.5 + seen["entry speed"], 0.0),
-        to_go=0.5 * seen["to go"],
-        angle=seen["asked angle"],
+        ratio=ratio,
+        entry_speed=np.where(ratio > 0.0, seen.get("entry speed"), 0.0),
+        to_go=seen.get("to go"),
+        angle=seen.get("asked angle"),
         front_in_zone=front_in_zone,
         rear_to_go=rear_to_go,
-        half_width=0.175 + 0.05 * seen["width"] if shown else half_length,
-        fill=seen["fill"] if shown else np.ones_like(half_length),
-        friction=1.0 + seen.friction_spread * seen["friction learned"],
+        half_width=seen.get("width", half_length),
+        fill=seen.get("fill", 1.0),
+        friction=1.0 + seen.friction_spread * seen.get("friction learned"),
         load_ahead=seen.load_spread * load_ahead,
     )
 

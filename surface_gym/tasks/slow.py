@@ -12,6 +12,7 @@ from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
 RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
@@ -33,13 +34,14 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    base.Feature("entry speed", -2.0, 5.0, "/ 1 m/s - 1.5"),
-    base.Feature("asked ratio", 0.0, 1.0, ""),
-    base.Feature(
-        "excess of speed", -50.0, 50.0, "over what would roll out at the asked ratio / 0.2 m/s"
+    Feature("entry speed", -2.0, 5.0, "vx at the start", "m/s", 1.0, 1.5),
+    Feature("asked ratio", 0.0, 1.0),
+    Feature(
+        "excess of speed", -50.0, 50.0, "over what would roll out at the asked ratio", "m/s", 0.2
     ),
-    base.Feature("fine excess", -1.0, 1.0, "hyperbolic tangent of the excess / 0.02 m/s"),
+    Feature("fine excess", -1.0, 1.0, "the same", "m/s", 0.02, bent=True),
 )
+COLUMN = columns(FEATURES)
 
 
 @dataclass(frozen=True)
@@ -217,10 +219,10 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         to_go = base.rear_to_go(state, sensed[X], sensed[THETA])
         excess = _excess(state, to_go, sensed[VX], sensed[VY])
         see = state.observation
-        see[13] = state.goal[ENTRY_SPEED] - 1.5
-        see[14] = state.goal[RATIO]
-        see[15] = excess / 0.2
-        see[16] = math.tanh(excess / 0.02)
+        show(see, COLUMN.entry_speed, state.goal[ENTRY_SPEED])
+        show(see, COLUMN.asked_ratio, state.goal[RATIO])
+        show(see, COLUMN.excess_of_speed, excess)
+        show_bent(see, COLUMN.fine_excess, excess)
 
 
 @kernel_function

@@ -1,7 +1,7 @@
 """Sort: leave the line on the asked side, quickly."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,22 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import planning
-from surface_gym.tasks.base import STALL_SPEED, Feature, Task, entry, failures, rising
+from surface_gym.tasks.base import (
+    DIRECTION,
+    FORWARD_SPEED,
+    LATERAL_SPEED,
+    OFFSET,
+    PHASE,
+    SIZE,
+    STALL_SPEED,
+    TURNING_SPEED,
+    Task,
+    entry,
+    failures,
+    rising,
+)
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
+from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.start import Draw, Start, between
 
 SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
@@ -38,25 +52,23 @@ FAILURE_REWARD = -1.0
 ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
 HORIZON = 4.0  # [s] scale of the time observed
 
+TOWARDS = "towards the asked side"
+# What is shown of a parcel that is to go to a side, y mirrored so that this is y > 0.
+SIDE_FEATURES = (
+    replace(OFFSET, meaning=f"y from the line's middle, {TOWARDS}"),
+    replace(DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), DIRECTION[1],
+    FORWARD_SPEED, replace(LATERAL_SPEED, meaning=f"vy {TOWARDS}"),
+    replace(TURNING_SPEED, meaning=f"omega, positive {TOWARDS}"), SIZE,
+    Feature("clearance", -20.0, 20.0, "between the base and the line's rotors", "m", 0.2),
+    *PHASE[:2], replace(PHASE[2], meaning=TOWARDS), PHASE[3],
+)  # fmt: skip
 FEATURES = (
-    Feature("lateral offset", -10.0, 10.0, "from the line's middle towards the asked side / 0.3 m"),
-    Feature("sine of theta", -1.0, 1.0, "positive if turned towards the asked side"),
-    Feature("cosine of theta", -1.0, 1.0, ""),
-    Feature("forward speed", -10.0, 10.0, "vx / 1 m/s - 1"),
-    Feature("lateral speed", -20.0, 20.0, "towards the asked side / 0.5 m/s"),
-    Feature("turning speed", -50.0, 50.0, "positive towards the asked side / 3 rad/s"),
-    Feature(
-        "size", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m: -1 for the S-box, 1 for the B"
-    ),
-    Feature("clearance", -20.0, 20.0, "between the base and the line's rotors / 0.2 m"),
-    Feature("sine of phase x", -1.0, 1.0, "of the position within a pitch"),
-    Feature("cosine of phase x", -1.0, 1.0, ""),
-    Feature("sine of phase y", -1.0, 1.0, "towards the asked side"),
-    Feature("cosine of phase y", -1.0, 1.0, ""),
-    Feature("time", 0.0, 1000.0, "since the start / 4 s"),
-    Feature("distance into zone", -20.0, 20.0, "of the parcel's rear / 0.5 m"),
+    *SIDE_FEATURES,
+    Feature("time", 0.0, 1000.0, "since the start", "s", HORIZON),
+    Feature("distance into zone", -20.0, 20.0, "of the parcel's rear", "m", 0.5),
     Feature("side", -1.0, 1.0, "asked: 1 for y > 0, -1 for y < 0, 0 for neither"),
 )
+COLUMN = columns(FEATURES)
 
 
 @dataclass(frozen=True)
@@ -257,21 +269,22 @@ distance from the line's middle takes its place |
         half_line = 0.5 * state.elements.pitch_y * (state.zone[st.ROWS] - 1)
         rear = x - st.reach_along(state, theta, -1.0, 0.0)
         see = state.observation
-        see[0] = offset / 0.3
-        see[1] = side * math.sin(theta)
-        see[2] = math.cos(theta)
-        see[3] = sensed[VX] - 1.0
-        see[4] = side * sensed[VY] / 0.5
-        see[5] = side * sensed[OMEGA] / 3.0
-        see[6] = (state.body[HALF_LENGTH] - 0.175) / 0.05
-        see[7] = (offset - st.reach_along(state, theta, 0.0, -side) - half_line) / 0.2
-        see[8] = math.sin(turn_x * (x - state.elements.x0))
-        see[9] = math.cos(turn_x * (x - state.elements.x0))
-        see[10] = math.sin(turn_y * offset)
-        see[11] = math.cos(turn_y * offset)
-        see[12] = state.clock / HORIZON
-        see[13] = (rear - st.zone_start(state)) / 0.5
-        see[14] = state.goal[SIDE]
+        show(see, COLUMN.lateral_offset, offset)
+        show(see, COLUMN.sine_of_theta, side * math.sin(theta))
+        show(see, COLUMN.cosine_of_theta, math.cos(theta))
+        show(see, COLUMN.forward_speed, sensed[VX])
+        show(see, COLUMN.lateral_speed, side * sensed[VY])
+        show(see, COLUMN.turning_speed, side * sensed[OMEGA])
+        show(see, COLUMN.size, state.body[HALF_LENGTH])
+        clearance = offset - st.reach_along(state, theta, 0.0, -side) - half_line
+        show(see, COLUMN.clearance, clearance)
+        show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
+        show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
+        show(see, COLUMN.time, state.clock)
+        show(see, COLUMN.distance_into_zone, rear - st.zone_start(state))
+        show(see, COLUMN.side, state.goal[SIDE])
 
 
 @kernel_function

@@ -11,6 +11,7 @@ from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
 POSITION = 0  # place in the goal: [m] asked x of the centre
@@ -32,15 +33,14 @@ FAILURE_REWARD = -1.0
 
 FEATURES = (
     *base.PARCEL_FEATURES,
-    base.Feature("to go", -20.0, 20.0, "to the asked x / 0.5 m"),
-    base.Feature("to go, near", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.05 m"),
-    base.Feature(
-        "to go, nearest", -1.0, 1.0, "hyperbolic tangent of the way to the asked x / 0.01 m"
-    ),
-    base.Feature(
-        "excess of speed", -50.0, 50.0, "over what full braking ends at the asked x / 0.2 m/s"
+    Feature("to go", -20.0, 20.0, "to the asked x", "m", 0.5),
+    Feature("to go, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
+    Feature("to go, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
+    Feature(
+        "excess of speed", -50.0, 50.0, "over what full braking ends at the asked x", "m/s", 0.2
     ),
 )
+COLUMN = columns(FEATURES)
 
 
 @dataclass(frozen=True)
@@ -208,10 +208,10 @@ class Stop(base.Task):
         to_go = state.goal[POSITION] - state.sensed[X]
         excess = state.sensed[VX] - math.sqrt(2.0 * base.BRAKING * max(0.0, to_go))
         see = state.observation
-        see[13] = to_go / 0.5
-        see[14] = math.tanh(to_go / 0.05)
-        see[15] = math.tanh(to_go / 0.01)
-        see[16] = excess / 0.2
+        show(see, COLUMN.to_go, to_go)
+        show_bent(see, COLUMN.to_go_near, to_go)
+        show_bent(see, COLUMN.to_go_nearest, to_go)
+        show(see, COLUMN.excess_of_speed, excess)
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:

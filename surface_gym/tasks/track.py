@@ -15,8 +15,9 @@ from surface_gym.physics.contacts import bounded
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
 from surface_gym.state import GRAVITY_X, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import paths as shapes
-from surface_gym.tasks.base import Feature, Task, failures, rising
+from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
+from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
@@ -63,24 +64,17 @@ PLAN_SPEED_ERROR = 0.08  # [m/s] off the asked speed
 PLAN_CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
 
 FEATURES = (
-    Feature("cross error", -200.0, 200.0, "across the path / 0.05 m"),
-    Feature("fine cross error", -1.0, 1.0, "hyperbolic tangent of the cross error / 0.005 m"),
-    Feature("speed error", -100.0, 100.0, "along the path / 0.2 m/s"),
-    Feature("lateral speed", -200.0, 200.0, "across the path / 0.1 m/s"),
-    Feature("asked speed", -1.0, 5.0, "/ 1 m/s - 0.8"),
+    Feature("cross error", -200.0, 200.0, "across the path", "m", 0.05),
+    Feature("fine cross error", -1.0, 1.0, "the same", "m", 0.005, bent=True),
+    Feature("speed error", -100.0, 100.0, "along the path", "m/s", 0.2),
+    Feature("lateral speed", -200.0, 200.0, "across the path", "m/s", 0.1),
+    Feature("asked speed", -1.0, 5.0, "along the path", "m/s", 1.0, 0.8),
     *(Feature(f"slope {ahead:g} m ahead", -STEEPEST, STEEPEST, "dy/dx") for ahead in AHEAD),
-    Feature("tilt", 0.0, 5.0, "sine of the tilt / 0.2"),
-    Feature("sine of theta", -1.0, 1.0, ""),
-    Feature("cosine of theta", -1.0, 1.0, ""),
-    Feature("turning speed", -50.0, 50.0, "omega / 3 rad/s"),
-    Feature(
-        "size", -10.0, 100.0, "(half length - 0.175 m) / 0.05 m: -1 for the S-box, 1 for the B"
-    ),
-    Feature("sine of phase x", -1.0, 1.0, "of the position within a pitch"),
-    Feature("cosine of phase x", -1.0, 1.0, ""),
-    Feature("sine of phase y", -1.0, 1.0, ""),
-    Feature("cosine of phase y", -1.0, 1.0, ""),
-)
+    Feature("tilt", 0.0, 5.0, "its sine", "", 0.2),
+    *DIRECTION, TURNING_SPEED, SIZE, *PHASE,
+)  # fmt: skip
+COLUMN = columns(FEATURES)
+SLOPE = COLUMN.slope_0_m_ahead.place  # the first of several
 
 
 @dataclass(frozen=True)
@@ -212,15 +206,15 @@ asked one |
     def decode(self, seen: Observed) -> "PathObservation":
         pitch = seen.pitch
         return PathObservation(
-            cross_error=0.05 * seen["cross error"],
-            speed_error=0.2 * seen["speed error"],
-            cross_speed=0.1 * seen["lateral speed"],
-            asked_speed=0.8 + seen["asked speed"],
+            cross_error=seen["cross error"],
+            speed_error=seen["speed error"],
+            cross_speed=seen["lateral speed"],
+            asked_speed=seen["asked speed"],
             slope=np.stack([seen[f"slope {ahead:g} m ahead"] for ahead in AHEAD], axis=-1),
-            tilt=np.arcsin(0.2 * seen["tilt"]),
+            tilt=np.arcsin(seen["tilt"]),
             theta=seen.theta,
-            omega=3.0 * seen["turning speed"],
-            half_length=seen.half_length,
+            omega=seen["turning speed"],
+            half_length=seen["size"],
             pitch=pitch,
             x_in_pitch=seen.in_pitch("x", pitch[0]),
             y_in_pitch=seen.in_pitch("y", pitch[1]),
@@ -342,22 +336,22 @@ asked one |
         turn_x = 2.0 * math.pi / state.elements.pitch_x
         turn_y = 2.0 * math.pi / state.elements.pitch_y
         see = state.observation
-        see[0] = error / 0.05
-        see[1] = math.tanh(error / 0.005)
-        see[2] = speed_error / 0.2
-        see[3] = across / 0.1
-        see[4] = state.goal[SPEED] - 0.8
+        show(see, COLUMN.cross_error, error)
+        show_bent(see, COLUMN.fine_cross_error, error)
+        show(see, COLUMN.speed_error, speed_error)
+        show(see, COLUMN.lateral_speed, across)
+        show(see, COLUMN.asked_speed, state.goal[SPEED])
         for k in range(len(AHEAD)):
-            _, see[5 + k] = _path_at(state, x + AHEAD[k])
-        see[9] = state.surface[GRAVITY_X] / GRAVITY / 0.2
-        see[10] = math.sin(theta)
-        see[11] = math.cos(theta)
-        see[12] = sensed[OMEGA] / 3.0
-        see[13] = (state.body[HALF_LENGTH] - 0.175) / 0.05
-        see[14] = math.sin(turn_x * (x - state.elements.x0))
-        see[15] = math.cos(turn_x * (x - state.elements.x0))
-        see[16] = math.sin(turn_y * (y - state.elements.y0))
-        see[17] = math.cos(turn_y * (y - state.elements.y0))
+            _, see[SLOPE + k] = _path_at(state, x + AHEAD[k])
+        show(see, COLUMN.tilt, state.surface[GRAVITY_X] / GRAVITY)
+        show(see, COLUMN.sine_of_theta, math.sin(theta))
+        show(see, COLUMN.cosine_of_theta, math.cos(theta))
+        show(see, COLUMN.turning_speed, sensed[OMEGA])
+        show(see, COLUMN.size, state.body[HALF_LENGTH])
+        show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
+        show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * (y - state.elements.y0)))
+        show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * (y - state.elements.y0)))
 
 
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:

@@ -27,7 +27,7 @@ def tables() -> np.ndarray:
     for _ in range(80):
         observation, *_ = envs.step(np.full((3, envs.single_action_space.shape[0]), ROLL))
     found = np.array(observation)
-    assert (found[..., ta.PRESENT].sum(axis=1) > 2).all()
+    assert (found[..., ta.COLUMN.present.place].sum(axis=1) > 2).all()
     return found
 
 
@@ -60,12 +60,12 @@ def test_a_module_without_a_parcel_lets_it_roll_on(network, tables) -> None:
 
 def test_a_parcel_far_behind_changes_nothing_and_one_near_does(network, tables) -> None:
     table = np.zeros_like(tables[:1])
-    table[0, :2] = tables[0, np.flatnonzero(tables[0, :, ta.PRESENT] > 0.5)[:2]]
-    table[0, :2, ta.OFFSET] = 0.0
-    table[0, 0, ta.END] = 1.0
+    table[0, :2] = tables[0, np.flatnonzero(tables[0, :, ta.COLUMN.present.place] > 0.5)[:2]]
+    table[0, :2, ta.COLUMN.offset.place] = 0.0
+    table[0, 0, ta.COLUMN.to_the_end.place] = 1.0
     found = []
     for behind in (2.9, 3.4, 0.9):
-        table[0, 1, ta.END] = 1.0 + behind
+        table[0, 1, ta.COLUMN.to_the_end.place] = 1.0 + behind
         seen = see_modules(ModuleView(CONFIG), table)
         of_first = seen.parcel == 0
         found.append(network(seen.passed[seen.parcel], seen.own)[of_first])
@@ -87,9 +87,9 @@ def test_choices_follow_their_probabilities_and_stay_for_some_periods(network, t
     policy, seen = LocalPolicy(network, CARD), see_modules(ModuleView(CONFIG), tables)
     probability = network(seen.passed[seen.parcel], seen.own).exp().numpy()
     count, moving, chosen = np.zeros_like(probability), tables.copy(), []
-    moving[..., ta.TIME] = np.ceil(moving[..., ta.TIME] * 50.0) / 50.0
+    moving[..., ta.COLUMN.time.place] = np.ceil(moving[..., ta.COLUMN.time.place] * 50.0) / 50.0
     for _ in range(2000):
-        moving[..., ta.TIME] += 0.01
+        moving[..., ta.COLUMN.time.place] += 0.01
         actions, _ = policy.predict(moving)
         chosen.append(actions[seen.env, seen.module])
         count[np.arange(len(count)), chosen[-1]] += 1.0

@@ -213,7 +213,7 @@ def assert_outline(outline: module_policy.Outline, bases: list[Base]) -> None:
 )
 def test_the_clearance_determines_width_and_rows(bases) -> None:
     config, seen, each = seen_turned(bases)
-    see, clearance = config.decode(seen), 0.2 * seen[:, 7].astype(np.float64)
+    see, clearance = config.decode(seen), config.observed(seen)["clearance"]
     outline = module_policy.outline_from_clearance(see, clearance, config.chosen_line)
     assert_outline(outline, each)
     assert not outline.roundness.any()
@@ -228,8 +228,10 @@ def test_the_clearance_determines_width_and_rows(bases) -> None:
 )
 def test_an_observed_outline_is_exact(bases, roundness) -> None:
     config, seen, each = seen_turned(bases, ("parcel",))
-    length, width, fill = seen[:, -3:].astype(np.float64).T
-    outline = module_policy.outline_from_features(length, width, fill, config.chosen_line)
+    shown = config.observed(seen)
+    outline = module_policy.outline_from_features(
+        shown["length"], shown["width"], shown["fill"], config.chosen_line
+    )
     assert_outline(outline, each)
     np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)
 
@@ -251,6 +253,6 @@ def test_reach_and_distance_are_the_bases(base, roundness) -> None:
 def test_rows_of_a_pattern_are_its_own() -> None:
     rotor = np.zeros((20, 30), dtype=bool)
     rotor[7:13] = True
-    half = np.zeros(3)  # as long and as wide as is between the boxes
-    outline = module_policy.outline_from_features(half, half, half + 1.0, Pattern(rotor, lead_in=4))
+    half = np.full(3, 0.175)  # as long and as wide as is between the boxes
+    outline = module_policy.outline_from_features(half, half, np.ones(3), Pattern(rotor, lead_in=4))
     assert outline.rows.tolist() == [6.0, 6.0, 6.0]

@@ -33,7 +33,7 @@ def tables() -> np.ndarray:
     for _ in range(80):
         observation, *_ = envs.step(np.full((3, envs.single_action_space.shape[0]), 3))
     found = np.array(observation)
-    assert (found[..., ta.PRESENT].sum(axis=1) > 2).all()
+    assert (found[..., ta.COLUMN.present.place].sum(axis=1) > 2).all()
     return found
 
 
@@ -70,8 +70,8 @@ def test_a_parcel_heeds_those_of_its_surface_alone(network, tables) -> None:
     before = ask(network, tables)
     rows = tables.shape[1]
     moved = tables.copy()
-    (chosen,) = np.nonzero(moved[0, :, ta.PRESENT] > 0.5)[0][:1]
-    moved[0, chosen, ta.OFFSET] += 1.0
+    (chosen,) = np.nonzero(moved[0, :, ta.COLUMN.present.place] > 0.5)[0][:1]
+    moved[0, chosen, ta.COLUMN.offset.place] += 1.0
     after = ask(network, moved)
     changed = (before.logits != after.logits).any(dim=1)
     of_first = before.row < rows
@@ -113,7 +113,7 @@ def test_choices_follow_their_probabilities_over_time(network, tables, monkeypat
     state, seen = None, np.zeros_like(probability)
     moving = tables.copy()
     for period in range(200):
-        moving[..., ta.TIME] += 0.01
+        moving[..., ta.COLUMN.time.place] += 0.01
         actions, state = policy.predict(moving, state, np.full(3, period == 0))
         halves = actions.reshape(-1, 2)[index]
         seen[np.arange(len(index)), CHOICES * halves[:, 0] + halves[:, 1]] += 1.0
@@ -127,7 +127,7 @@ def test_what_is_owed_ends_with_the_parcel_and_with_the_episode(network, tables)
     anew, _ = policy.predict(tables, state, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(anew, first)
     others = tables.copy()
-    others[..., ta.TIME] -= 1.0  # they entered later than those that were there
+    others[..., ta.COLUMN.time.place] -= 1.0  # they entered later than those that were there
     anew, _ = policy.predict(others, state, np.zeros(3, dtype=bool))
     again, _ = policy.predict(others)
     np.testing.assert_array_equal(anew, again)

@@ -23,7 +23,7 @@ from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.core.actions import KINDS
-from surface_gym.flow.task import PRESENT
+from surface_gym.flow.task import COLUMN
 
 
 def sign(folder: Path) -> None:
@@ -297,7 +297,7 @@ def test_an_observation_of_one_stream_or_of_many(flow_folder) -> None:
         "actions": "parcels", "gate": True, "queue": 4, "control_period": 0.04,
     }  # fmt: skip
     tables = np.random.default_rng(0).random((3, 28, 29), dtype=np.float32)
-    tables[..., PRESENT] = 1.0
+    tables[..., COLUMN.present.place] = 1.0
     tables[..., SIDE] = -1.0
     many, _ = policy.predict(tables)
     assert many.shape == (3, 49)

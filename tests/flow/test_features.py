@@ -9,7 +9,7 @@ import pytest
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import AHEAD, BEHIND, FEATURES, PRESENT, WAITS
+from surface_gym.flow.task import AHEAD, BEHIND, COLUMN, FEATURES
 from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
@@ -107,7 +107,7 @@ def test_the_first_are_those_of_sort() -> None:
     """What sorts one parcel can sort each of a flow."""
     assert NAMES[:13] == [feature.name for feature in SORT_FEATURES[:13]]
     assert NAMES[12] == "time"
-    assert [NAMES[k] for k in (PRESENT, AHEAD, BEHIND)] == ["present", "gap ahead", "gap behind"]
+    assert [NAMES[AHEAD], NAMES[BEHIND]] == ["gap ahead", "gap behind"]
 
 
 @pytest.mark.parametrize("name", ["parcels, exact", "parcels, camera, all varies"])
@@ -133,7 +133,7 @@ def test_a_queue_shows_who_is_behind_the_next_and_changes_nothing_else(name: str
             table = seen[0][4:]
             assert not table[len(waiting) :].any()
             for number, row in zip(waiting, table, strict=False):
-                assert row[PRESENT] == row[WAITS] == 1.0
+                assert row[COLUMN.present.place] == row[COLUMN.waits.place] == 1.0
                 since = streams.clock[0] - streams.time[0, number]
                 assert row[12] == pytest.approx(-since / 4.0, abs=1e-6)
                 np.testing.assert_array_equal(row[entry], known.setdefault(number, row[entry]))

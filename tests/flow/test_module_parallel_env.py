@@ -17,6 +17,7 @@ from surface_gym.flow.module_parallel_env import ModuleParallelEnv
 from surface_gym.flow.module_view import ModuleView
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.take_away import slope_line
+from surface_gym.tasks.features import columns
 from tests.environments import assert_same
 from tests.flow.flows import BRAKE, ROLL
 from tests.flow.test_take_away import TASKS
@@ -153,15 +154,16 @@ class TestEnv:
         env.close()
 
 
-def table_of(config: EnvConfig, *parcels: dict[int, float]) -> np.ndarray:
+def table_of(config: EnvConfig, *parcels: dict[str, float]) -> np.ndarray:
     """A table with parcels 0.4 m x 0.2 m in its first rows, of some features."""
     table = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
     for k, parcel in enumerate(parcels):
-        row = table[0, k]
-        row[[ta.PRESENT, ta.COSINE, ta.TAKES_AWAY]] = 1.0
-        row[[ta.LEFT, ta.RIGHT]] = -1.0
-        row[ta.LENGTH], row[ta.WIDTH] = 0.5, -1.5
-        row[list(parcel)] = list(parcel.values())
+        shown = {
+            "present": 1.0, "cosine_of_theta": 1.0, "takes_away": 1.0, "left": -1.0, "right": -1.0,
+            "length": 0.5, "width": -1.5, **parcel,
+        }  # fmt: skip
+        for name, value in shown.items():
+            table[0, k, getattr(columns(config.features), name).place] = value
     return table
 
 
@@ -189,7 +191,7 @@ class TestView:
 
     def test_a_table_may_have_any_number_of_rows_but_not_of_features(self) -> None:
         config = EnvConfig("singulate", max_parcels=4)
-        view, table = ModuleView(config), table_of(EnvConfig("singulate"), {ta.END: 2.0})
+        view, table = ModuleView(config), table_of(EnvConfig("singulate"), {"to_the_end": 2.0})
         wide, narrow = view(np.concatenate([table] * 9, axis=1)), view(table[:, :1])
         np.testing.assert_array_equal(wide.owner >= 0, narrow.owner >= 0)
         assert wide.passed.shape == (1, 9 * 32, mv.PASSED)
@@ -199,7 +201,7 @@ class TestView:
 
     def test_of_itself(self) -> None:
         config = EnvConfig("singulate")
-        seen = ModuleView(config)(table_of(config, {ta.END: 2.0, ta.OFFSET: 0.4}))
+        seen = ModuleView(config)(table_of(config, {"to_the_end": 2.0, "offset": 0.4}))
         own, owner = seen.own[0].reshape(14, 56, -1), seen.owner[0].reshape(14, 56)
         # Its base is from 1.8 to 2.2 m before the end, and from 0.1 to 0.3 m beside the middle;
         # at 1 m/s modules up to 0.1 m ahead are about to bear it.
@@ -214,10 +216,10 @@ class TestView:
 
     def test_of_the_parcels_around(self) -> None:
         config = EnvConfig("singulate")
-        one = {ta.END: 2.0, ta.OFFSET: 0.0}
-        ahead = {ta.END: 1.4, ta.OFFSET: 0.2, ta.FORWARD: 0.5}
-        left_behind = {ta.END: 2.5, ta.OFFSET: 0.8, ta.LATERAL: -0.5}
-        far = {ta.END: 3.5, ta.OFFSET: 0.0}
+        one = {"to_the_end": 2.0, "offset": 0.0}
+        ahead = {"to_the_end": 1.4, "offset": 0.2, "forward_speed": 0.5}
+        left_behind = {"to_the_end": 2.5, "offset": 0.8, "lateral_speed": -0.5}
+        far = {"to_the_end": 3.5, "offset": 0.0}
         seen = ModuleView(config)(table_of(config, one, ahead, left_behind, far)).passed[0]
         nobody = [2.0, 2.0, 0.0, 0.0, 0.0]
         expected = [nobody] * mv.DIRECTIONS
@@ -230,15 +232,17 @@ class TestView:
 
     def test_how_early_one_is_comes_from_all_before_it(self) -> None:
         config = EnvConfig("singulate")
-        three = [{ta.END: 1.0 + k, ta.ROLLS: 0.1 + 0.025 * k, ta.CLEAR: 1.0} for k in range(3)]
+        three = [
+            {"to_the_end": 1.0 + k, "rolling": 0.1 + 0.025 * k, "clear": 1.0} for k in range(3)
+        ]
         early = ModuleView(config)(table_of(config, *three)).passed[0, :3, mv.EARLY]
         # Each takes 0.4 m and the gap of the take-away, 0.35 s; the first comes after 0.4 s.
         np.testing.assert_allclose(early, [-0.15 - 0.4, 0.25, 0.5], atol=1e-5)
 
     def test_in_a_sequence_the_order_counts(self) -> None:
         config = EnvConfig("sequence")
-        place = len(ta.FEATURES)
-        table = table_of(config, {ta.END: 1.0, place: 0.125}, {ta.END: 1.6, place: 0.0})
+        first, second = {"to_the_end": 1.0, "place": 0.125}, {"to_the_end": 1.6, "place": 0.0}
+        table = table_of(config, first, second)
         seen = ModuleView(config)(table).passed[0]
         assert neighbour(seen[0], 1)[4] == 1.0
         assert seen[0, mv.EARLY] == pytest.approx(0.35 + 0.1)

@@ -107,7 +107,7 @@ class TestStops:
         for _ in range(80):
             batch.step(np.full((1, 64), BRAKE))
             moved.append(batch.streams.belt[0])
-            shown.append(batch.observation[0, 0, ta.TAKES_AWAY])
+            shown.append(batch.observation[0, 0, ta.COLUMN.takes_away.place])
         assert moved[24] == pytest.approx(2.0, abs=0.02)
         assert moved[74] == pytest.approx(2.0, abs=0.02)
         assert shown[:14] == [1.0] * 14
@@ -196,24 +196,21 @@ class TestEnvironments:
             (low_x, low_y), (high_x, high_y) = (
                 corners(batch, k).min(axis=0), corners(batch, k).max(axis=0),
             )  # fmt: skip
-            assert row[ta.END] == pytest.approx(end - x, abs=1e-5)
-            assert 0.5 * row[ta.OFFSET] == pytest.approx(y - 0.7, abs=1e-5)
-            assert math.atan2(row[ta.SINE], row[ta.COSINE]) == pytest.approx(
-                math.remainder(theta, 2.0 * math.pi), abs=1e-5
-            )
-            assert row[ta.FORWARD] + 1.0 == pytest.approx(vx, abs=1e-5)
-            assert 0.5 * row[ta.LATERAL] == pytest.approx(vy, abs=1e-5)
-            assert 3.0 * row[ta.TURNING] == pytest.approx(omega, abs=1e-4)
-            for place, reach in (
-                (ta.FRONT, high_x - x), (ta.REAR, x - low_x),
-                (ta.LEFT, high_y - y), (ta.RIGHT, y - low_y),
-            ):  # fmt: skip
-                assert 0.2 + 0.1 * row[place] == pytest.approx(reach, abs=1e-5)
+            shown = dict(zip((each.name for each in ta.FEATURES), row.tolist(), strict=False))
+            turned = math.atan2(shown["sine of theta"], shown["cosine of theta"])
+            found = {
+                "to the end": end - x, "offset": (y - 0.7) / 0.5, "forward speed": vx - 1.0,
+                "lateral speed": vy / 0.5, "turning speed": omega / 3.0,
+                "front": (high_x - x - 0.2) / 0.1, "rear": (x - low_x - 0.2) / 0.1,
+                "left": (high_y - y - 0.2) / 0.1, "right": (y - low_y - 0.2) / 0.1,
+            }  # fmt: skip
+            assert {name: shown[name] for name in found} == pytest.approx(found, abs=1e-4)
+            assert turned == pytest.approx(math.remainder(theta, 2.0 * math.pi), abs=1e-5)
 
 
 def test_how_long_it_rolls_is_how_long_it_takes() -> None:
     batch = rolled(begun(traced((0.0, 0.8))), 0.2)
-    predicted = 4.0 * batch.observation[0, 0, ta.ROLLS] + batch.streams.clock[0]
+    predicted = 4.0 * batch.observation[0, 0, ta.COLUMN.rolling.place] + batch.streams.clock[0]
     rolled(batch, 4.0)
     assert batch.streams.departed[0, 0] == pytest.approx(predicted, abs=0.02)
 

@@ -15,7 +15,7 @@ from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits, chutes, flow_line, sides
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import PRESENT, WAITS
+from surface_gym.flow.task import COLUMN
 from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.randomisation import Randomisation
 from tests.flow import flows
@@ -148,13 +148,13 @@ class TestGate:
     def test_the_last_row_is_who_enters_next(self) -> None:
         batch = self.gated(0.0, 0.5)
         waits = batch.observation[0, -1].copy()
-        assert waits[PRESENT] == waits[WAITS] == 1.0
+        assert waits[COLUMN.present.place] == waits[COLUMN.waits.place] == 1.0
         assert waits[12] == 0.0
         self.step(batch, 0)
         assert batch.observation[0, -1, 12] == pytest.approx(-0.04 / 4.0)
         self.step(batch, 8)
         np.testing.assert_array_equal(batch.observation[0, 0, :12], waits[:12])
-        assert batch.observation[0, 0, WAITS] == 0.0
+        assert batch.observation[0, 0, COLUMN.waits.place] == 0.0
         assert not batch.observation[0, -1].any()  # the second's time has yet to come
 
     def test_an_open_one_equals_none_as_long_as_one_at_a_time_comes(self) -> None:

@@ -209,7 +209,7 @@ def assert_parcels_chosen(page: Any, policy: Any, config: EnvConfig) -> None:
     for numbers, chosen in watch(page, "run.agent.chosen"):
         table = np.array(numbers, dtype=np.float32).reshape(config.rows, -1)
         action, state = policy.predict(table, state)
-        there = table[:, ta.PRESENT] > 0.5
+        there = table[:, ta.COLUMN.present.place] > 0.5
         ours, theirs = action.reshape(-1, 2)[there], np.array(chosen).reshape(-1, 2)[there]
         compared += len(ours)
         if (ours != theirs).any():  # rounding has tipped one, and what follows is another run

@@ -22,7 +22,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
 from surface_gym.registration import ON_SLOPES
 from surface_gym.tasks import TASKS
-from surface_gym.tasks.base import Feature
+from surface_gym.tasks.features import Feature
 from tests.agents.test_policy import policy_of
 
 OBSERVED = ("parcel", "rotors")

@@ -53,7 +53,7 @@ def test_returns_of_a_parcel_end_as_it_leaves() -> None:
     made.step = watched
     tables, *_, returns = learner._roll_out()
     returns = returns.reshape(96, 6, made.rows).numpy()
-    present = (tables[..., ta.PRESENT] > 0.5).reshape(96, 6, made.rows).numpy()
+    present = (tables[..., ta.COLUMN.present.place] > 0.5).reshape(96, 6, made.rows).numpy()
     gone = np.stack(left)
     assert gone.any()
     wanted, ahead = np.zeros_like(returns), np.zeros_like(returns[0])

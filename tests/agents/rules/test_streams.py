@@ -10,25 +10,27 @@ from surface_gym.agents import library
 from surface_gym.agents.rules import streams
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.task import FEATURES, OWN, PRESENT, WAITS
+from surface_gym.flow.task import COLUMN, FEATURES
 from tests.agents.rules.runs import counts, gated, line
 from tests.flow.flows import trace
 
 LEFT, RIGHT, ROLL = 2, 1, 3  # of the default orientations: -45, 45 and 90 deg
+
+SHOWN = [each.place for each in (COLUMN.present, COLUMN.past_the_exit_s_start, COLUMN.side)]
 
 
 def table(rows: int, *parcels: tuple[float, float]) -> np.ndarray:
     """Show parcels, by how far each is past its start and the side of its exit."""
     seen = np.zeros((rows, len(FEATURES)), dtype=np.float32)
     for row, (past, side) in zip(seen, parcels, strict=False):
-        row[[PRESENT, streams.PAST_START, streams.SIDE]] = 1.0, past, side
+        row[SHOWN] = 1.0, past, side
     return seen
 
 
 def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() -> None:
     config = gated(max_parcels=2)
     seen = table(3, (0.1, 1.0))
-    seen[-1, [PRESENT, WAITS, streams.PAST_START, streams.SIDE]] = 1.0, 1.0, 5.0, 1.0
+    seen[-1, [*SHOWN, COLUMN.waits.place]] = 1.0, 5.0, 1.0, 1.0
     action, _ = StreamEventRule(config).predict(seen)
     assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, streams.OPEN]
     assert config.action_space().contains(action)
@@ -54,11 +56,11 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
         seen = batch.observation[0]
         action, _ = each.predict(seen)
         for row, halves in zip(seen, action.reshape(4, 2), strict=True):
-            if row[PRESENT] == 0.0 or row[streams.SIDE] == 0.0:
+            if row[COLUMN.present.place] == 0.0 or row[COLUMN.side.place] == 0.0:
                 assert halves.tolist() == [ROLL, ROLL]
             else:
-                assert halves.tolist() == list(divmod(int(agent.predict(row[:OWN])[0]), 4))
-                met.add(row[streams.SIDE])
+                assert halves.tolist() == list(divmod(int(agent.predict(row[: streams.OWN])[0]), 4))
+                met.add(row[COLUMN.side.place])
         batch.step(config.action_kind.commands(action[np.newaxis], 1))
     assert met == {1.0, -1.0}
 

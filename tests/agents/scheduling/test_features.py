@@ -83,7 +83,7 @@ def test_those_that_wait_and_roll_are_shown(config) -> None:
             continue
         (each,) = scheduler.shown
         scheduler.shown.clear()
-        present = table[0, :, task.PRESENT] > 0.5
+        present = table[0, :, task.COLUMN.present.place] > 0.5
         parcels = config.stream_task.max_parcels
         kinds = each.token[0][each.shown[0]][:, :3].sum(axis=0)
         gone = (watched.gone[0] >= 0).sum()

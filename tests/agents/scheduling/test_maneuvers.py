@@ -11,7 +11,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.exits import Exit, Exits, flow_line
 from surface_gym.flow.stream import Stream
-from surface_gym.flow.task import FEATURES, PRESENT
+from surface_gym.flow.task import COLUMN, FEATURES
 from surface_gym.randomisation import Randomisation
 from tests.agents.rules.runs import gated, line, zoned
 
@@ -136,7 +136,8 @@ class TestGroups:
         tried = lead.candidates(config, 1)
         left = int(np.nonzero(tried.kind == 0)[0][0])
         table = np.zeros((1, config.stream_task.rows, len(FEATURES)), dtype=np.float32)
-        table[0, 0, [PRESENT, 3, 6]] = 1.0, 0.5, (0.125 - 0.175) / 0.05
+        shown = [COLUMN.present.place, COLUMN.forward_speed.place, COLUMN.size.place]
+        table[0, 0, shown] = 1.0, 0.5, -1.0
         booked = np.full((1, config.stream_task.max_parcels), -1)
         booked[0, 0] = left
 

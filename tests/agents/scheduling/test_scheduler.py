@@ -139,7 +139,7 @@ class TestMemory:
         controller = Scheduler(config)
         tables = np.random.default_rng(0).normal(size=(4, 2, config.stream_task.rows, 29))
         tables = tables.astype(np.float32)
-        tables[..., module.task.PRESENT] = tables[..., module.task.PRESENT] > 0.0
+        tables[..., module.COLUMN.present.place] = tables[..., module.COLUMN.present.place] > 0.0
         fresh = np.array([[True, True], [False, True], [False, False], [True, False]])
         together, state = [], None
         for table, begins in zip(tables, fresh, strict=True):
@@ -155,7 +155,7 @@ class TestMemory:
         config = gated(CROWD)
         controller = Scheduler(config)
         table = np.zeros((1, config.stream_task.rows, 29), dtype=np.float32)
-        table[0, 3, module.task.PRESENT] = 1.0
+        table[0, 3, module.COLUMN.present.place] = 1.0
         table[0, 3, [3, 13, 14]] = 0.5, 3.0, 1.0
         action, _ = controller.predict(table, None)
         assert action[0, 6] == controller.library.lead.axes.left

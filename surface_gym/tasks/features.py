@@ -1,0 +1,115 @@
+"""Features of observations: their scales, their columns, and their values in SI units.
+
+A feature shows (value - offset) / scale. Its `Feature` says so once: kernels show values by it,
+decoders read them by it, and the documentation's tables are made of it.
+"""
+
+import hashlib
+import math
+import re
+from collections import namedtuple
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from surface_gym.compiler.jit import kernel_function
+
+DIGITS = 12  # hexadecimal, of a digest
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number of an observation."""
+
+    name: str
+    low: float  # [-] it cannot be below
+    high: float  # [-] it cannot be above
+    meaning: str = ""
+    unit: str = ""  # of the value, the offset and the scale
+    scale: float = 1.0
+    offset: float = 0.0
+    bent: bool = False  # the hyperbolic tangent is shown, which cannot be decoded
+
+    @property
+    def formula(self) -> str:
+        """Describe how a value is shown, for tables."""
+        unit = f" {self.unit}" if self.unit else ""
+        text = f"value - {self.offset:g}{unit}" if self.offset else "value"
+        if self.scale != 1.0 or self.unit:
+            text = f"({text})" if self.offset else text
+            text = f"{text} / {self.scale:g}{unit}"
+        return f"tanh({text})" if self.bent else text
+
+
+class Column(NamedTuple):
+    """The place and the scale of a feature: numbers alone, which are constants in a kernel."""
+
+    place: int
+    offset: float
+    scale: float
+    low: float
+    high: float
+
+    def of(self, table: Any) -> Any:
+        """Read the values of a table (..., features) in SI units."""
+        return decode(self, table[..., self.place])
+
+
+def columns(features: Iterable[Feature]) -> Any:
+    """Return the `Column`s of features by their names, as `columns(FEATURES).lateral_offset`.
+
+    A name's letters and digits count; all else is an underscore. A name that is not there is an
+    AttributeError, and in a kernel an error of the compiler, that says which.
+    """
+    shown = tuple(features)
+    names = [re.sub("[^0-9a-z]+", "_", each.name.lower()).strip("_") for each in shown]
+    twice = [each for each in names if names.count(each) > 1]
+    if twice:
+        raise ValueError(f"features must have names that differ, got {twice[0]!r} twice")
+    make: Any = namedtuple  # its names are no literals
+    return make("Columns", names)(
+        *(Column(at, each.offset, each.scale, each.low, each.high) for at, each in enumerate(shown))
+    )
+
+
+def compute_digest(features: Iterable[Feature]) -> str:
+    """Compute the digest of features' names and scales, which a policy is made for."""
+    shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
+    return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
+
+
+@kernel_function
+def encode(column: Column, value: float) -> float:
+    """Return the number that shows a value."""
+    return (value - column.offset) / column.scale
+
+
+@kernel_function
+def decode(column: Column, shown: Any) -> Any:
+    """Return the value that a number, or an array of them, shows."""
+    value = shown if column.scale == 1.0 else column.scale * shown
+    return value if column.offset == 0.0 else column.offset + value
+
+
+@kernel_function
+def read(row: Any, column: Column) -> float:
+    """Read a value from a row (features,) of an observation."""
+    return decode(column, row[column.place])
+
+
+@kernel_function
+def show(see: Any, column: Column, value: float) -> None:
+    """Write a value into an observation (features,)."""
+    see[column.place] = encode(column, value)
+
+
+@kernel_function
+def show_within(see: Any, column: Column, value: float) -> None:
+    """Write a value into an observation, the bounds of its feature where it is beyond them."""
+    see[column.place] = min(column.high, max(column.low, encode(column, value)))
+
+
+@kernel_function
+def show_bent(see: Any, column: Column, value: float) -> None:
+    """Write the hyperbolic tangent of a value into an observation."""
+    see[column.place] = math.tanh(encode(column, value))
