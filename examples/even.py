@@ -27,19 +27,20 @@ TAKEN = 0  # place in what the task keeps of each exit: how many parcels took it
 BEFORE = own.OWN_MEMORY  # place in the memory: [m] x at the last decision
 
 FEATURES = (
-    own.Feature("ahead", -10.0, 10.0, "x from the middle of the line / 1 m"),
-    own.Feature("aside", -10.0, 10.0, "y from the middle of the line / 0.3 m"),
-    own.Feature("sine of theta", -1.0, 1.0, ""),
-    own.Feature("cosine of theta", -1.0, 1.0, ""),
-    own.Feature("forward speed", -20.0, 20.0, "vx / 1 m/s"),
-    own.Feature("lateral speed", -20.0, 20.0, "vy / 0.5 m/s"),
-    own.Feature("load left", 0.0, 100.0, "parcels that took this exit more than another / 4"),
-    own.Feature("load right", 0.0, 100.0, "in the same way"),
-    own.Feature("load straight", 0.0, 100.0, "in the same way"),
+    own.Feature("ahead", -10.0, 10.0, "x from the middle of the line", "m", offset=1.5),
+    own.Feature("aside", -10.0, 10.0, "y from the middle of the line", "m", 0.3),
+    own.Feature("sine of theta", -1.0, 1.0),
+    own.Feature("cosine of theta", -1.0, 1.0),
+    own.Feature("forward speed", -20.0, 20.0, "vx", "m/s"),
+    own.Feature("lateral speed", -20.0, 20.0, "vy", "m/s", 0.5),
+    own.Feature("load left", 0.0, 100.0, "parcels that took this exit more than another", "", 4.0),
+    own.Feature("load right", 0.0, 100.0, "the same", "", 4.0),
+    own.Feature("load straight", 0.0, 100.0, "the same", "", 4.0),
     own.Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else"),
-    own.Feature("gap ahead", -20.0, 20.0, "to the next parcel along x / 0.5 m; 8: there is none"),
+    own.Feature("gap ahead", -8.0, 8.0, "to the next parcel along x; none: 4 m", "m", 0.5),
 )
-AHEAD, _, _, _, _, _, LOADS, _, _, PRESENT, GAP = range(len(FEATURES))
+COLUMN = own.columns(FEATURES)
+FAR = 4.0  # [m] to a parcel that is not there
 
 
 @dataclass(frozen=True)
@@ -99,32 +100,28 @@ class Even(own.StreamTask):
     @kernel_function
     def observe(state: EnvState, waits: bool) -> None:
         sensed, see = state.sensed, state.observation
-        see[0] = _within(sensed[X] - 1.5, 10.0)
-        see[1] = _within((sensed[Y] - state.elements.line_y) / 0.3, 10.0)
-        see[2] = math.sin(sensed[THETA])
-        see[3] = math.cos(sensed[THETA])
-        see[4] = _within(sensed[VX], 20.0)
-        see[5] = _within(sensed[VY] / 0.5, 20.0)
-        for k in range(3):
-            see[LOADS + k] = min(100.0, state.goal[LOAD + k] / 4.0)
-        see[PRESENT] = 1.0
+        own.show_within(see, COLUMN.ahead, sensed[X])
+        own.show_within(see, COLUMN.aside, sensed[Y] - state.elements.line_y)
+        own.show(see, COLUMN.sine_of_theta, math.sin(sensed[THETA]))
+        own.show(see, COLUMN.cosine_of_theta, math.cos(sensed[THETA]))
+        own.show_within(see, COLUMN.forward_speed, sensed[VX])
+        own.show_within(see, COLUMN.lateral_speed, sensed[VY])
+        own.show_within(see, COLUMN.load_left, state.goal[LOAD + LEFT])
+        own.show_within(see, COLUMN.load_right, state.goal[LOAD + RIGHT])
+        own.show_within(see, COLUMN.load_straight, state.goal[LOAD + STRAIGHT])
+        own.show(see, COLUMN.present, 1.0)
 
     @staticmethod
     @kernel_function
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
         if ahead:
-            state.observation[GAP] = _within(gap / 0.5, 8.0)
+            own.show_within(state.observation, COLUMN.gap_ahead, gap)
 
     @staticmethod
     @kernel_function
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
         if ahead:
-            state.observation[GAP] = 8.0
-
-
-@kernel_function
-def _within(value: float, most: float) -> float:
-    return min(most, max(-most, value))
+            own.show(state.observation, COLUMN.gap_ahead, FAR)
 
 
 class LeastLoaded:
@@ -138,11 +135,13 @@ class LeastLoaded:
         tables = np.atleast_3d(observation.T).T
         rows = np.arange(len(tables))
         chosen = np.full(tables.shape[:2], STRAIGHT)
-        loads = 4.0 * tables[..., LOADS : LOADS + 3].max(axis=1)
-        order = np.argsort(-np.where(tables[..., PRESENT] > 0.0, tables[..., AHEAD], -np.inf))
+        present = COLUMN.present.of(tables) > 0.0
+        shown = (COLUMN.load_left, COLUMN.load_right, COLUMN.load_straight)
+        loads = np.stack([each.of(tables).max(axis=1) for each in shown], axis=1)
+        order = np.argsort(-np.where(present, COLUMN.ahead.of(tables), -np.inf))
         for slots in order.T:
             exits = loads.argmin(axis=1)
-            there = tables[rows, slots, PRESENT] > 0.0
+            there = present[rows, slots]
             chosen[rows[there], slots[there]] = exits[there]
             loads[rows[there], exits[there]] += 1.0
         action = np.repeat(self.CHOICES[chosen], 2, axis=1)
