@@ -13,7 +13,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
-from surface_gym.tasks.sort import HORIZON
+from surface_gym.tasks.features import encode
 
 from ..base import Booleans, Integers, Numbers, Singles
 from .bounds import entrance_bound
@@ -27,8 +27,17 @@ USUAL = 4  # index of the level used for costs
 GONE = 6  # number of last departed parcels that are shown
 TOKENS = 24  # maximum number of shown parcels: waiting, on the line, and departed last
 
-STATIC, SEEN = 10, 3  # features of a maneuver; deviations from its trajectory (x, y, speed)
-TOKEN = 3 + 1 + STATIC + 4 + SEEN
+MANEUVER = (
+    "place", "straight on", "angle", "duration", "length", "width", "entry speed", "delay",
+    "exit speed", "to the exit's end",
+)  # fmt: skip
+CHOSEN = [MANEUVER.index(each) for each in ("place", "angle", "duration", "delay", "exit speed")]
+STATIC, SEEN = len(MANEUVER), 3  # numbers of a maneuver; deviations from it (x, y, speed)
+MOVING = [COLUMN.time, COLUMN.past_the_exit_s_start, COLUMN.lateral_offset, COLUMN.forward_speed]
+KINDS = 3  # of tokens: parcels on the line, departed, and waiting
+AT_SIDE, AT_STATIC = KINDS, slice(KINDS + 1, KINDS + 1 + STATIC)  # columns of a token
+AT_MOVING = slice(AT_STATIC.stop, AT_STATIC.stop + len(MOVING))
+TOKEN = AT_MOVING.stop + SEEN
 OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
 ABOUT = 9
 # Units that scale most features to about 1.
@@ -37,7 +46,6 @@ DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
 MOST = 5.0  # features are clipped to -5 and 5
 SPEED = COLUMN.forward_speed.place
 AT_SPEED = SIGNATURE.index(SPEED)
-MOVING = [COLUMN.time, COLUMN.past_the_exit_s_start, COLUMN.lateral_offset, COLUMN.forward_speed]
 
 
 class Candidates(NamedTuple):
@@ -89,7 +97,7 @@ class Features:
             np.where(straight, 0.0, place / LENGTH),
             straight,
             angles[own.choice] / (0.5 * np.pi),
-            DT * run.moments / HORIZON,
+            encode(COLUMN.time, DT * run.moments),
             *(size[own.kind] / SIZE - 1.0).T,
             entering[own.kind] - SPEED_MEAN,
             delay / GAP,
@@ -98,7 +106,7 @@ class Features:
         ]
         self._static = np.stack(static, axis=1).clip(-3.0, 3.0).astype(np.float32)
         self._of_kind = self._static[library.options[:, 0]]
-        self._of_kind[:, [0, 2, 3, 7, 8]] = 0.0  # features that depend on the maneuver
+        self._of_kind[:, CHOSEN] = 0.0
         drawn, actuators = config.randomisation, config.actuators
         about = [
             0.5 * math.pi / actuators.axis_speed / 0.1,
@@ -199,12 +207,13 @@ class Features:
             token[:, part, column] = 1.0
         sides = self._kind_side[given.queue], self._side[rows], self._side[gone]
         static = self._of_kind[given.queue], self._static[rows], self._static[gone]
-        token[..., 3] = np.concatenate(sides, axis=1) * side
-        token[..., 4 : 4 + STATIC] = np.concatenate(static, axis=1)
+        token[..., AT_SIDE] = np.concatenate(sides, axis=1) * side
+        token[..., AT_STATIC] = np.concatenate(static, axis=1)
         moving = tables[env, : self._parcels][..., [column.place for column in MOVING]]
         unit = np.array([1.0, 0.1, 1.0, 1.0], dtype=np.float32)
-        token[:, line, 4 + STATIC : 8 + STATIC] = moving * unit
-        token[:, left, 4 + STATIC] = (book.clock[env][:, np.newaxis] - watched.left[env]) / HORIZON
+        token[:, line, AT_MOVING] = moving * unit
+        since = book.clock[env][:, np.newaxis] - watched.left[env]
+        token[:, left, AT_MOVING.start] = encode(COLUMN.time, since)
         token[:, line, -SEEN:], token[:, left, -SEEN:] = watched.seen[env], watched.last[env]
         # Only the first departed parcels are left out.
         order = np.argsort(~shown, axis=1, kind="stable")[:, :TOKENS]
