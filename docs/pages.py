@@ -5,7 +5,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -104,17 +104,18 @@ def _argument_table(kind: type[Any]) -> str:
         if each is not object
         for line in inspect.getsource(each).splitlines()
     ]
-    rows = []
+    rows, usual = [], kind()
     for field in fields(kind):
         if not field.init and kind is not EnvConfig:
             continue
         places = [
             at
             for at, line in enumerate(source)
-            if line.startswith(f"{field.name}: ") and " = " in line
+            if line.startswith(f"{field.name}: ") and (" = " in line or "  # " in line)
         ]
         comment = next(filter(None, (_comment(source, at) for at in places)), "")
-        default = _default(field.default, source[places[0]])
+        value = getattr(usual, field.name) if field.default is MISSING else field.default
+        default = _default(value, source[places[0]])
         rows.append((f"`{field.name}`", f"`{default}`", comment))
     return _table(("argument", "default", "meaning"), rows)
 
