@@ -30,6 +30,7 @@ CARD = "policy.yaml"
 ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels", "local")
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
 MOST_PARCELS = 12  # on a slope at once, for a policy of parcels or modules
+MOST_LAYERS = 16  # of a network
 HEADS = 4  # of attention, of a policy of parcels
 OWN = "Own/"  # before the class of a user's task, in place of an id
 _NAMES = {env_id(name): name for name in PERIODS}
@@ -113,8 +114,8 @@ class PolicyCard:
         checks.positive("control_period", self.control_period)
         for units in self.hidden:
             checks.integer("hidden", units, least=1)
-        if not self.hidden:
-            raise ValueError("hidden must be at least one layer, got none")
+        if not 1 <= len(self.hidden) <= MOST_LAYERS:
+            raise ValueError(f"hidden must be 1 to {MOST_LAYERS} layers, got {len(self.hidden)}")
         if self.algo == "modules":
             checks.one_of("env_id", self.env_id, (env_id("sort"),))
             checks.one_of("actions", self.actions, ("modules",))
@@ -229,7 +230,7 @@ def read(folder: str | Path, task: Task | None = None) -> "AnyPolicy":
     Raises:
         ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
     """
-    return from_files(read_files(Path(folder)), task)
+    return from_files(read_files(checks.path("folder", folder)), task)
 
 
 def from_files(

@@ -10,7 +10,9 @@ to nothing. Each bound is generous: beyond one stands a wrong unit or a typing e
 import inspect
 import math
 import numbers
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -188,8 +190,17 @@ def alike(name: str, value: Any, like: Any) -> Any:
     return value
 
 
+def path(name: str, value: Any) -> Path:
+    """Return a path, or raise an error that names the argument."""
+    if not isinstance(value, (str, os.PathLike)):
+        raise ValueError(f"{name} must be a path, got {value!r}")
+    return Path(value)
+
+
 def _numbers(name: str, value: Any) -> NDArray[Any]:
     """Return an array of real numbers of any type."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ValueError(f"{name} must be an array of numbers, got a masked one")
     try:
         given = np.asarray(value)
     except ValueError:  # rows of different lengths
@@ -267,7 +278,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
         given = np.array(value)
     except ValueError:  # rows of different lengths
         raise ValueError(f"{name} must be an array of booleans, got {value!r}") from None
-    if given.dtype != np.bool_:
+    if given.dtype != np.bool_ or isinstance(value, np.ma.MaskedArray):
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
     if given.ndim != 2 or given.size == 0:
         raise ValueError(f"{name} must have at least one row and one column, got {given.shape}")

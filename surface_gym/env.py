@@ -150,8 +150,8 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
     def _seed_of_each(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            return [int(seed) + i for i in range(self.num_envs)]
+        if isinstance(seed, (bool, int, np.integer)):
+            return [checks.integer("seed", seed, least=0) + i for i in range(self.num_envs)]
         if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
         return list(seed)
@@ -302,7 +302,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         options = check_options(options, batch.options)
         if options:
             batch.check([options])
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else checks.integer("seed", seed, least=0))
         batch.seed(0, self.np_random)
         batch.reset(self._only, [options] if options else ())
         self._started = True

@@ -24,6 +24,8 @@ SUFFIX = ".part"  # of a file that is being written
 LINE = 2**20  # [bytes] of a text's line
 TABLE = ARCHIVE = 4 * 2**30  # [bytes] on the disk
 MEMBERS = 1000  # of an archive: the largest here has some fifty
+SMALL = 2**24  # [bytes] that any file may unpack to
+RATIO = 200  # [-] of the bytes that a larger one unpacks to, over its own
 REASON = 300  # characters that tell what is wrong
 # What libraries raise where a file is damaged: text, YAML, JSON, zip, arrays, tensors.
 DAMAGE = (
@@ -85,6 +87,11 @@ def check_plain(file: Path, most: int) -> None:
         raise ValueError(f"it must be a file, got {what}")
     if found.st_size > most:
         raise ValueError(f"it must have at most {most} bytes, got {found.st_size}")
+
+
+def most_unpacked(packed: int) -> int:
+    """Return how many bytes may come of so many packed ones: what unpacks to more is hostile."""
+    return max(SMALL, RATIO * packed)
 
 
 def read_bytes(file: Path, most: int) -> bytes:
@@ -205,7 +212,9 @@ class ArrayFile:
         except DAMAGE as error:
             self._stream.close()
             raise ValueError(describe_damage(error)) from None
-        self._sizes = {each.filename: each.file_size for each in self._archive.infolist()}
+        members = self._archive.infolist()
+        self._sizes = {each.filename: each.file_size for each in members}
+        self._most = {each.filename: most_unpacked(each.compress_size) for each in members}
 
     def __enter__(self) -> "ArrayFile":
         return self
@@ -227,6 +236,7 @@ class ArrayFile:
             raise ValueError(f"{name} must hold numbers or text, got {kind!s:.60}")
         if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != left:
             raise ValueError(f"{name} must fill its {left} bytes, got {shape} of {kind!s:.60}")
+        most = min(most, self._most[member])
         if left > most:
             raise ValueError(f"{name} must be of at most {most} bytes, got {left}")
         with self._naming(name), self._archive.open(member) as stream:

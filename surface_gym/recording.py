@@ -7,7 +7,6 @@ errors.
 
 import json
 import math
-import sys
 import zlib
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
@@ -350,7 +349,7 @@ def _check_look(label: str, colour: int | str | None) -> None:
 
 
 def _checked_file(path: str | PathLike[str]) -> Path:
-    file = Path(path)
+    file = checks.path("path", path)
     if file.suffix != SUFFIX:
         raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
     return file
@@ -362,10 +361,10 @@ def _firsts(counts: Array) -> Integers:
 
 
 def _decode(packed: bytes) -> Recording:
-    unpacker = zlib.decompressobj()
-    content = unpacker.decompress(packed, MOST_BYTES)
+    unpacker, most = zlib.decompressobj(), min(MOST_BYTES, files.most_unpacked(len(packed)))
+    content = unpacker.decompress(packed, most)
     if unpacker.unconsumed_tail:
-        raise ValueError(f"it must unpack to at most {MOST_BYTES} bytes, got more")
+        raise ValueError(f"it must unpack to at most {most} bytes, got more")
     if not unpacker.eof:
         raise ValueError("it is cut short")
     reader = Reader(content)
@@ -379,7 +378,7 @@ def _decode(packed: bytes) -> Recording:
     if version == WITHOUT_BEARERS:
         head |= {"pushes": 0, "counted_pushes": False}
     count = {
-        name: checks.integer(name, head[name], least=0, most=sys.maxsize)
+        name: checks.integer(name, head[name], least=0, most=len(content))
         for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
     }
     shape, frames = (count["rows"], count["columns"]), count["frames"]

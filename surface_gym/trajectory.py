@@ -414,7 +414,7 @@ BASES: dict[str, Callable[[Array], Base]] = {
 
 
 def _checked_file(path: str | PathLike[str]) -> Path:
-    file = Path(path)
+    file = checks.path("path", path)
     if file.suffix not in SUFFIXES:
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
     return file

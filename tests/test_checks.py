@@ -57,6 +57,8 @@ MESSAGES: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
         (checks.integer, (value, 1), f"be a whole number of at least 1, got {value!r}")
         for value in (0, 1.0, True, None, "3")
     ),
+    (checks.path, (5,), "be a path, got 5"),
+    (checks.array, (np.ma.zeros(2), (2,)), "be an array of numbers, got a masked one"),
     (checks.one_of, ("M", "SB"), "be one of 'S', 'B', got 'M'"),
     (checks.one_of, (True, (1, -1)), "be one of 1, -1, got True"),
     (checks.one_of, ([1], (1, -1)), "be one of 1, -1, got [1]"),

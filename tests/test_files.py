@@ -203,7 +203,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
         Trajectory.load(tmp_path / "run.npz")
 
 
-def pack(method: int = zipfile.ZIP_DEFLATED, **others: bytes) -> bytes:
+def pack(method: int = zipfile.ZIP_DEFLATED, **others: Any) -> bytes:
     """The arrays of the run, some of them in other bytes."""
     kept = io.BytesIO()
     with zipfile.ZipFile(kept, "w", method) as archive:
@@ -211,7 +211,7 @@ def pack(method: int = zipfile.ZIP_DEFLATED, **others: bytes) -> bytes:
         parts: dict[str, Any] = {name: getattr(run, name) for name in ("time", "pose", "velocity")}
         for name, values in {**parts, "tipping": run.tipping, "end": run.end, **others}.items():
             content = io.BytesIO()
-            np.save(content, np.asarray(values))
+            np.save(content, b"" if isinstance(values, bytes) else np.asarray(values))
             archive.writestr(
                 f"{name}.npy", values if isinstance(values, bytes) else content.getvalue()
             )
@@ -271,6 +271,11 @@ def test_a_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         lambda stream, **given: read.append(stream.name) or unpack(stream, **given),
     )  # fmt: skip
     with pytest.raises(ValueError, match=r"pose must be of at most \d+ bytes, got 4800000"):
+        Trajectory.load(tmp_path / "run.npz")
+    assert "pose.npy" not in read
+    time = 1e-3 * np.arange(800_000)  # so many rows may be: but no file of theirs is so small
+    (tmp_path / "run.npz").write_bytes(pack(time=time, pose=np.zeros((800_000, 3))))
+    with pytest.raises(ValueError, match=r"pose must be of at most 16777216 bytes, got 19200000"):
         Trajectory.load(tmp_path / "run.npz")
     assert "pose.npy" not in read
     monkeypatch.setattr("surface_gym.trajectory.ROWS", 5)

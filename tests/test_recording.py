@@ -212,13 +212,16 @@ def damaged(found):
         "long": zlib.compress(content + b"0"),
         "other": zlib.compress(content.replace(b"surface_gym recording", b"surface_gym regording")),
         "large": zlib.compress(content.replace(b'"frames":3', b'"frames":9')),
+        "claim": zlib.compress(content.replace(b'"exits":0', b'"exits":2147483648')),
+        "bomb": zlib.compress(content + bytes(2**25)),
         "header": zlib.compress(b"\xff" * 100),
         "newer": zlib.compress(content.replace(b'"version":2', b'"version":7')),
     }[found]
 
 
 @pytest.mark.parametrize(
-    "found", ["empty", "text", "cut", "short", "long", "other", "large", "header", "newer"]
+    "found",
+    ["empty", "text", "cut", "short", "long", "other", "large", "claim", "bomb", "header", "newer"],
 )
 def test_a_damaged_file_is_an_error_that_names_it(tmp_path, found):
     file = tmp_path / "bad.replay"

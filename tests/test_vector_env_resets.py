@@ -32,7 +32,7 @@ class TestSeeds:
         assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * te.NUM_ENVS
 
     @pytest.mark.parametrize(
-        "seed", [[1, 2], [1, 2, 3, 4], [], 1.5, "seed", [1, 2, -3], -1, [0.5] * 3], ids=repr
+        "seed", [[1, 2], [1, 2, 3, 4], [], 1.5, "seed", [1, 2, -3], -1, True, [0.5] * 3], ids=repr
     )
     def test_bad_ones_are_refused(self, seed):
         env = te.native()
