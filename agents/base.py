@@ -184,6 +184,6 @@ class ActionMirror:
 
 def action_mirror(config: EnvConfig) -> ActionMirror | None:
     """Build the mirror for an environment's actions; None where its task is not symmetric."""
-    if not isinstance(config.task, sg.tasks.Sort):
+    if not config.task.mirrored:
         return None
     return ActionMirror(config.action_kind, config.chosen_orientations)

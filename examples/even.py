@@ -128,9 +128,12 @@ class LeastLoaded:
     """Leads each parcel, from the foremost on, to the exit that is least loaded then."""
 
     # choices of the modules under a parcel, by exit: axes at -45 deg, 45 deg and 90 deg
-    CHOICES = np.array([2, 1, 3])
+    choices = np.array([2, 1, 3])
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:  # fmt: skip
         """Return the action for a table (rows, features), or actions for (num_envs, ...)."""
         tables = np.atleast_3d(observation.T).T
         rows = np.arange(len(tables))
@@ -144,7 +147,7 @@ class LeastLoaded:
             there = present[rows, slots]
             chosen[rows[there], slots[there]] = exits[there]
             loads[rows[there], exits[there]] += 1.0
-        action = np.repeat(self.CHOICES[chosen], 2, axis=1)
+        action = np.repeat(self.choices[chosen], 2, axis=1)
         return action.reshape(*observation.shape[:-2], -1), state
 
 

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from surface_gym import checks
 from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
-from surface_gym.flow.exits import Exits, exits_option
-from surface_gym.flow.inlets import Entrance, Inlets, find_entrance
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.randomisation import Actuators, Randomisation
@@ -27,6 +25,8 @@ from surface_gym.tasks.planning import Observed
 from surface_gym.tasks.start import Start
 
 if TYPE_CHECKING:
+    from surface_gym.flow.exits import Exits
+    from surface_gym.flow.inlets import Entrance, Inlets
     from surface_gym.flow.task import StreamTask
 
 
@@ -402,20 +402,19 @@ class EnvConfig:
         return self.chosen_line.column_edge(first_column + columns)
 
     @property
-    def inlets(self) -> Inlets:
+    def inlets(self) -> "Inlets":
         """Where the stream's parcels come onto the surface."""
         return self.stream_task.inlets
 
     @cached_property
-    def entrances(self) -> tuple[Entrance, ...]:
+    def entrances(self) -> "tuple[Entrance, ...]":
         """The inlets as they lie on the surface."""
-        line = self.chosen_line
-        return tuple(find_entrance(each, line, self.rotors) for each in self.inlets)
+        return self.stream_task.find_entrances(self)
 
     @cached_property
-    def exits(self) -> Exits:
+    def exits(self) -> "Exits":
         """The exits of the stream's parcels, a preset's laid out along the rotors."""
-        return exits_option(self.stream_task.exits, self.rotors_end - self.entry_x)
+        return self.stream_task.find_exits(self)
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig, with_arguments
-from surface_gym.core.batch import BaseBatch, Batch
+from surface_gym.core.batch import BaseBatch
 from surface_gym.physics.types import Booleans, Integers
 from surface_gym.registration import DEFAULT_TASK, env_id
+from surface_gym.registry import import_place
 from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import check_options
@@ -29,9 +30,7 @@ def make_batch(
     compiles: bool = True,
 ) -> BaseBatch:  # fmt: skip
     """Make the batch of environments that a task needs: of one parcel each, or of a stream."""
-    kind: Callable[..., BaseBatch] = Batch
-    if config.task.is_stream:
-        from surface_gym.flow.batch import StreamBatch as kind
+    kind: Callable[..., BaseBatch] = import_place(config.task.batch)
     return kind(config, num_envs, threads, max_episode_steps, compiles)
 
 

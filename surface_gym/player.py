@@ -117,23 +117,16 @@ def _aspect(recording: Recording) -> float:
 
 def _record(name: str, run: Any) -> Recording:
     """Return the recording of whatever was recorded."""
-    from surface_gym.recorder import RecordReplay, record_trajectory
-    from surface_gym.trajectory import Trajectory
-
-    if isinstance(run, Recording):
-        return run
-    if isinstance(run, Trajectory):
-        return record_trajectory(run)
-    env = run
-    while env is not None and not isinstance(env, RecordReplay):
-        env = getattr(env, "env", None)
-    if env is None:
-        raise ValueError(
-            f"{name} must be a Recording, a Trajectory or an environment wrapped in "
-            f"surface_gym.RecordReplay before its episode, got {type(run).__name__}"
-        )
-    found: Recording = env.recording
-    return found
+    wrapped = run
+    while wrapped is not None:
+        found = wrapped if isinstance(wrapped, Recording) else getattr(wrapped, "recording", None)
+        if isinstance(found, Recording):
+            return found
+        wrapped = getattr(wrapped, "env", None)
+    raise ValueError(
+        f"{name} must be a Recording, a Trajectory or an environment wrapped in "
+        f"surface_gym.RecordReplay before its episode, got {type(run).__name__}"
+    )
 
 
 def _hash(text: str) -> str:

@@ -28,7 +28,8 @@ SHIPPED = {
     "merge": ShippedTask("surface_gym.flow.merge:Merge", None),
     "sequence": ShippedTask("surface_gym.flow.sequence:Sequence", None),
 }
-DEFAULT_TASK = "sort"
+DEFAULT_TASK, DEFAULT_STREAM = "sort", "flow"
+DEFAULT_SLOPE = "singulate"  # of modules that are agents
 PERIODS = {name: each.periods for name, each in SHIPPED.items()}
 
 # Every task by name: those of the package, of plugins, and of users that `register` them.

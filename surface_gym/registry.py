@@ -13,7 +13,7 @@ from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from types import MappingProxyType
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from surface_gym import checks
 
@@ -96,8 +96,7 @@ class Registry(Mapping[str, Value]):
     def _get(self, name: str) -> Value:
         """Return a value, which is imported if it was not yet."""
         if name in self._imports:
-            module, _, attribute = self._imports[name].partition(":")
-            self._values[name] = getattr(import_module(module), attribute)
+            self._values[name] = import_place(self._imports[name])
             del self._imports[name]
         return cast(Value, self._values[name])
 
@@ -107,6 +106,12 @@ class Registry(Mapping[str, Value]):
             for module in self._modules:
                 import_module(module)
             load_plugins()
+
+
+def import_place(place: str) -> Any:
+    """Import what stands at a place, "module:name"."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 @lru_cache(maxsize=1)

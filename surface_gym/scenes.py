@@ -11,7 +11,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.inlets import EDGE, START
-from surface_gym.flow.sequence import Sequence
 from surface_gym.flow.state import BETWEEN, ENTERED, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.types import RADIUS, VX, Array, Integers
 from surface_gym.rendering import (
@@ -211,7 +210,7 @@ class _StreamHistory:
     @property
     def _takes_away(self) -> bool:
         """Whether a conveyor takes parcels away, by whichever exit they leave."""
-        return bool(self._batch.task.take_away > 0.0)
+        return bool(self._batch.task.takes_away)
 
     def _parcel(self, slot: int) -> SceneParcel:
         """Describe a parcel: by its exit, or on the way to a conveyor by its order or inlet."""
@@ -222,7 +221,7 @@ class _StreamHistory:
         drawn = _parcel(self._batch.view(i, slot), trail)
         if not self._takes_away:
             return replace(drawn, exit=asked, label=self._labels[asked])
-        if isinstance(task, Sequence):
+        if task.in_order:
             return replace(drawn, group=order // task.stream.window, label=str(order))
         return replace(drawn, group=int(streams.inlet[i, number]))
 

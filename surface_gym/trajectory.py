@@ -24,6 +24,8 @@ from surface_gym.surface import Surface
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from surface_gym.recording import Recording
+
 CONTACT_COLUMNS = (
     *("step", "time [s]", "row", "column", "x [m]", "y [m]", "rotor", "normal [N]"),
     *("along [N]", "across [N]", "force x [N]", "force y [N]"),
@@ -210,6 +212,13 @@ class Trajectory:
         if path is not None:
             figure.savefig(path, dpi=160)
         return figure
+
+    @property
+    def recording(self) -> "Recording":
+        """The motion and its forces as a replay shows them."""
+        from surface_gym.recorder import record_trajectory
+
+        return record_trajectory(self)
 
     def save_html(self, path: str | PathLike[str]) -> None:
         """Write a page that replays the trajectory and its forces to a file ending in .html."""

@@ -1,6 +1,7 @@
 """The figure of a trajectory by matplotlib, in the style of the study's Figures 7 and 10."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,9 @@ from numpy.typing import ArrayLike
 from surface_gym.parcel import Base
 from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
-from surface_gym.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from surface_gym.trajectory import Trajectory
 
 HEIGHT, LEAST_HEIGHT = 5.2, 3.8  # [in] height of the figure, and its minimum for a long strip
 LENGTH = 8.5  # [in] width of a long strip
@@ -26,7 +29,7 @@ PATH, TIPPING = "tab:blue", "darkorange"
 POINTS_PER_INCH = 72.0
 
 
-def draw_trajectory(trajectory: Trajectory) -> Figure:
+def draw_trajectory(trajectory: "Trajectory") -> Figure:
     """Draw the path over the surface on the left, the velocity over time on the right."""
     outlines = _outlines(trajectory)
     low, high = _window(trajectory, outlines)
@@ -49,7 +52,7 @@ def draw_trajectory(trajectory: Trajectory) -> Figure:
     return figure
 
 
-def _outlines(trajectory: Trajectory) -> list[Array]:
+def _outlines(trajectory: "Trajectory") -> list[Array]:
     """Compute outlines (points, 2) [m] of the base at instants evenly spaced in time."""
     if trajectory.run is None:
         return []
@@ -71,7 +74,7 @@ def axis_strokes(centre: Array, axis: Array, half: float) -> list[Array]:
     return list(np.stack([centre - reach, centre + reach], axis=-2).reshape(-1, 2, 2))
 
 
-def _window(trajectory: Trajectory, outlines: list[Array]) -> tuple[Array, Array]:
+def _window(trajectory: "Trajectory", outlines: list[Array]) -> tuple[Array, Array]:
     """Compute the window's corners (2,) [m]: everything plus a margin, limited in length."""
     points = np.concatenate([trajectory.pose[:, :2], *outlines])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -107,7 +110,7 @@ def _within(centres: Array, low: float, high: float, pitch: float) -> slice:
     return slice(first, end)
 
 
-def _draw_path(panel: Axes, trajectory: Trajectory, outlines: list[Array]) -> None:
+def _draw_path(panel: Axes, trajectory: "Trajectory", outlines: list[Array]) -> None:
     """Draw the path of the base's origin, points of tipping, and the base at some instants."""
     x, y = trajectory.pose[:, 0], trajectory.pose[:, 1]
     for k, outline in enumerate(outlines):
@@ -124,7 +127,7 @@ def _draw_path(panel: Axes, trajectory: Trajectory, outlines: list[Array]) -> No
         panel.legend(handles=[mark], loc="best", framealpha=1.0)
 
 
-def _draw_velocity(linear: Axes, turning: Axes, trajectory: Trajectory) -> None:
+def _draw_velocity(linear: Axes, turning: Axes, trajectory: "Trajectory") -> None:
     """Draw the velocity along x and y in one panel, omega in the other."""
     time = trajectory.time
     style = "o" if len(time) == 1 else "-"

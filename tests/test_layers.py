@@ -114,6 +114,19 @@ def reached(graph: dict[str, set[str]], start: str) -> set[str]:
     return found
 
 
+# Files in a circle of imports, to be mended.
+IN_CIRCLES = (
+    "surface_gym.agents.learning", "surface_gym.agents.tuning", "surface_gym.parallel",
+    "surface_gym.ray_executor",
+)  # fmt: skip
+
+
+def test_no_file_needs_itself():
+    """An import that runs later, inside a function, counts too."""
+    circles = {module for module in FILES if module in reached(imports(), module)}
+    assert sorted(module for module in circles if not module.startswith(IN_CIRCLES)) == []
+
+
 def test_no_file_needs_itself_to_be_loaded():
     graph = {module: imported(module, loading=True) for module in FILES}
     assert [module for module in FILES if module in reached(graph, module)] == []

@@ -4,7 +4,6 @@ import math
 
 from surface_gym.config import Preset
 from surface_gym.core.actions import GROUPS, ActionKind, group_features
-from surface_gym.tasks import Sort
 from surface_gym.tasks.features import Feature
 
 from ..evaluation.tables import markdown
@@ -85,7 +84,7 @@ def make_page(source: Source, metadata: dict[str, str], agreement: check.Agreeme
         f"`{onnx.OBSERVATION}`: float32, {len(config.features)} numbers a parcel; as many rows "
         "as there are parcels.",
         _features(source),
-        *((_MIRRORED,) if isinstance(config.task, Sort) else ()),
+        *((_MIRRORED,) if config.task.mirrored else ()),
         "Outside of least and greatest the policy was never trained: stop there, or let a rule "
         "take over.",
         "## Out",

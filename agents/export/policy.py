@@ -11,7 +11,7 @@ from torch import nn
 from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.files import DAMAGE, describe_damage
-from surface_gym.tasks import Sort, Task
+from surface_gym.tasks import Task
 
 from .. import library
 from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
@@ -245,7 +245,7 @@ def network_decision(source: Source) -> NetworkDecision:
         hidden = module.get_submodule("mlp_extractor.policy_net")
         network = read_network(nn.Sequential(hidden, module.get_submodule("action_net")))
     orientations, symmetry = config.chosen_orientations, None
-    if isinstance(config.task, Sort):  # as `Policy`: a goal at y < 0 is shown in a mirror
+    if config.task.mirrored:  # as `Policy`: a goal at y < 0 is shown in a mirror
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
     if kind.space().shape == ():  # one number decides for all parts

@@ -15,7 +15,6 @@ from gymnasium import spaces
 
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.registration import env_id
-from surface_gym.tasks import Sort
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..library import find_task
@@ -149,14 +148,14 @@ class TotalsCurve(Curve):
 
 
 class DeviceTrainingEnvs:
-    """Environments with totals of their episodes, and with actions for y > 0 in Sort."""
+    """Environments with totals of their episodes, with mirrored actions where goals are."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
         self.envs = envs
         env_config = envs.config
         self.totals = EpisodeTotals(env_config.task.terms, envs.num_envs, self.device)
-        mirrored = isinstance(env_config.task, Sort)
+        mirrored = env_config.task.mirrored
         self._mirror = TensorMirror(env_config, self.device) if mirrored else None
         self._side = torch.ones(envs.num_envs, device=self.device)
 

@@ -12,6 +12,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.module_view import ModuleView, module_space
 from surface_gym.flow.parallel_env import Infos, Observations, Returned, StreamParallelEnv
 from surface_gym.flow.state import JAM, NOBODY
+from surface_gym.registration import DEFAULT_SLOPE
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
 REWARDS = ("parcel", "team")
@@ -55,7 +56,7 @@ class ModuleParallelEnv(StreamParallelEnv):
     def __init__(
         self, render_mode: str | None = None, reward: str = "parcel", **config: Any
     ) -> None:
-        super().__init__(render_mode, "modules", {"task": "singulate", **config})
+        super().__init__(render_mode, "modules", {"task": DEFAULT_SLOPE, **config})
         self._team = checks.one_of("reward", reward, REWARDS) == "team"
         self._view = ModuleView(self.config)
         self._owner = np.full(self._view.modules, NOBODY)

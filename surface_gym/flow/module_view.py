@@ -19,7 +19,6 @@ from surface_gym import checks
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
-from surface_gym.flow.sequence import PLACE, Sequence
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.take_away import COLUMN, TakeAwayTask
 from surface_gym.physics.types import Array, Booleans, Integers
@@ -53,7 +52,7 @@ PARCEL = (
     "until it has left if it rolls / 4 s",
     "how early it then is, before the take-away is free for it / 1 s; negative: late",
     "1: the take-away runs; 0: it stands, or is about to",
-    "Merge: its line / 8; Sequence: how many are to leave before it / 8; Singulate: 0",
+    "what only the task shows, such as the line it came by / 8; 0: nothing",
 )
 NEIGHBOUR = (
     "clear to it along x / 0.5 m; 2: there is none",
@@ -299,6 +298,7 @@ class ModuleView:
         task = checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
         line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
         extent = line.extent
+        own = len(ta.FEATURES) if len(config.features) > len(ta.FEATURES) else -1
         sides = [(each.first, each.last) for each in config.exits]
         self.modules, self._features = rows * columns, len(config.features)
         zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
@@ -311,8 +311,8 @@ class ModuleView:
             take_away=task.take_away,
             gap=task.gap,
             ahead=task.ahead,
-            place=PLACE.place if isinstance(task, Sequence) else -1,
-            own=len(ta.FEATURES) if len(config.features) > len(ta.FEATURES) else -1,
+            place=own if task.in_order else -1,
+            own=own,
         )
 
     def __call__(self, tables: Singles) -> ModuleObservations:

@@ -12,6 +12,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, NOBODY
 from surface_gym.flow.task import HALVES
+from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import OUT_OF_TIME, RUNNING
 
 try:
@@ -122,7 +123,7 @@ class FlowParallelEnv(StreamParallelEnv):
 
     @with_arguments
     def __init__(self, render_mode: str | None = None, **config: Any) -> None:
-        super().__init__(render_mode, "parcels", {"task": "flow", **config})
+        super().__init__(render_mode, "parcels", {"task": DEFAULT_STREAM, **config})
         self._kind = ActionKind("modules", self.config.action_kind.choices, 1, HALVES)
         self._observation_space = self.config.row_space()
         self._action_space = self._kind.space()

@@ -84,6 +84,7 @@ class Sequence(TakeAwayTask):
 
     patience: float = 20.0  # [s] without motion that make a jam: parcels may wait for one to come
 
+    in_order = True
     line = slope_line(3.0)
     features = SEQUENCE_FEATURES
 

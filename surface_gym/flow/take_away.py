@@ -331,6 +331,7 @@ class TakeAwayTask(StreamTask):
     alignment: float = EIGHTH  # [rad] a parcel's sides may be off the line's; 45 deg: anyhow
     demand: Stops | None = None  # when the take-away stands; None: never
 
+    takes_away = True
     line = slope_line()
     features = FEATURES
     terms = (*PARCEL_TERMS, *SURFACE_TERMS)

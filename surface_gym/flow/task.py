@@ -14,8 +14,8 @@ from surface_gym.compiler.jit import inlined
 from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import bars
-from surface_gym.flow.exits import flow_line
-from surface_gym.flow.inlets import EDGE, inlets_option
+from surface_gym.flow.exits import Exits, exits_option, flow_line
+from surface_gym.flow.inlets import EDGE, Entrance, find_entrance, inlets_option
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
@@ -140,6 +140,9 @@ class StreamTask(Task):
     patience: float = 2.0  # [s] without motion that make a jam
 
     is_stream = True
+    batch = "surface_gym.flow.batch:StreamBatch"
+    in_order: ClassVar[bool] = False  # whether parcels are to leave in an order
+    takes_away: ClassVar[bool] = False  # whether a conveyor takes parcels away
     line = flow_line()
     waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
@@ -278,6 +281,15 @@ class StreamTask(Task):
     def touching(self) -> ContactMaterial:
         """Material of parcels' sides where they touch."""
         return ContactMaterial(self.restitution, self.side_friction)
+
+    def find_entrances(self, config: Any) -> tuple[Entrance, ...]:
+        """Find where the inlets lie on an environment's surface."""
+        line, rotors = config.chosen_line, config.rotors
+        return tuple(find_entrance(each, line, rotors) for each in self.inlets)
+
+    def find_exits(self, config: Any) -> Exits:
+        """Find the exits of an environment, a preset's laid out along the rotors."""
+        return exits_option(self.exits, config.rotors_end - config.entry_x)
 
     def action_kind(self, config: Any) -> StreamActions:
         """Return the kind of action: a choice for each module of a zone, or two for each parcel."""

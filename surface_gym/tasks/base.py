@@ -71,6 +71,7 @@ class Task:
     # whether goals at y < 0 are observed in a mirror, so that actions have to be mirrored, too
     mirrored: ClassVar[bool] = False
     is_stream: ClassVar[bool] = False  # whether it is a `StreamTask`, of many parcels at once
+    batch: ClassVar[str] = "surface_gym.core.batch:Batch"  # place of the class that runs it
     periods: ClassVar[int] = 100  # control periods after which an episode is truncated
 
     def __post_init__(self) -> None:
