@@ -153,14 +153,14 @@ class ModuleView:
         self._image = mirrored_orientations(config.chosen_orientations)
         angles = np.array(config.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
-        columns = {feature.name: k for k, feature in enumerate(config.features)}
-        of_groups = [columns[feature.name] for feature in group_features(config.observe)]
+        columns = config.columns
+        of_groups = [columns[each.name].place for each in group_features(config.observe)]
         self._shared = np.array([*SHARED, *of_groups])
         exact = "parcel" in config.observe
         self._locate = self._locate_exactly if exact else self._locate_by_clearance
         # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
         rotors = [name for name in columns if name in _ROTORS]
-        self._rotors = np.array([columns[name] for name in rotors], dtype=np.int64)
+        self._rotors = np.array([columns[name].place for name in rotors], dtype=np.int64)
         self._rotors = self._rotors.reshape(len(QUADRANTS), -1)
 
     def __call__(self, observations: Singles) -> ModuleObservations:

@@ -20,7 +20,7 @@ from surface_gym.registration import DEFAULT_TASK, TASKS
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
 from surface_gym.state import Timing
 from surface_gym.tasks.base import Task
-from surface_gym.tasks.features import Feature
+from surface_gym.tasks.features import Column, Feature, find_columns
 from surface_gym.tasks.planning import Observed
 from surface_gym.tasks.start import Start
 
@@ -330,6 +330,11 @@ class EnvConfig:
             for part in ("cosine", "sine")[:AXIS_SIZE]
         )
 
+    @cached_property
+    def columns(self) -> dict[str, Column]:
+        """Places and scales of the features, by their names."""
+        return find_columns(self.features)
+
     def row_space(self) -> spaces.Box:
         """Make the space of the observation of one parcel."""
         return spaces.Box(
@@ -349,7 +354,7 @@ class EnvConfig:
         """Return observations (num_envs, features) that are read by name, in SI units."""
         return Observed(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
-            self.features,
+            self.columns,
             self.chosen_line,
             self.zone,
             *self.sensors.learned_spreads,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
-from surface_gym.tasks.features import columns, decode
+from surface_gym.tasks.features import decode
 
 from ..base import SIDE, Integers, Singles, mirrored_orientations
 from ..module_policy import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
@@ -179,10 +179,8 @@ def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> tuple[tuple[A
         decision, and whether the asked side is y < 0: arrays (parcels, modules), or (parcels, 1).
     """
     see = {
-        each.name: decode(column, feature)
-        for each, column, feature in zip(
-            config.features, columns(config.features), features, strict=True
-        )
+        name: decode(column, feature)
+        for (name, column), feature in zip(config.columns.items(), features, strict=True)
     }
     kind, line, period = config.action_kind, config.chosen_line, config.control_period
     mirrored = features[SIDE] < 0.0

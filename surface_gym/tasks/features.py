@@ -55,21 +55,26 @@ class Column(NamedTuple):
         return decode(self, table[..., self.place])
 
 
+def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
+    """Return the `Column`s of features by the features' names."""
+    found: dict[str, Column] = {}
+    for place, each in enumerate(features):
+        if each.name in found:
+            raise ValueError(f"features must have names that differ, got {each.name!r} twice")
+        found[each.name] = Column(place, each.offset, each.scale, each.low, each.high)
+    return found
+
+
 def columns(features: Iterable[Feature]) -> Any:
     """Return the `Column`s of features by their names, as `columns(FEATURES).lateral_offset`.
 
     A name's letters and digits count; all else is an underscore. A name that is not there is an
     AttributeError, and in a kernel an error of the compiler, that says which.
     """
-    shown = tuple(features)
-    names = [re.sub("[^0-9a-z]+", "_", each.name.lower()).strip("_") for each in shown]
-    twice = [each for each in names if names.count(each) > 1]
-    if twice:
-        raise ValueError(f"features must have names that differ, got {twice[0]!r} twice")
+    found = find_columns(features)
+    names = [re.sub("[^0-9a-z]+", "_", name.lower()).strip("_") for name in found]
     make: Any = namedtuple  # its names are no literals
-    return make("Columns", names)(
-        *(Column(at, each.offset, each.scale, each.low, each.high) for at, each in enumerate(shown))
-    )
+    return make("Columns", names)(*found.values())
 
 
 def compute_digest(features: Iterable[Feature]) -> str:

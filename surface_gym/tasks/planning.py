@@ -1,9 +1,8 @@
 """Decoded observations and costs of tasks, for rules and planners."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.state import SUCCESS, ParcelState
-from surface_gym.tasks.features import Column, Feature, columns
+from surface_gym.tasks.features import Column
 from surface_gym.tasks.start import Start
 
 Numbers = NDArray[np.float64]
@@ -28,23 +27,19 @@ class Observed:
     """Observations of some environments, read by feature name, in SI units."""
 
     shown: Numbers  # (num_envs, features)
-    features: tuple[Feature, ...]
+    columns: Mapping[str, Column]  # by the features' names
     line: BaseLine
     zone: tuple[int, int] | None  # first and last column that obey; None: the line's own
     friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 where nothing is learned
     load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
 
-    @cached_property
-    def _columns(self) -> dict[str, Column]:
-        return dict(zip((each.name for each in self.features), columns(self.features), strict=True))
-
     def __contains__(self, name: str) -> bool:
-        return name in self._columns
+        return name in self.columns
 
     def __getitem__(self, name: str) -> Numbers:
-        if name not in self._columns:
-            raise ValueError(f"features must contain {name!r}, got {', '.join(self._columns)}")
-        return self._columns[name].of(self.shown)
+        if name not in self.columns:
+            raise ValueError(f"features must contain {name!r}, got {', '.join(self.columns)}")
+        return self.columns[name].of(self.shown)
 
     def get(self, name: str, absent: float | Numbers = 0.0) -> Numbers:
         """Return a feature that not every observation has."""
