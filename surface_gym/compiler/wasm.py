@@ -1,13 +1,16 @@
 """WebAssembly modules, compiled from the functions of the CPU's kernels.
 
 Numba lowers a kernel and all that it calls to LLVM's code, which is optimised here for WebAssembly
-alone: code that was optimised for another machine counts on its pointers' size. A module has one
-function, `step(words) -> int32`, which takes the address of the kernel's arguments, a word of 8
-bytes each, and returns what the kernel does, or -1 where an index was out of bounds. It imports
-what WebAssembly lacks of C's mathematics, such as `sin`. The same source gives the same bytes, and
-a note at a module's end says of which source it is.
+alone: code that was optimised for another machine counts on its pointers' size. A module has a
+function `step(words) -> int32`, which takes the address of the kernel's arguments, a word of 8
+bytes each, and returns what the kernel does, or -1 where an index was out of bounds. Sine, cosine
+and `hypot` are part of it; what else WebAssembly lacks of C's mathematics, such as `exp`, it
+imports. The same source gives the same bytes, and a note at a module's end says of which source it
+is.
 """
 
+import inspect
+import re
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
@@ -16,10 +19,10 @@ from typing import Any, NamedTuple
 import llvmlite
 import llvmlite.binding as llvm
 import numba
-from numba import typeof
+from numba import float64, typeof
 from numba.core.compiler_machinery import register_pass
 
-from surface_gym.compiler import wasm_linker
+from surface_gym.compiler import exact, wasm_linker
 from surface_gym.compiler.jit import collecting_nothing, compute_digest, locked
 from surface_gym.compiler.linking import (
     LinkedCode,
@@ -35,6 +38,7 @@ from surface_gym.files import replacing
 TRIPLE = "wasm32-unknown-unknown"
 # What browsers have had since 2021.
 FEATURES = "+simd128,+bulk-memory,+sign-ext,+nontrapping-fptoint,+mutable-globals"
+MATHEMATICS = {"sin": exact.sin, "cos": exact.cos, "hypot": exact.hypot}  # that modules have
 OUT_OF_BOUNDS = -1  # what a module returns where an index was beyond an array's end
 _KEPT = ("nogil", "error_model", "forceinline", "boundscheck", "_nrt")  # options of a function
 
@@ -92,7 +96,9 @@ def _translator() -> Translator:
     return Translator(_wrap)
 
 
-def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = None) -> Module:
+def compile_module(
+    kernel: Any, arguments: tuple[Any, ...], file: Path | None = None, exports: tuple[str, ...] = ()
+) -> Module:
     """Compile a kernel for arguments of these types; takes ten seconds to a minute.
 
     Args:
@@ -100,16 +106,20 @@ def compile_module(kernel: Any, arguments: tuple[Any, ...], file: Path | None = 
             then the module returns 0.
         arguments: arrays, numbers, and named tuples of them.
         file: of the module, which is read if it is of this source, and else written.
+        exports: functions of `MATHEMATICS` that a page calls, too.
     """
     signature = compute_signature(name_arguments(kernel, arguments))
-    note = make_note("source", compute_digest(kernel, signature, _compiler()).encode())
+    mathematics = tuple(MATHEMATICS.values())
+    note = make_note(
+        "source", compute_digest(kernel, signature, _compiler(), exports, mathematics).encode()
+    )
     if file is None:
-        return Module(_compile(kernel, arguments) + note, signature)
+        return Module(_compile(kernel, arguments, exports) + note, signature)
     file.parent.mkdir(parents=True, exist_ok=True)
     with locked(file.with_suffix(".lock")):
         if file.is_file() and (code := file.read_bytes()).endswith(note):
             return Module(code, signature)
-        code = _compile(kernel, arguments) + note
+        code = _compile(kernel, arguments, exports) + note
         with replacing(file) as part:
             part.write_bytes(code)
     return Module(code, signature)
@@ -122,13 +132,27 @@ def _compiler() -> tuple[Any, ...]:
     return numba.__version__, llvmlite.__version__, *sources
 
 
-def _compile(kernel: Any, arguments: tuple[Any, ...]) -> bytes:
-    function, kinds = _translator().translate(kernel), tuple(map(typeof, arguments))
+def _compile(kernel: Any, arguments: tuple[Any, ...], exports: tuple[str, ...]) -> bytes:
+    code, name = _lower(kernel, tuple(map(typeof, arguments)))
+    parts = [code]
+    for own, function in MATHEMATICS.items():
+        called = re.compile(rf"@(llvm\.)?{own}(\.f64)?(?=\()")
+        if own in exports or called.search(parts[0]):
+            count = len(inspect.signature(function.py_func).parameters)
+            method, inner = _lower(function, (float64,) * count)
+            parts[0] = called.sub(f"@{own}", parts[0])
+            parts += [_method(own, inner, count), method]  # a call is linked to what comes later
+    modules = [llvm.parse_assembly(part) for part in parts]
+    return link(_make_object(modules, name, exports), (*exports, "step"))
+
+
+def _lower(function: Any, kinds: tuple[Any, ...]) -> tuple[str, str]:
+    """Lower a function for arguments of some types; return LLVM's code and the function's name."""
+    portable = _translator().translate(function)
     with collecting_nothing():
-        function.compile(kinds)
-    compiled = function.overloads[kinds]
-    lowered = compiled.library._get_module_for_linking().clone()
-    return link(_make_object(lowered, compiled.fndesc.llvm_func_name), "step")
+        portable.compile(kinds)
+    compiled = portable.overloads[kinds]
+    return str(compiled.library._get_module_for_linking()), compiled.fndesc.llvm_func_name
 
 
 @lru_cache(maxsize=1)
@@ -139,23 +163,39 @@ def _machine() -> Any:
     return target.create_target_machine(opt=3, features=FEATURES, reloc="static")
 
 
-def _make_object(module: Any, name: str) -> bytes:
-    """Optimise LLVM's code of a kernel with an entry of our own."""
-    machine = _machine()
+def _make_object(modules: list[Any], name: str, exports: tuple[str, ...]) -> bytes:
+    """Optimise LLVM's code of a kernel, the first of some modules, with an entry of our own."""
+    machine, module = _machine(), modules[0]
     kernel = module.get_function(name)
     kernel.add_function_attribute("alwaysinline")  # browsers allow no function so many arguments
     entry = llvm.parse_assembly(_entry(name, [str(each.type) for each in kernel.arguments]))
-    for each in (module, entry):
+    for each in (*modules, entry):
         each.data_layout, each.triple = str(machine.target_data), TRIPLE
-    module.link_in(entry)
+    for each in (*modules[1:], entry):
+        module.link_in(each)
     for each in (*module.functions, *module.global_variables):
-        if not each.is_declaration and each.name != "step":
+        if not each.is_declaration and each.name not in (*exports, "step"):
             each.linkage = "internal"
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = True
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)
     return bytes(machine.emit_object(module))
+
+
+def _method(own: str, inner: str, count: int) -> str:
+    """Write a function of mathematics as C has it, by the lowered function of so many numbers."""
+    given = ", ".join(f"double %x{k}" for k in range(count))
+    return f"""
+declare i32 @"{inner}"(ptr, ptr, {", ".join(["double"] * count)})
+define double @{own}({given}) noinline {{
+  %result = alloca double
+  %error = alloca ptr
+  %status = call i32 @"{inner}"(ptr %result, ptr %error, {given})
+  %value = load double, ptr %result
+  ret double %value
+}}
+"""
 
 
 def _entry(name: str, kinds: list[str]) -> str:

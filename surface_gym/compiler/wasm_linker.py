@@ -16,6 +16,8 @@ _HEAD = b"\0asm\1\0\0\0"
  DATA_COUNT) = range(13)  # fmt: skip
 _ORDER = (TYPE, IMPORT, FUNCTION, MEMORY, GLOBAL, EXPORT, DATA_COUNT, CODE, DATA)
 _FUNCTIONS, _MEMORIES, _GLOBALS = 0, 2, 3  # kinds of imports and exports
+# Of the notes for linkers: the table of symbols, a mark in it, and kinds of symbols.
+_SYMBOLS, _UNDEFINED, _DATA, _SECTION = 8, 0x10, 1, 3
 _I32, _I32_CONST, _END, _MUTABLE = 0x7F, 0x41, 0x0B, 1
 
 
@@ -55,14 +57,15 @@ class _Import(NamedTuple):
     written: bytes  # as it stands in the file
 
 
-def link(code: bytes, name: str) -> bytes:
-    """Make a module of an object file, which exports `memory` and the file's last function.
+def link(code: bytes, names: tuple[str, ...]) -> bytes:
+    """Make a module of an object file, which exports `memory` and some functions of the file.
 
     Args:
-        code: the object file.
-        name: by which the function is exported.
+        code: the object file, whose symbols name its functions.
+        names: of the functions.
     """
-    sections = dict(_sections(code))
+    sections = {kind: body for kind, body in _sections(code) if kind != CUSTOM}
+    places = dict(_symbols(code))
     if TABLE in sections or ELEMENT in sections:
         raise ValueError("code must not call functions by their address, got a table of them")
     imports = list(_imports(sections[IMPORT]))
@@ -70,7 +73,6 @@ def link(code: bytes, name: str) -> bytes:
     others = [each.name for each in imports if each.kind != _FUNCTIONS]
     if not set(others) <= {b"__linear_memory", b"__stack_pointer"}:
         raise ValueError(f"code must import functions, its memory and its stack, got {others}")
-    last = len(functions) + _Reader(sections[FUNCTION]).number() - 1
     sections[IMPORT] = _list(functions)
     sections[MEMORY] = _list([bytes([0, PAGES])])
     if b"__stack_pointer" in others:
@@ -80,7 +82,10 @@ def link(code: bytes, name: str) -> bytes:
     sections[EXPORT] = _list(
         [
             _name(b"memory") + bytes([_MEMORIES, 0]),
-            _name(name.encode()) + bytes([_FUNCTIONS]) + _unsigned(last),
+            *(
+                _name(name.encode()) + bytes([_FUNCTIONS]) + _unsigned(places[name.encode()])
+                for name in names
+            ),
         ]
     )
     kept = [(each, sections[each]) for each in _ORDER if each in sections]
@@ -94,15 +99,42 @@ def make_note(name: str, content: bytes) -> bytes:
 
 
 def _sections(code: bytes) -> Iterator[tuple[int, bytes]]:
-    """Read the sections of a file, but the notes."""
+    """Read the sections of a file."""
     reader = _Reader(code)
     if reader.take(len(_HEAD)) != _HEAD:
         raise ValueError(f"code must be a WebAssembly object file, got {code[:8]!r}")
     while not reader.ended:
         (kind,) = reader.take(1)
         body = reader.take(reader.number())
-        if kind != CUSTOM:
-            yield kind, body
+        yield kind, body
+
+
+def _symbols(code: bytes) -> Iterator[tuple[bytes, int]]:
+    """Read the names and places of the functions that a file defines.
+
+    https://github.com/WebAssembly/tool-conventions/blob/main/Linking.md
+    """
+    for kind, body in _sections(code):
+        reader = _Reader(body)
+        if kind != CUSTOM or reader.take(reader.number()) != b"linking":
+            continue
+        reader.number()  # version
+        while not reader.ended:
+            (part,) = reader.take(1)
+            content = _Reader(reader.take(reader.number()))
+            for _ in range(content.number() if part == _SYMBOLS else 0):
+                (sort,) = content.take(1)
+                is_defined = not content.number() & _UNDEFINED
+                if sort == _DATA:
+                    content.take(content.number())
+                    for _ in range(3 if is_defined else 0):
+                        content.number()
+                    continue
+                place = content.number()
+                if is_defined and sort != _SECTION:
+                    name = content.take(content.number())
+                    if sort == _FUNCTIONS:
+                        yield name, place
 
 
 def _imports(body: bytes) -> Iterator[_Import]:

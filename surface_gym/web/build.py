@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
-TABLE = "table"
+TABLE, NOISE = "table", "noise"
 CAMERA = "-camera"  # ends the name of a task whose parcels a camera senses
 TASKS = (*PERIODS, *(task + CAMERA for task in PERIODS))
-ALL = (TABLE, *TASKS)
+ALL = (TABLE, NOISE, *TASKS)
 KINDS = ("wasm", "bin", "json", "starts")  # of a task's files
 SITE = "site.json"  # what a page finds beside it
 AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes,
@@ -60,15 +60,18 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
         folder: where to write.
         own: a task of the user's.
     """
-    from surface_gym.compiler.wasm import compile_module
+    from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
     from surface_gym.env import make_batch
+    from surface_gym.web.noise import draw_noise, noise_arguments
     from surface_gym.web.starts import CONTACTS, collect_starts, describe
     from surface_gym.web.table import step_table, table_arguments
 
     more: dict[str, Any] = {"contacts": CONTACTS}
     if task == TABLE:
         kernel, arguments = step_table, table_arguments()
+    elif task == NOISE:
+        kernel, arguments = draw_noise, noise_arguments()
     else:
         config = make_config(own or task.removesuffix(CAMERA), task.endswith(CAMERA))
         batch = make_batch(config, 1, compiles=False)
@@ -79,7 +82,7 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
             "scene": describe(batch),
             "starts": {"fields": starts.fields, "marks": starts.marks, "noise": starts.noise},
         }
-    code = compile_module(kernel, arguments, folder / f"{task}.wasm").code
+    code = compile_module(kernel, arguments, folder / f"{task}.wasm", tuple(MATHEMATICS)).code
     image = make_image(kernel, arguments)
     (folder / f"{task}.bin").write_bytes(image.block)
     layout = json.dumps({**image.layout(), **more}, separators=(",", ":"))
@@ -93,11 +96,8 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
     The package's own folder gets no pages, which lie beside it.
     """
-    from surface_gym.web.noise import TABLES, make_tables
-
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
-    (folder / TABLES).write_text(make_tables())
     has_agents = (folder / AGENTS[-1]).is_file()
     there = {"version": __version__, "tasks": list(tasks), "agents": has_agents}
     (folder / SITE).write_text(json.dumps(there) + "\n")
@@ -109,7 +109,7 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
     A module that is there, or in the package, is not compiled again unless its source was edited.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    chosen = [TABLE, *tasks]
+    chosen = [TABLE, NOISE, *tasks]
     for number, task in enumerate(chosen, 1):
         print(f"{number}/{len(chosen)}  ", end="", flush=True)
         _copy(f"{task}.wasm", folder)

@@ -1,26 +1,24 @@
-"""Noise of a camera for a page, which draws it as NumPy does.
+"""Noise of a camera for a page, which draws it as NumPy does, from the states of its generator."""
 
-A page gets the states of NumPy's generator, and the tables of its ziggurat method.
-"""
-
-import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.np.random import _constants
 
+from surface_gym.compiler.jit import compiled
+from surface_gym.compiler.random import Words, draw_normal, draw_uniform, read_words
 from surface_gym.core.batch import BaseBatch
+from surface_gym.physics.types import Array
 from surface_gym.state import NOISE_ROWS
 
-TABLES = "ziggurat.json"  # which a page loads when a camera is chosen
+NORMALS = 3  # of a row of noise; a uniform number follows them
 ONLY = np.zeros(1, dtype=np.int64)
 
 
 class NoiseStart(NamedTuple):
     """States of a seed's generator, which a page goes on from."""
 
-    first: list[str]  # state and increment in hexadecimal digits, before noise is drawn
+    first: list[str]  # words of the state in hexadecimal digits, before noise is drawn
     then: list[str]  # after all of the start is drawn
     drawn: int  # rows of parcels for which it is drawn
 
@@ -36,15 +34,30 @@ class NotingGenerator(np.random.Generator):
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
         """Draw normal numbers, as NumPy does."""
         if size == (NOISE_ROWS, 3):
-            self.first = self.first or read_state(self)
+            self.first = self.first or write_state(self)
             self.drawn += 1
         return super().standard_normal(size, *args, **named)
 
 
-def read_state(generator: np.random.Generator) -> list[str]:
-    """Read the state of a PCG64 generator, and its increment, in hexadecimal digits."""
-    state = generator.bit_generator.state["state"]
-    return [f"{state[name]:x}" for name in ("state", "inc")]
+def write_state(generator: np.random.Generator) -> list[str]:
+    """Write the words of a PCG64 generator's state in hexadecimal digits."""
+    return [f"{word:x}" for word in read_words(generator).view(np.uint64).tolist()]
+
+
+@compiled
+def draw_noise(words: Words, noise: Array) -> int:
+    """Draw the noise (rows, NORMALS + 1) that a parcel uses up row by row, as a batch does."""
+    for row in range(noise.shape[0]):
+        for k in range(NORMALS):
+            noise[row, k] = draw_normal(words)
+    for row in range(noise.shape[0]):
+        noise[row, NORMALS] = draw_uniform(words)
+    return 0
+
+
+def noise_arguments() -> tuple[Any, ...]:
+    """Make arguments of `draw_noise`."""
+    return np.zeros(4, dtype=np.int64), np.zeros((NOISE_ROWS, NORMALS + 1))
 
 
 def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
@@ -59,7 +72,7 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     batch.parcels.noise[:] = 0.0
     if generator.first is None:
         return None
-    return NoiseStart(generator.first, read_state(generator), generator.drawn)
+    return NoiseStart(generator.first, write_state(generator), generator.drawn)
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
@@ -70,18 +83,3 @@ def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dic
         "used": batch.config.draws,  # rows of noise in a control period, at most
         "states": [each._asdict() for each in starts if each is not None],
     }
-
-
-def make_tables() -> str:
-    """Write the tables of the ziggurat method for normal numbers as JSON.
-
-    Source: Marsaglia and Tsang (2000), with the 256 layers that NumPy uses.
-    """
-    tables = {
-        "within": [int(each) for each in _constants.ki_double],
-        "width": [float(each) for each in _constants.wi_double],
-        "height": [float(each) for each in _constants.fi_double],
-        "edge": float(_constants.ziggurat_nor_r),
-        "inverse": float(_constants.ziggurat_nor_inv_r),
-    }
-    return json.dumps(tables, separators=(",", ":")) + "\n"

@@ -73,9 +73,10 @@ class Site:
 
     def add(self, *tasks: str) -> "Site":
         """Build what is not there yet."""
-        from surface_gym.web.build import SITE, TABLE, write_pages, write_task
+        from surface_gym.web.build import CAMERA, NOISE, SITE, TABLE, write_pages, write_task
 
-        new = [each for each in dict.fromkeys((TABLE, *tasks)) if each not in self._tasks]
+        own = (TABLE, *([NOISE] if any(task.endswith(CAMERA) for task in tasks) else []), *tasks)
+        new = [each for each in dict.fromkeys(own) if each not in self._tasks]
         # One process at a time compiles; those that wait find what it has compiled.
         with locked(self._kept / "lock") if new and self._kept is not None else nullcontext():
             if self._kept is not None:
@@ -85,8 +86,9 @@ class Site:
                 self._tasks.append(task)
             if self._kept is not None:
                 copy_newer(self.folder, self._kept)
-        write_pages(self.folder, [task for task in self._tasks if task != TABLE])
-        assert json.loads((self.folder / SITE).read_text())["tasks"] == self._tasks[1:]
+        listed = [task for task in self._tasks if task not in (TABLE, NOISE)]
+        write_pages(self.folder, listed)
+        assert json.loads((self.folder / SITE).read_text())["tasks"] == listed
         return self
 
     def close(self) -> None:

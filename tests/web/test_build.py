@@ -12,7 +12,6 @@ import pytest
 from surface_gym import __version__
 from surface_gym.web import build
 from surface_gym.web.build import AGENTS, ALL, PAGE, SITE, TASKS, PackageModules, main
-from surface_gym.web.noise import TABLES
 
 
 @pytest.fixture
@@ -48,10 +47,10 @@ def prepare_all() -> PackageModules:
 def test_the_package_gets_a_module_once_when_it_is_asked_for(package, capsys):
     modules = PackageModules()
     assert modules.folder == package
-    assert names(package) == {SITE, TABLES}
+    assert names(package) == {SITE}
     for name in ("sort.json", "sort.wasm", "playground.js", "table.js", SITE, "sort.bin"):
         modules.prepare(name)
-    assert names(package) == {"sort.wasm", "sort.json", SITE, TABLES}
+    assert names(package) == {"sort.wasm", "sort.json", SITE}
     assert capsys.readouterr().out.splitlines()[1:] == ["sort compiled"]
     PackageModules().prepare("sort.wasm")
     assert capsys.readouterr().out == ""
@@ -124,18 +123,20 @@ def test_a_folder_gets_pages_and_what_the_package_has(package, tmp_path, capsys)
     folder = tmp_path / "deep" / "site"
     main([str(folder), "--tasks", "sort", "flow"])
     assert capsys.readouterr().out.splitlines() == [
-        "1/3  table kept", "2/3  sort kept", "3/3  flow kept",
+        "1/4  table kept", "2/4  noise kept", "3/4  sort kept", "4/4  flow kept",
     ]  # fmt: skip
-    files = {f"{task}.{kind}" for task in ("table", "sort", "flow") for kind in ("wasm", "json")}
-    assert names(folder) == names(PAGE) | files | {SITE, TABLES, *agents}
+    written = ("table", "noise", "sort", "flow")
+    files = {f"{task}.{kind}" for task in written for kind in ("wasm", "json")}
+    assert names(folder) == names(PAGE) | files | {SITE, *agents}
     site = json.loads((folder / SITE).read_text())
     assert site == {"version": __version__, "tasks": ["sort", "flow"], "agents": True}
 
 
 def test_without_a_folder_the_package_gets_modules_and_no_pages(package):
     main(["--tasks", "sort"])
-    files = {"table.wasm", "table.json", "sort.wasm", "sort.json"}
-    assert names(package) == files | {SITE, TABLES}
+    written = ("table", "noise", "sort")
+    files = {f"{task}.{kind}" for task in written for kind in ("wasm", "json")}
+    assert names(package) == files | {SITE}
 
 
 def test_an_unknown_task_is_refused(package, capsys):

@@ -10,10 +10,12 @@ import surface_gym
 from surface_gym.agents import library
 from surface_gym.agents.export.web import write_agents
 from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.compiler.random import EDGE
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
-from surface_gym.web.noise import read_state
+from surface_gym.state import NOISE_ROWS
+from surface_gym.web.noise import write_state
 from surface_gym.web.scene import TaskScene
 from tests.web.conftest import (
     Site,
@@ -26,7 +28,7 @@ from tests.web.conftest import (
 )
 
 assert surface_gym
-MANY = 40_000  # of which some ten lie in the tail
+TIMES = 200  # so that some ten of the normal numbers lie beyond the last layer
 STREAM_PERIODS = 200  # in which all rows of noise of a parcel are used up, and drawn anew
 
 
@@ -45,23 +47,28 @@ def filmed(site: Site, play: Any) -> Any:
     return opened
 
 
-def test_numbers_are_those_that_numpy_draws(play):
+def test_numbers_are_those_that_numpy_draws(site, play):
+    site.add("noise")
     page = play()
     generator = np.random.default_rng(7)
-    state = read_state(generator)
+    state = write_state(generator)
     found = page.evaluate(
-        """async ([state, many]) => {
-          const { Generator } = await import("./noise.js");
-          const tables = await (await fetch("ziggurat.json")).json();
-          const generator = new Generator(tables, state);
-          const normals = Array.from({ length: many }, () => generator.normal());
-          return [normals, Array.from({ length: 100 }, () => generator.uniform())];
+        """async ([state, times]) => {
+          const { Machine } = await import("./machine.js");
+          const machine = await Machine.load("noise");
+          machine.view("words").set(state.map((word) => BigInt(`0x${word}`)));
+          return Array.from({ length: times }, () => {
+            machine.step();
+            return [...machine.view("noise")];
+          });
         }""",
-        [state, MANY],
+        [state, TIMES],
     )
-    normals = generator.standard_normal(MANY)
-    assert np.abs(normals).max() > 3.6541528853610088  # beyond the last layer
-    assert found == [normals.tolist(), generator.random(100).tolist()]
+    noise = np.array(found).reshape(TIMES, NOISE_ROWS, 4)
+    for each in noise:
+        np.testing.assert_array_equal(each[:, :3], generator.standard_normal((NOISE_ROWS, 3)))
+        np.testing.assert_array_equal(each[:, 3], generator.random(NOISE_ROWS))
+    assert np.abs(noise).max() > EDGE
 
 
 @pytest.mark.parametrize("task", ["sort", "orient"])

@@ -139,21 +139,29 @@ def test_a_machine_refuses_an_image_of_another_kernel(machine):
 
 
 @compiled
-def imports(values):
-    values[0] = math.hypot(values[1], values[2])
-    values[1] = math.atan2(values[1], values[2])
-    values[2] = math.exp(values[0])
+def calls(x, y, found):
+    for k in range(x.shape[0]):
+        found[0, k], found[1, k] = math.sin(x[k]), math.cos(y[k])
+        found[2, k] = math.hypot(x[k], y[k])
+        found[3, k], found[4, k] = math.atan2(x[k], y[k]), math.exp(-abs(x[k]))
     return 1
 
 
-def test_functions_of_c_are_those_of_the_cpu():
+def test_functions_of_c_are_those_of_the_cpu_and_some_are_the_module_s_own():
+    import wasmtime
+
     from surface_gym.compiler.wasm_machine import Machine
 
-    values = np.array([0.0, 0.3, 0.7])
-    machine = Machine(compile_module(imports, (values,)))
-    machine.load(make_image(imports, (values,)))
-    assert machine.step() == imports(values) == 1
-    assert machine.view("values").tolist() == values.tolist()
+    rng, many = np.random.default_rng(0), 10_000
+    arguments = rng.uniform(-7.0, 7.0, many), rng.uniform(-1e4, 1e4, many), np.zeros((5, many))
+    made = compile_module(calls, arguments, exports=("sin",))
+    machine = Machine(made)
+    machine.load(make_image(calls, arguments))
+    assert machine.step() == calls(*arguments) == 1
+    np.testing.assert_array_equal(machine.view("found"), arguments[-1])
+    code = wasmtime.Module(wasmtime.Engine(), made.code)
+    assert {str(each.name) for each in code.exports} == {"memory", "sin", "step"}
+    assert {str(each.name) for each in code.imports} == {"atan2", "exp", "fmod"}
 
 
 @compiled
@@ -179,4 +187,4 @@ def test_arrays_and_numbers_that_no_kernel_has_are_refused(values):
 @pytest.mark.parametrize("code", [b"", b"\x7fELF", b"\0asm\2\0\0\0"])
 def test_what_is_no_object_file_is_refused(code):
     with pytest.raises(ValueError, match="code must be a WebAssembly object file"):
-        link(code, "step")
+        link(code, ("step",))

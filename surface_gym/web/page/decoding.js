@@ -3,7 +3,7 @@
  * modules lie about the parcel.
  */
 
-import { cos, sin } from "./exact.js";
+import { cos, sin } from "./machine.js";
 
 /**
  * @typedef {object} Seen of what a rule knows of its environment, in its card

@@ -3,8 +3,6 @@
  * starts by seed, and steps. Nothing is written outside of the arrays.
  */
 
-import { cos, hypot, sin } from "./exact.js";
-
 const KINDS = {
   bool: Uint8Array,
   float32: Float32Array,
@@ -13,7 +11,9 @@ const KINDS = {
   int64: BigInt64Array,
 };
 /** Functions of C that a module may import, but for those of `Math`. */
-const FUNCTIONS = { sin, cos, hypot, fmod: (a, b) => a % b, exp2: (x) => 2 ** x };
+const FUNCTIONS = { fmod: (a, b) => a % b, exp2: (x) => 2 ** x };
+/** These are the C library's to the bit as soon as a module that has them is there. */
+export let { sin, cos, hypot } = Math;
 const WORD = 8; // [bytes] of an argument
 const PAGE = 65536; // [bytes] by which memory grows
 const MOST = 256 * 1024 * 1024; // [bytes] of memory that a page may take
@@ -69,6 +69,7 @@ export class Machine {
       env[asked] = found;
     }
     const instance = await WebAssembly.instantiate(module, { env });
+    if (instance.exports.hypot) ({ sin, cos, hypot } = instance.exports);
     return new Machine(name, layout, block, instance.exports, starts);
   }
 

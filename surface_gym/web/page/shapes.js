@@ -1,7 +1,6 @@
 /** Parcels as the physics reads them: numbers, edges and corners of their bases; and overlaps. */
 
-import { cos, hypot, sin } from "./exact.js";
-import { PlainError } from "./machine.js";
+import { cos, hypot, PlainError, sin } from "./machine.js";
 
 const NO_EDGE = [0, 1, 1e9]; // that no point lies beyond
 const MOST_CORNERS = 32;

@@ -4,7 +4,7 @@
  */
 
 import { reader } from "./decoding.js";
-import { cos, hypot, sin } from "./exact.js";
+import { cos, hypot, sin } from "./machine.js";
 import { perceptron } from "./policy.js";
 
 /**

@@ -4,7 +4,7 @@
  */
 
 import { decodeLine, decodePath, linePositions, windowPositions } from "./decoding.js";
-import { sin } from "./exact.js";
+import { sin } from "./machine.js";
 import { clip, leastOf, sum } from "./numbers.js";
 import { Rule } from "./rule.js";
 

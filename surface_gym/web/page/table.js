@@ -1,7 +1,6 @@
 /** A run of parcels on a table, stepped by a page, drawn and recorded. */
 
-import { cos, sin } from "./exact.js";
-import { frictionForces, PlainError } from "./machine.js";
+import { cos, frictionForces, PlainError, sin } from "./machine.js";
 import { MOST_PARCELS, MOST_TIME, packed, unpacked } from "./scene.js";
 import { distance, makeBody, outlineOf, toCentre, toFrame, writeBodies } from "./shapes.js";
 import { thinned } from "./tracks.js";
