@@ -16,7 +16,7 @@ from surface_gym.core.assembly import choose_actuation, compiled_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
 from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
-from surface_gym.flow import kernel, state as fs
+from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
 from surface_gym.flow.inlets import EDGE
 from surface_gym.flow.task import StreamTask
@@ -98,8 +98,8 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
         **compiled_functions(task, StreamTask, names),
         **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
-        part_of=kernel.part_of_module if config.actions == "modules" else kernel.part_of_owner,
-        commanded=kernel.commanded_angle if kind.continuous else kernel.commanded_choice,
+        part_of=claims.part_of_module if config.actions == "modules" else claims.part_of_owner,
+        commanded=claims.commanded_angle if kind.continuous else claims.commanded_choice,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
     )
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from surface_gym import state as st
 from surface_gym.compiler.jit import inlined
-from surface_gym.core.kernel import EnvParams, Function
+from surface_gym.core.kernel import Function
 from surface_gym.flow import state as fs
-from surface_gym.flow.state import StreamParams, StreamState
+from surface_gym.flow.state import StreamState, StreamView, view_parcel
 from surface_gym.physics import types as ph
-from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
+from surface_gym.state import EnvState
 
 
 @inlined
@@ -26,16 +26,10 @@ def count_due(streams: StreamState, i: int) -> None:
 
 
 @inlined
-def count_slots(stream_params: StreamParams, streams: StreamState) -> int:
-    """Count the rows of a surface that parcels on it may have."""
-    return streams.number.shape[1] - stream_params.queue
-
-
-@inlined
-def _free_slot(streams: StreamState, i: int, slots: int) -> int:
+def _free_slot(view: StreamView) -> int:
     """Find the first slot that is free, or NOBODY."""
-    for slot in range(slots):
-        if streams.number[i, slot] == fs.NOBODY:
+    for slot in range(view.slots):
+        if view.streams.number[view.i, slot] == fs.NOBODY:
             return slot
     return fs.NOBODY
 
@@ -61,10 +55,11 @@ def changes_within(streams: StreamState, i: int, time: float) -> bool:
 
 
 @inlined
-def move_take_away(stream_params: StreamParams, streams: StreamState, i: int, dt: float) -> None:
+def move_take_away(view: StreamView) -> None:
     """Move the take-away by a physics step, and let it stop or start at its time."""
+    streams, i = view.streams, view.i
     if takes_away(streams, i):
-        streams.belt[i] += stream_params.take_away * dt
+        streams.belt[i] += view.stream_params.take_away * view.params.timing.dt
     if changes_within(streams, i, 0.0):
         streams.changes[i] += 1
 
@@ -83,24 +78,18 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 
 @inlined
-def _put(
-    stream_params: StreamParams,
-    streams: StreamState,
-    parcels: ParcelState,
-    i: int,
-    slot: int,
-    arrival: int,
-) -> None:
+def _put(view: StreamView, slot: int, arrival: int) -> None:
     """Write an arrival into the row of a slot that is free."""
-    row = i * streams.number.shape[1] + slot
+    parcels, streams, i = view.parcels, view.streams, view.i
+    row = view.first + slot
     for k in range(ph.STATE_SIZE):
         parcels.state[row, k] = streams.start[i, arrival, k]
     asked = streams.exit[i, arrival]
     parcels.body[row] = streams.body[i, arrival]
     parcels.goal[row, fs.EXIT] = asked
-    parcels.goal[row, fs.SIDE] = stream_params.exits[asked, 0]
-    parcels.goal[row, fs.FIRST] = stream_params.exits[asked, 1]
-    parcels.goal[row, fs.LAST] = stream_params.exits[asked, 2]
+    parcels.goal[row, fs.SIDE] = view.stream_params.exits[asked, 0]
+    parcels.goal[row, fs.FIRST] = view.stream_params.exits[asked, 1]
+    parcels.goal[row, fs.LAST] = view.stream_params.exits[asked, 2]
     parcels.goal[row, fs.INLET] = streams.inlet[i, arrival]
     parcels.goal[row, fs.ORDER] = streams.order[i, arrival]
     parcels.clock[row] = 0.0
@@ -112,113 +101,96 @@ def _put(
 
 
 @inlined
-def show_waiting(
-    params: EnvParams,
-    stream_params: StreamParams,
-    surfaces: SurfaceState,
-    parcels: ParcelState,
-    bodies: BodyTable,
-    streams: StreamState,
-    i: int,
-) -> None:
+def show_waiting(view: StreamView) -> None:
     """Write the parcels that wait into the rows behind the slots, in order, as they will enter."""
-    slots = count_slots(stream_params, streams)
-    for place in range(stream_params.queue):
-        slot = slots + place
+    streams, i = view.streams, view.i
+    for place in range(view.stream_params.queue):
+        slot = view.slots + place
         arrival = streams.coming[i] + place
         if arrival >= streams.due[i]:
             streams.number[i, slot] = fs.NOBODY
             continue
-        _put(stream_params, streams, parcels, i, slot, arrival)
-        row = i * streams.number.shape[1] + slot
+        _put(view, slot, arrival)
         streams.number[i, slot] = arrival
-        parcels.clock[row] = streams.time[i, arrival] - streams.clock[i]
-        state = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
+        view.parcels.clock[view.first + slot] = streams.time[i, arrival] - streams.clock[i]
+        state = view_parcel(view, slot)
         st.read_truth(state)
         for k in range(state.truth.shape[0]):
             state.sensed[k] = state.truth[k]
 
 
+@inlined
+def _occupy(view: StreamView, slot: int, arrival: int) -> None:
+    """Give an arrival, which is in its slot's row, the slot."""
+    streams, i = view.streams, view.i
+    streams.number[i, slot] = arrival
+    streams.present[i, slot] = True
+    streams.entered[i, arrival] = streams.clock[i]
+    streams.tally[i, fs.ENTERED] += 1
+    while streams.coming[i] < streams.due[i] and not math.isnan(
+        streams.entered[i, streams.coming[i]]
+    ):
+        streams.coming[i] += 1
+    for k in range(view.rows):
+        streams.touched_at[i, slot, k] = fs.NEVER
+        streams.touched_at[i, k, slot] = fs.NEVER
+        streams.pressing[i, slot, k] = 0.0
+        streams.pressing[i, k, slot] = 0.0
+
+
 def entering(has_room: Function) -> Any:
-    """Build `let_in`, by the task's `has_room(params, state, other)`."""
+    """Build `let_in(view)`, by the task's `has_room(params, state, other)`."""
 
     @inlined
-    def let_in(
-        params: EnvParams,
-        stream_params: StreamParams,
-        surfaces: SurfaceState,
-        parcels: ParcelState,
-        bodies: BodyTable,
-        streams: StreamState,
-        i: int,
-    ) -> int:
+    def is_clear(view: StreamView, slot: int) -> bool:
+        """Return whether every parcel on the surface leaves room for the one in a slot's row."""
+        state = view_parcel(view, slot)
+        st.read_truth(state)
+        for k in range(view.rows):
+            if view.streams.present[view.i, k]:
+                other = view_parcel(view, k)
+                st.read_truth(other)
+                if not has_room(view.stream_params, state, other):
+                    return False
+        return True
+
+    @inlined
+    def let_in(view: StreamView) -> int:
         """Let the next parcel of an inlet that is due enter if there is room, the one whose time
         came first; give its slot, or NOBODY.
 
         Its task and its sensor have yet to begin.
         """
-        slot = _free_slot(streams, i, count_slots(stream_params, streams))
+        streams, i = view.streams, view.i
+        slot = _free_slot(view)
         if slot == fs.NOBODY or count_waiting(streams, i) == 0:
             return fs.NOBODY
-        first = i * streams.number.shape[1]
         barred = 0  # a bit an inlet
-        open_inlets = stream_params.inlets
+        open_inlets = view.stream_params.inlets
         arrival = streams.coming[i]
-        enters = False
         while open_inlets > 0 and arrival < streams.due[i]:
             inlet = 1 << streams.inlet[i, arrival]
             if barred & inlet == 0 and math.isnan(streams.entered[i, arrival]):
-                _put(stream_params, streams, parcels, i, slot, arrival)
-                state = st.env_state(surfaces, parcels, bodies, i, first + slot, params.elements)
-                st.read_truth(state)
-                enters = True
-                for k in range(streams.number.shape[1]):
-                    if streams.present[i, k]:
-                        row = first + k
-                        other = st.env_state(surfaces, parcels, bodies, i, row, params.elements)
-                        st.read_truth(other)
-                        if not has_room(stream_params, state, other):
-                            enters = False
-                            break
-                if enters:
-                    break
+                _put(view, slot, arrival)
+                if is_clear(view, slot):
+                    _occupy(view, slot, arrival)
+                    return slot
                 barred |= inlet
                 open_inlets -= 1
             arrival += 1
-        if not enters:
-            return fs.NOBODY
-        streams.number[i, slot] = arrival
-        streams.present[i, slot] = True
-        streams.entered[i, arrival] = streams.clock[i]
-        streams.tally[i, fs.ENTERED] += 1
-        while streams.coming[i] < streams.due[i] and not math.isnan(
-            streams.entered[i, streams.coming[i]]
-        ):
-            streams.coming[i] += 1
-        for k in range(streams.number.shape[1]):
-            streams.touched_at[i, slot, k] = fs.NEVER
-            streams.touched_at[i, k, slot] = fs.NEVER
-            streams.pressing[i, slot, k] = 0.0
-            streams.pressing[i, k, slot] = 0.0
-        return slot
+        return fs.NOBODY
 
     return let_in
 
 
 @inlined
-def leave(
-    streams: StreamState,
-    parcels: ParcelState,
-    i: int,
-    slot: int,
-    taken: int,
-    correct: bool,
-    gap: float,
-    misalignment: float,
+def depart(
+    view: StreamView, slot: int, taken: int, correct: bool, gap: float, misalignment: float
 ) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
+    parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]
-    row = i * streams.number.shape[1] + slot
+    row = view.first + slot
     streams.past[i, streams.order[i, arrival]] = True
     next_place = int(streams.passed[i, 0, fs.NEXT])
     while next_place < streams.arrivals[i] and streams.past[i, next_place]:

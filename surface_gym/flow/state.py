@@ -9,9 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surface_gym.compiler.jit import inlined
+from surface_gym.core.kernel import EnvParams
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
+from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState, env_state
 
 NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no parcel
 # `taken` of a parcel that is on the line, or departed between exits; from 0 on it is an exit
@@ -98,6 +101,29 @@ class StreamParams(NamedTuple):
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more
+
+
+class StreamView(NamedTuple):
+    """One surface of a batch of streams: the batch's arrays, and its places in them."""
+
+    params: EnvParams
+    stream_params: StreamParams
+    surfaces: SurfaceState
+    parcels: ParcelState
+    bodies: BodyTable
+    streams: StreamState
+    i: int  # the surface
+    first: int  # the row of its first parcel in `parcels`
+    rows: int  # of its parcels
+    slots: int  # the first of these rows, for parcels on the surface; the others show who waits
+
+
+@inlined
+def view_parcel(view: StreamView, row: int) -> EnvState:
+    """View the parcel in a row of a surface."""
+    return env_state(
+        view.surfaces, view.parcels, view.bodies, view.i, view.first + row, view.params.elements
+    )
 
 
 def make_streams(

@@ -1,0 +1,179 @@
+"""Which parcel each module of a surface obeys, compiled, and how the modules follow a command."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from surface_gym import state as st
+from surface_gym.compiler.jit import inlined
+from surface_gym.core.kernel import Function
+from surface_gym.flow import state as fs
+from surface_gym.flow.state import StreamView, view_parcel
+from surface_gym.flow.task import HALVES
+from surface_gym.physics import types as ph
+from surface_gym.physics.types import Array, Places
+from surface_gym.state import EnvState
+
+NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
+CLOSING = 1.0  # [m/s] at which a base counts as nearing a module that lies outside it
+
+
+@inlined
+def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
+    """Let every module of the zone obey no parcel, so that any may claim it."""
+    zone = state.zone
+    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
+            owner[row, column] = fs.NOBODY
+            soonest[row, column] = np.inf
+
+
+@inlined
+def _until(point: float, low: float, high: float, speed: float) -> float:
+    """Return the time [s] until an interval moving at a speed [m/s] holds a point, or infinity."""
+    if point > high:
+        return (point - high) / speed if speed > 0.0 else np.inf
+    if point < low:
+        return (low - point) / -speed if speed < 0.0 else np.inf
+    return 0.0
+
+
+@inlined
+def _after(point: float, low: float, high: float, speed: float) -> float:
+    """[s] until an interval that moves at a speed [m/s] has passed a point; infinite if never."""
+    if speed > 0.0:
+        return (point - low) / speed
+    return (high - point) / -speed if speed < 0.0 else np.inf
+
+
+def claiming(outside: Function) -> Any:
+    """Build `claim_modules`, by the task's `outside(state, x, y)`."""
+
+    @inlined
+    def claim_modules(
+        owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
+    ) -> None:
+        """Let the parcel in a slot claim every module of the zone that bears it, or that it will be
+        the first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
+        """
+        sensed = state.sensed
+        theta = sensed[ph.THETA]
+        vx, vy = sensed[ph.VX], sensed[ph.VY]
+        front = sensed[ph.X] + st.reach_along(state, theta, 1.0, 0.0)
+        rear = sensed[ph.X] - st.reach_along(state, theta, -1.0, 0.0)
+        left = sensed[ph.Y] + st.reach_along(state, theta, 0.0, 1.0)
+        right = sensed[ph.Y] - st.reach_along(state, theta, 0.0, -1.0)
+        zone, elements = state.zone, state.elements
+        first_row, first_column = zone[st.FIRST_ROW], zone[st.FIRST_COLUMN]
+        x0, y0 = elements.x0, elements.y0
+        low_x = (rear + min(0.0, vx * ahead) - x0) / elements.pitch_x
+        high_x = (front + max(0.0, vx * ahead) - x0) / elements.pitch_x
+        low_y = (right + min(0.0, vy * ahead) - y0) / elements.pitch_y
+        high_y = (left + max(0.0, vy * ahead) - y0) / elements.pitch_y
+        if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
+            return  # an estimate that has lost the parcel
+        for row in range(
+            max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
+        ):
+            y = y0 + elements.pitch_y * row
+            until_y = _until(y, right, left, vy)
+            after_y = _after(y, right, left, vy)
+            for column in range(
+                max(first_column, math.ceil(low_x)),
+                min(first_column + zone[st.COLUMNS], math.floor(high_x) + 1),
+            ):
+                x = x0 + elements.pitch_x * column
+                until = max(until_y, _until(x, rear, front, vx))
+                if until > min(ahead, after_y, _after(x, rear, front, vx)):
+                    continue
+                until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
+                until += outside(state, x, y) / CLOSING
+                if until < soonest[row, column]:
+                    soonest[row, column] = until
+                    owner[row, column] = slot
+
+    return claim_modules
+
+
+# Which part of the command a module follows; negative if none.
+
+
+@inlined
+def part_of_module(view: StreamView, row: int, column: int) -> int:
+    """Let each module follow a part of its own."""
+    zone = view.bodies.zone[0]
+    return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
+
+
+@inlined
+def part_of_owner(view: StreamView, row: int, column: int) -> int:
+    """Let a module follow the half of the parcel that it obeys; without one it stays as it is."""
+    slot = view.streams.owner[view.i, row, column]
+    if slot < 0:
+        return -1
+    x = view.params.elements.x0 + view.params.elements.pitch_x * column
+    return HALVES * slot + (1 if x < view.parcels.sensed[view.first + slot, ph.X] else 0)
+
+
+# The axis angle [rad] that a part of the command sets.
+
+
+@inlined
+def commanded_choice(view: StreamView, part: int) -> float:
+    """Get the angle of the orientation that the part counts."""
+    return view.params.acting.orientations[view.surfaces.command[view.i, part]]
+
+
+@inlined
+def commanded_angle(view: StreamView, part: int) -> float:
+    """Get the angle that the part is."""
+    return view.surfaces.command[view.i, part]
+
+
+@inlined
+def is_turn(angle: float, before: float) -> bool:
+    """Whether an axis has to turn from one angle to the other; one turned by pi is the same."""
+    apart = angle - before
+    return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
+
+
+def assigning(outside: Function) -> Any:
+    """Build `assign_modules(view)`, which writes whom each module of a surface obeys."""
+    claim_modules = claiming(outside)
+
+    @inlined
+    def assign_modules(view: StreamView) -> None:
+        streams, i = view.streams, view.i
+        owner, soonest = streams.owner[i], streams.soonest[i]
+        free_modules(owner, soonest, view_parcel(view, 0))
+        for slot in range(view.rows):
+            if streams.present[i, slot]:
+                ahead = view.stream_params.ahead
+                claim_modules(owner, soonest, view_parcel(view, slot), slot, ahead)
+
+    return assign_modules
+
+
+def obeying(outside: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
+    """Build `obey_command(view)`, which sets the modules of a surface and counts their turns."""
+    assign_modules = assigning(outside)
+
+    @inlined
+    def obey_command(view: StreamView) -> None:
+        streams, i = view.streams, view.i
+        assign_modules(view)
+        obeys = streams.obeys[i if streams.obeys.shape[0] > 1 else 0]
+        zone = view.bodies.zone[0]
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
+                part = part_of(view, row, column)
+                if part < 0 or not obeys[row, column]:
+                    continue
+                angle = commanded(view, part)
+                if is_turn(angle, streams.commanded[i, row, column]):
+                    streams.tally[i, fs.TURNS] += 1
+                streams.commanded[i, row, column] = angle
+                obey(view.params.acting, view.surfaces, i, row, column, part)
+
+    return obey_command
