@@ -217,8 +217,9 @@ def _check_finite(name: str, values: NDArray[Any]) -> None:
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     """Return whether a shape has the wanted lengths (None: any length)."""
-    return len(shape) == len(wanted) and all(
-        want is None or have == want for have, want in zip(shape, wanted, strict=True)
+    return shape == wanted or (
+        len(shape) == len(wanted)
+        and all(want in (None, have) for have, want in zip(shape, wanted, strict=True))
     )
 
 
@@ -255,15 +256,18 @@ def angles(name: str, values: NDArray[np.float64], most: float = TURN) -> NDArra
     return values
 
 
+_MOST_POSE = np.array([FARTHEST, FARTHEST, TURNED])
+_MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
+
+
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return poses (..., 3) [m, m, rad] within what is physical, or raise an error."""
-    most = (checks.FARTHEST, checks.FARTHEST, checks.TURNED)
-    return limited(name, array(name, value, shape), most)
+    return limited(name, array(name, value, shape), _MOST_POSE)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """Return velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or raise an error."""
-    return limited(name, array(name, value, shape), (checks.SPEED, checks.SPEED, checks.SPIN))
+    return limited(name, array(name, value, shape), _MOST_VELOCITY)
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:

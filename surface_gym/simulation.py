@@ -1,10 +1,11 @@
 """`simulate` and `simulate_together`: parcels on one surface, from start to end."""
 
 import math
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -32,6 +33,22 @@ ENDS = {
     stepping.UNSUPPORTED: "nothing bears it",
     stepping.STOPPED: "stopped",
 }
+
+
+class _Memory(threading.local):
+    """Each thread's scratch of the physics: making one takes longer than a run's other checks."""
+
+    def __init__(self) -> None:
+        self._scratch = ph.make_scratch()
+
+    @property
+    def scratch(self) -> Scratch:
+        """Return the scratch without the contacts of a run before."""
+        self._scratch.marks[ph.SPANS] = -1
+        return self._scratch
+
+
+_MEMORY = _Memory()
 
 
 class TippingWarning(UserWarning):
@@ -99,7 +116,7 @@ def simulate(
     if method == "explicit":
         _check_explicit(surface)
     grid, body = surface.grid, parcel.body
-    scratch = ph.make_scratch()
+    scratch = _MEMORY.scratch
     wanted = _missing_support(surface, parcel, start, scratch)
     if wanted:
         raise ValueError(f"pose must be {wanted}, got {tuple(np.asarray(pose).tolist())}")
@@ -118,10 +135,11 @@ def simulate(
     states[0] = start
     reports = np.zeros(len(time), dtype=np.int64)
     _run(grid, body, states, reports, scratch, time, dt, method, normal_forces)
-    done = make_trajectory(surface, parcel, time, dt, states, reports)
-    _warn_of_tipping(body, states[: len(done.time)], done.tipping)
-    run = Run(surface, parcel, dt, method, normal_forces, states[: len(done.time)])
-    return replace(done, run=run)
+    trajectory = make_trajectory(
+        surface, parcel, time, dt, states, reports, (method, normal_forces)
+    )
+    _warn_of_tipping(body, states, trajectory.tipping)
+    return trajectory
 
 
 def _check_explicit(surface: Surface) -> None:
@@ -139,7 +157,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
     """Warn the caller of `simulate` where steps that tip the parcel decide what became of it."""
     if not tipping.any():
         return
-    velocity = states[:, ph.VX : ph.OMEGA + 1] * [1.0, 1.0, math.sqrt(body.gyration)]
+    velocity = states[: len(tipping), ph.VX : ph.OMEGA + 1] * [1.0, 1.0, math.sqrt(body.gyration)]
     change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
     tipped = change[tipping[1:]].sum()
     if tipped >= max(TIPPING_SPEED, TIPPING_SHARE * change.sum()):
@@ -163,7 +181,8 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
     """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
-    moved = np.abs(np.diff(states[:, ph.X : ph.THETA + 1], axis=0))
+    pose = states[:, ph.X : ph.THETA + 1]
+    moved = np.abs(pose[1:] - pose[:-1])
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
     if not farthest.max(initial=0.0) <= pitch:  # nor is one that is not a number
         raise ValueError(
@@ -186,8 +205,13 @@ def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], flo
     return np.append(time, duration) if duration - time[-1] > 1e-6 * dt else time, dt
 
 
+_STILL = np.zeros(ph.STATE_SIZE - ph.AX)  # acceleration of a parcel that begins to move
+
+
 def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
     """Return the state vector of the centre of mass."""
+    if parcel.centre_of_mass == (0.0, 0.0):
+        return np.concatenate([pose, velocity, _STILL])
     centre = np.array([parcel.centre_of_mass])
     return stepping.com_states(centre, pose[np.newaxis], velocity[np.newaxis])[0]
 
@@ -223,7 +247,7 @@ def _run(
                 reports[k] = _reference_step(
                     grid, body, states[k], scratch, step, method, normal_forces
                 )
-            if (reports[rows] >= stepping.OFF_SURFACE).any():
+            if reports[rows].max() >= stepping.OFF_SURFACE:
                 return
 
 
@@ -428,12 +452,18 @@ def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
 
 def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
-    reports: NDArray[np.int64],
+    reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory, up to where it left the surface."""
-    left = np.flatnonzero(reports >= stepping.OFF_SURFACE)
-    done = slice(0, int(left[0]) if len(left) else len(time))
-    end = ENDS[int(reports[left[0]])] if len(left) else "duration"
+    """Return a parcel's trajectory, up to where it left the surface.
+
+    `solved` is the method and what gave the normal forces, of a run that can be repeated.
+    """
+    count, end = len(time), "duration"
+    if reports.max() >= stepping.OFF_SURFACE:
+        count = int((reports >= stepping.OFF_SURFACE).argmax())
+        end = ENDS[int(reports[count])]
+    done = slice(0, count)
     check_steps(parcel, min(surface.pitch_x, surface.pitch_y), states[done], dt)
     pose, velocity = base_motion(parcel, states[done])
-    return Trajectory(time[done], pose, velocity, reports[done] == stepping.TIPPING, end)
+    run = None if solved is None else Run(surface, parcel, dt, *solved, states[done])
+    return Trajectory(time[done], pose, velocity, reports[done] == stepping.TIPPING, end, run)

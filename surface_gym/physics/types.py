@@ -1,6 +1,7 @@
 """Array types, named columns and scratch memory of the physics."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -163,6 +164,7 @@ def table_row(scratch: Scratch, row: int, count: int) -> Array:
     return scratch.table[row : row + count]
 
 
+@lru_cache(maxsize=256)
 def check_capacity(
     edges: int, radius: float, pitch: tuple[float, float], size: tuple[int, int]
 ) -> None:
