@@ -12,12 +12,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from surface_gym import checks
-from surface_gym.core.actions import ANY, AXIS_SIZE, GROUPS, ActionKind, group_features
+from surface_gym.core.actions import ANY, AXIS_SIZE, ActionKind, group_features, offered_groups
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import DEFAULT_TASK, TASKS
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
+from surface_gym.sensors.base import Group
 from surface_gym.state import Timing
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.features import Column, Feature, find_columns
@@ -139,7 +140,8 @@ class EnvConfig:
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
     info: tuple[str, ...] = ()  # what `info` carries on request: "axes", "normal_forces"
-    # groups of features that the observation shows besides: "parcel", "rotors", "load"
+    # groups of features that the observation shows besides: "parcel", "rotors", "load", and those
+    # of the sensors
     observe: tuple[str, ...] = ()
 
     def __init__(
@@ -201,9 +203,9 @@ class EnvConfig:
         period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
         set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
-        for name, allowed_names in (("info", INFOS), ("observe", tuple(GROUPS))):
+        for name, allowed_names in (("info", INFOS), ("observe", tuple(self.groups))):
             checks.some_of(name, getattr(self, name), allowed_names)
-        set_field(self, "observe", tuple(name for name in GROUPS if name in self.observe))
+        set_field(self, "observe", tuple(name for name in self.groups if name in self.observe))
         self._check_places()
         self.task.check(self)
         _ = self.action_kind, self.draws
@@ -309,6 +311,11 @@ class EnvConfig:
         return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
+    def groups(self) -> dict[str, Group]:
+        """Groups of features that `observe` may show, by name."""
+        return offered_groups(self.sensors)
+
+    @property
     def features(self) -> tuple[Feature, ...]:
         """Features of a parcel's observation."""
         kind = self.action_kind
@@ -318,7 +325,7 @@ class EnvConfig:
         )
         features = self.task.features + (window if kind.window_size else ())
         axes = self._axis_features() if self.observe_axes else ()
-        return features + axes + group_features(self.observe)
+        return features + axes + group_features(self.observe, self.groups)
 
     def _axis_features(self) -> tuple[Feature, ...]:
         """Features of the axes: an axis is the same turned by pi, so twice its angle is shown."""

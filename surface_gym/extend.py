@@ -21,6 +21,9 @@ They read and write an `EnvState`, one parcel on one surface, and may use `math`
 - `reach_along`, `zone_start`, `zone_end`, `planar_speed`, `is_slower`, and in `is_done` also
   `read_truth`.
 
+A sensor that reports other quantities than pose and velocity shows them by a `Group`; `Exact` may
+be its base.
+
 A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
 parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
 `BaseLine`.
@@ -81,7 +84,8 @@ from surface_gym.physics.types import (
     Y,
 )
 from surface_gym.registration import register
-from surface_gym.sensors import Sensor
+from surface_gym.sensors import Exact, Sensor
+from surface_gym.sensors.base import Group, Singles
 from surface_gym.state import (
     COLUMNS,
     FIRST_COLUMN,
@@ -107,10 +111,10 @@ __all__ = [
     "EXIT", "FIRST", "FIRST_COLUMN", "FIRST_ROW", "GOALS", "GYRATION", "HALF_LENGTH", "INLET",
     "LAST", "MASS", "OMEGA", "ORDER", "OWN_MEMORY", "PASSED_SIZE", "RADIUS", "ROWS", "RUNNING",
     "SIDE", "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY",
-    "Array", "BaseLine", "Draw", "EnvState", "Exit", "Exits", "Feature", "Field", "Inlet", "Inlets",
-    "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Spread", "Start", "Steady",
-    "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y", "between", "columns",
-    "entry", "failures", "flow_line", "is_slower", "kernel_function", "planar_speed", "reach_along",
-    "read_truth", "register", "show", "show_bent", "show_within", "slope_line", "zone_end",
-    "zone_start",
+    "Array", "BaseLine", "Draw", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group",
+    "Inlet", "Inlets", "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Singles",
+    "Spread", "Start", "Steady", "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y",
+    "between", "columns", "entry", "failures", "flow_line", "is_slower", "kernel_function",
+    "planar_speed", "reach_along", "read_truth", "register", "show", "show_bent", "show_within",
+    "slope_line", "zone_end", "zone_start",
 ]  # fmt: skip

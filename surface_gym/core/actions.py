@@ -8,7 +8,7 @@ Each group says what a real controller needs to know of it; see `GROUPS`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -17,11 +17,12 @@ import numpy as np
 from gymnasium import spaces
 
 from surface_gym import checks, state as st
-from surface_gym.compiler.jit import inlined
+from surface_gym.compiler.jit import inlined, is_compiled
 from surface_gym.layouts import ROLLING
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import RADIUS, THETA, Array, Integers, X, Y
+from surface_gym.sensors.base import Group, Sensor, Singles
 from surface_gym.state import EnvState, SurfaceState
 from surface_gym.tasks.base import LENGTH, WIDTH
 from surface_gym.tasks.features import Feature, columns, show
@@ -294,19 +295,10 @@ ROTOR_FEATURES = tuple(
     )
 )
 
-LOAD_FEATURES = (
-    Feature("friction learned", -100.0, 100.0, "factor of mu_max - 1, over what it was known to"),
-    Feature("load learned, x", -100.0, 100.0, "in the base, over what it was known to"),
-    Feature("load learned, y", -100.0, 100.0, "in the base, over what it was known to"),
-    Feature("doubt of friction", 0.0, 1.0, "share that is left of what was unknown"),
-    Feature("doubt of load, x", 0.0, 1.0, "share that is left of what was unknown"),
-    Feature("doubt of load, y", 0.0, 1.0, "share that is left of what was unknown"),
-)
-
 
 @inlined
-def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
-    """Write `PARCEL_FEATURES` into the observation from `first` on."""
+def show_parcel(acting: Acting, state: EnvState, see: Singles, mirror: float) -> None:
+    """Write `PARCEL_FEATURES`."""
     front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
     left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
     corners = state.corners
@@ -317,18 +309,16 @@ def show_parcel(acting: Acting, state: EnvState, first: int, mirror: float) -> N
         last = k
     if state.edges[0, 2] > state.body[RADIUS]:  # a disc, which has neither edges nor corners
         twice = 2.0 * math.pi * state.body[RADIUS] ** 2
-    see = state.observation[first:]
     show(see, OUTLINE.length, 0.5 * (front + rear))
     show(see, OUTLINE.width, 0.5 * (left + right))
     show(see, OUTLINE.fill, min(1.0, 0.5 * twice / ((front + rear) * (left + right))))
 
 
 @inlined
-def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
-    """Write `ROTOR_FEATURES` into the observation from `first` on, mirrored if `mirror` < 0."""
-    see = state.observation
+def show_rotors(acting: Acting, state: EnvState, see: Singles, mirror: float) -> None:
+    """Write `ROTOR_FEATURES`, mirrored if `mirror` < 0."""
     for k in range(4 * QUADRANT_SIZE):
-        see[first + k] = 0.0
+        see[k] = 0.0
     rows, columns = state.rotor.shape
     sensed, radius, elements, edges = state.sensed, state.body[RADIUS], state.elements, state.edges
     cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
@@ -355,14 +345,14 @@ def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> N
             total += 1
             if state.rotor[row, column]:
                 right = mirror * dy < 0.0
-                place = first + QUADRANT_SIZE * ((2 if dx < 0.0 else 0) + (1 if right else 0))
+                place = QUADRANT_SIZE * ((2 if dx < 0.0 else 0) + (1 if right else 0))
                 axis = state.axis[row, column]
                 ux, uy = state.direction[axis, 0], state.direction[axis, 1]
                 see[place] += 1.0
                 see[place + 1] += ux * ux - uy * uy
                 see[place + 2] += mirror * 2.0 * ux * uy
     for quadrant in range(4):
-        place = first + QUADRANT_SIZE * quadrant
+        place = QUADRANT_SIZE * quadrant
         count = see[place]
         if count > 0.0:
             see[place] = count / total
@@ -370,44 +360,35 @@ def show_rotors(acting: Acting, state: EnvState, first: int, mirror: float) -> N
             see[place + 2] = bounded(see[place + 2] / count, -1.0, 1.0)
 
 
-class Group(NamedTuple):
-    """A group of features that are observed together."""
-
-    features: tuple[Feature, ...]
-    show: Callable[..., None]  # the compiled function that writes them
-
-
-GROUPS = {
+# Groups of features of one parcel that `observe` shows, beside those of its sensor.
+MODULE_GROUPS = {
     # The parcel's outline, by a scale drawing or a picture; not where its load lies.
     "parcel": Group(PARCEL_FEATURES, show_parcel),
     # Each axis' angle, by encoders or computed from its commands; and where supports are.
     "rotors": Group(ROTOR_FEATURES, show_rotors),
-    # What a sensor that learns has learned; its own function writes it.
-    "load": Group(LOAD_FEATURES, show_nothing),
 }
+# With every sensor; what a sensor that learns has learned is its own.
+GROUPS: dict[str, Group] = {**MODULE_GROUPS, **Sensor().groups}
 
 
-class FeatureGroup(NamedTuple):
-    """A group of features as a kernel is built from it."""
-
-    show: Callable[..., None]
-    size: int  # numbers it writes
-
-
-def shown(observe: tuple[str, ...]) -> tuple[FeatureGroup, ...]:
-    """Return every group in order; a group that is not asked for writes nothing."""
-    return tuple(
-        FeatureGroup(group.show, len(group.features))
-        if name in observe
-        else FeatureGroup(show_nothing, 0)
-        for name, group in GROUPS.items()
-    )
+def offered_groups(sensor: Sensor) -> dict[str, Group]:
+    """Return the groups that `observe` may show with a sensor, or raise an error."""
+    for name, group in sensor.groups.items():
+        author = f"{type(sensor).__name__}.groups"
+        if name in MODULE_GROUPS:
+            raise ValueError(f"{author} must have names of their own, got {name!r}")
+        checks.instance(f"{author}[{name!r}]", group, Group, "a Group")
+        if not is_compiled(group.show):
+            raise ValueError(f"{author} must show by kernel functions, got {group.show!r}")
+    return {**MODULE_GROUPS, **sensor.groups}
 
 
-def group_features(observe: tuple[str, ...]) -> tuple[Feature, ...]:
+def group_features(
+    observe: tuple[str, ...], groups: Mapping[str, Group] = GROUPS
+) -> tuple[Feature, ...]:
     """Return the features of the groups asked for."""
     return tuple(
-        feature for name, group in GROUPS.items() if name in observe for feature in group.features
+        feature for name, group in groups.items() if name in observe for feature in group.features
     )
 
 

@@ -12,7 +12,7 @@ from surface_gym import state as st
 from surface_gym.compiler.jit import is_compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
-from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions
+from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions, ShownGroup
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
@@ -88,13 +88,16 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         label=f"{type(task).__name__}-{type(sensor).__name__}-{kind.name}",
         **compiled_functions(task, Task, "begin is_done outcome reward observe mirror"),
         **compiled_functions(sensor, Sensor, "begin update read", "_sensor"),
-        **compiled_functions(sensor, Sensor, "learned"),
         watches=sensor.watches,
         part_of=kind.part_of,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
         show_modules=actions.show_occupancy if window else actions.show_nothing,
         show_axes=show_axes if config.observe_axes else actions.show_nothing,
-        more=actions.shown(config.observe),
+        groups=tuple(
+            ShownGroup(group.show, len(group.features), name in sensor.groups)
+            for name, group in config.groups.items()
+            if name in config.observe
+        ),
     )
 
 

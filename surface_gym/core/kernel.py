@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 from surface_gym import state as st
 from surface_gym.compiler.jit import compiled, inlined
-from surface_gym.core.actions import Acting, FeatureGroup, window_corner
+from surface_gym.core.actions import Acting, window_corner
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Integers, Scratch
-from surface_gym.sensors.base import Physics
+from surface_gym.sensors.base import Physics, Singles
 from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState, Timing
 
 Function = Callable[..., Any]
@@ -28,6 +28,14 @@ class Actuation(NamedTuple):
     turn: Function  # what all axes do in a physics step
     straighten: Function  # how all become the conveyor's
     turns: bool  # whether axes take time
+
+
+class ShownGroup(NamedTuple):
+    """A group of features as a kernel is built from it."""
+
+    show: Function
+    size: int  # numbers it writes
+    by_sensor: bool  # the sensor's numbers are its parameters; else those of the actions
 
 
 class KernelFunctions(NamedTuple):
@@ -48,8 +56,7 @@ class KernelFunctions(NamedTuple):
     actuation: Actuation
     show_modules: Function  # what is observed after the task's features
     show_axes: Function
-    learned: Function  # the sensor's
-    more: tuple[FeatureGroup, ...]  # what is observed at the end, by groups
+    groups: tuple[ShownGroup, ...]  # what is observed at the end
 
 
 class EnvParams(NamedTuple):
@@ -86,25 +93,143 @@ def obeying(part_of: Function, obey: Function) -> Any:
     return obey_command
 
 
+def _showing(group: ShownGroup) -> Any:
+    """Build `show_group(params, state, see, mirror)`, which writes a group of features."""
+    show = group.show
+    if group.by_sensor:
+
+        @inlined
+        def show_group(params: EnvParams, state: EnvState, see: Singles, mirror: float) -> None:
+            show(params.sensor, state, see, mirror)
+
+    else:
+
+        @inlined
+        def show_group(params: EnvParams, state: EnvState, see: Singles, mirror: float) -> None:
+            show(params.acting, state, see, mirror)
+
+    return show_group
+
+
+def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
+    """Build `show_groups(params, state, first, mirror) -> int`, which writes groups of features
+    into the observation from `first` on, and returns the place after them.
+    """
+    if not groups:
+
+        @inlined
+        def show_none(params: EnvParams, state: EnvState, first: int, mirror: float) -> int:
+            return first
+
+        return show_none
+
+    show_before, show, size = _showing_all(groups[:-1]), _showing(groups[-1]), groups[-1].size
+
+    @inlined
+    def show_groups(params: EnvParams, state: EnvState, first: int, mirror: float) -> int:
+        place = show_before(params, state, first, mirror)
+        show(params, state, state.observation[place : place + size], mirror)
+        return place + size
+
+    return show_groups
+
+
 @lru_cache(maxsize=256)
 def showing(functions: KernelFunctions) -> Any:
     """Build `show_more(params, state, mirror)`, which observes what follows the task's features."""
     show_modules, show_axes = functions.show_modules, functions.show_axes
-    (show_parcel, parcel_size), (show_rotors, rotors_size), (_, load_size) = functions.more
-    show_learned, learns = functions.learned, load_size > 0
+    show_groups = _showing_all(functions.groups)
+    size = sum(group.size for group in functions.groups)
 
     @inlined
     def show_more(params: EnvParams, state: EnvState, mirror: float) -> None:
         show_modules(params.acting, state, params.features, mirror)
         show_axes(params.acting, state, params.axes_from, mirror)
-        load_from = state.observation.shape[0] - load_size
-        rotors_from = load_from - rotors_size
-        show_parcel(params.acting, state, rotors_from - parcel_size, mirror)
-        show_rotors(params.acting, state, rotors_from, mirror)
-        if learns:
-            show_learned(params.sensor, state, load_from, mirror)
+        show_groups(params, state, state.observation.shape[0] - size, mirror)
 
     return show_more
+
+
+@inlined
+def begin_period(parcels: ParcelState, i: int) -> None:
+    """Clear the results of the last control period."""
+    parcels.fault[i] = st.NO_FAULT
+    parcels.period[i] = 0.0
+    parcels.on_rotors[i] = True
+    parcels.on_surface[i] = True
+
+
+def _running(functions: KernelFunctions) -> Any:
+    """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`: the physics
+    steps of a control period, until the parcel is off the surface or the task is done.
+    """
+    task_is_done, sensor_update = functions.is_done, functions.update_sensor
+    watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
+
+    @inlined
+    def run(
+        params: EnvParams,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        scratch: Scratch,
+        sensor_scratch: Scratch,
+        i: int,
+    ) -> EnvState:
+        dt = params.timing.dt
+        physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
+        state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
+        row = parcels.body[i]
+        grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)
+        body = st.read_body(bodies, row)
+        start = parcels.clock[i]
+        invalidate_contacts(scratch)
+        invalidate_contacts(sensor_scratch)
+        for _ in range(params.timing.steps):
+            if turns and turn(params.acting, surfaces, i, state.zone):
+                invalidate_contacts(scratch)
+                invalidate_contacts(sensor_scratch)
+            report, contacts = step_implicit(grid, body, state.com, scratch, dt)
+            on_surface = report < OFF_SURFACE
+            parcels.on_surface[i] = on_surface
+            if on_surface:
+                parcels.clock[i] += dt
+                parcels.steps[i] += 1
+                parcels.period[i] = parcels.clock[i] - start
+                parcels.on_rotors[i] = contacts.total > contacts.supports
+            state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
+            if not on_surface:
+                break
+            if watches:
+                st.read_truth(state)
+                sensor_update(params.sensor, state, physics)
+            if task_is_done(state):
+                break
+        return state
+
+    return run
+
+
+def _ending(functions: KernelFunctions) -> Any:
+    """Build `end(params, parcels, state, i)`: the outcome and the reward of a control period."""
+    task_outcome, task_reward = functions.outcome, functions.reward
+
+    @inlined
+    def end(params: EnvParams, parcels: ParcelState, state: EnvState, i: int) -> None:
+        st.read_truth(state)
+        outcome = task_outcome(state)
+        task_reward(state, outcome)
+        parcels.outcome[i] = outcome
+        reward = 0.0
+        for k in range(state.terms.shape[0]):
+            reward += state.terms[k]
+        parcels.reward[i] = reward
+        if not math.isfinite(reward):
+            parcels.fault[i] = st.BAD_REWARD
+        if not 0 <= outcome < params.outcomes or outcome == st.OUT_OF_TIME:
+            parcels.fault[i] = st.UNKNOWN_OUTCOME
+
+    return end
 
 
 @lru_cache(maxsize=256)
@@ -114,13 +239,11 @@ def make_kernel(functions: KernelFunctions) -> Any:
     Of the chosen environments (count,) those placed begin, those that run are stepped by one
     control period, and those that have ended stay. It returns how many have a fault.
     """
-    task_begin, task_is_done, task_outcome = functions.begin, functions.is_done, functions.outcome
-    task_reward, task_observe, task_mirror = functions.reward, functions.observe, functions.mirror
-    sensor_begin, sensor_update = functions.begin_sensor, functions.update_sensor
-    sensor_read, watches = functions.read_sensor, functions.watches
-    obey, turn, straighten, turns = functions.actuation
-    obey_command = obeying(functions.part_of, obey)
-    show_more = showing(functions)
+    task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
+    sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor
+    straighten = functions.actuation.straighten
+    obey_command = obeying(functions.part_of, functions.actuation.obey)
+    run, end, show_more = _running(functions), _ending(functions), showing(functions)
 
     def step_envs(
         params: EnvParams,
@@ -132,24 +255,20 @@ def make_kernel(functions: KernelFunctions) -> Any:
         chosen: Integers,
     ) -> int:
         faults = 0
-        dt = params.timing.dt
-        physics = Physics(params.assumed, params.stiffness, sensor_scratch, dt)
         for i in chosen:
-            if parcels.outcome[i] == st.STARTING:
+            begins = parcels.outcome[i] == st.STARTING
+            if not begins and parcels.outcome[i] != st.RUNNING:
+                continue
+            begin_period(parcels, i)
+            if begins:
                 straighten(params.acting, surfaces, i)
                 parcels.clock[i] = 0.0
                 parcels.steps[i] = 0
-            elif parcels.outcome[i] != st.RUNNING:
-                continue
-            parcels.fault[i] = st.NO_FAULT
-            parcels.period[i] = 0.0
-            parcels.on_rotors[i] = True
-            parcels.on_surface[i] = True
-            state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
-            mirror = task_mirror(state)
-            if parcels.outcome[i] == st.STARTING:
                 parcels.outcome[i] = st.RUNNING
                 parcels.reward[i] = 0.0
+            state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
+            mirror = task_mirror(state)
+            if begins:
                 for k in range(state.terms.shape[0]):
                     state.terms[k] = 0.0
                 st.read_truth(state)
@@ -157,44 +276,8 @@ def make_kernel(functions: KernelFunctions) -> Any:
                 task_begin(state)
             else:
                 obey_command(params, surfaces, state, i, mirror)
-                row = parcels.body[i]
-                grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)
-                body = st.read_body(bodies, row)
-                start = parcels.clock[i]
-                invalidate_contacts(scratch)
-                invalidate_contacts(sensor_scratch)
-                for _ in range(params.timing.steps):
-                    if turns and turn(params.acting, surfaces, i, state.zone):
-                        invalidate_contacts(scratch)
-                        invalidate_contacts(sensor_scratch)
-                    report, contacts = step_implicit(grid, body, state.com, scratch, dt)
-                    on_surface = report < OFF_SURFACE
-                    parcels.on_surface[i] = on_surface
-                    if on_surface:
-                        parcels.clock[i] += dt
-                        parcels.steps[i] += 1
-                        parcels.period[i] = parcels.clock[i] - start
-                        parcels.on_rotors[i] = contacts.total > contacts.supports
-                    state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
-                    if not on_surface:
-                        break
-                    if watches:
-                        st.read_truth(state)
-                        sensor_update(params.sensor, state, physics)
-                    if task_is_done(state):
-                        break
-                st.read_truth(state)
-                outcome = task_outcome(state)
-                task_reward(state, outcome)
-                parcels.outcome[i] = outcome
-                reward = 0.0
-                for k in range(state.terms.shape[0]):
-                    reward += state.terms[k]
-                parcels.reward[i] = reward
-                if not math.isfinite(reward):
-                    parcels.fault[i] = st.BAD_REWARD
-                if not 0 <= outcome < params.outcomes or outcome == st.OUT_OF_TIME:
-                    parcels.fault[i] = st.UNKNOWN_OUTCOME
+                state = run(params, surfaces, parcels, bodies, scratch, sensor_scratch, i)
+                end(params, parcels, state, i)
             sensor_read(params.sensor, state)
             task_observe(state)
             show_more(params, state, mirror)

@@ -1,13 +1,20 @@
 """The base class of sensors, the sensor of exact motion, and the estimate at entry."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine
 from surface_gym.physics.types import Array, Scratch
 from surface_gym.state import EnvState
+from surface_gym.tasks.features import Feature
+
+Singles = NDArray[np.float32]
 
 LEARNED = 3  # constants a sensor may learn: the factor of mu_max [-], x and y of the load [m]
 
@@ -21,19 +28,41 @@ class Physics(NamedTuple):
     dt: float  # [s] physics step
 
 
+class Group(NamedTuple):
+    """A group of features that the argument `observe` shows together."""
+
+    features: tuple[Feature, ...]
+    # the kernel function `show(numbers, state, see, mirror)`, which writes them into `see`
+    show: Callable[..., None]
+
+
+LOAD_FEATURES = (
+    Feature("friction learned", -100.0, 100.0, "factor of mu_max - 1, over what it was known to"),
+    Feature("load learned, x", -100.0, 100.0, "in the base, over what it was known to"),
+    Feature("load learned, y", -100.0, 100.0, "in the base, over what it was known to"),
+    Feature("doubt of friction", 0.0, 1.0, "share that is left of what was unknown"),
+    Feature("doubt of load, x", 0.0, 1.0, "share that is left of what was unknown"),
+    Feature("doubt of load, y", 0.0, 1.0, "share that is left of what was unknown"),
+)
+
+
 @dataclass(frozen=True)
 class Sensor:
     """The base class of sensors, which report the motion of the parcel to a controller.
 
     A sensor is one class. Its fields are its parameters. Its static methods are `kernel_function`s,
-    compiled into every batch that uses it, and write `state.sensed`, which is all that a task
-    observes. They get the parameters as the array that `numbers` makes of them:
+    compiled into every batch that uses it, and write `state.sensed`, which a task observes. They
+    get the parameters as the array that `numbers` makes of them:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
     - `update(numbers, state, physics)`, after every physics step, where the sensor `watches`.
-    - `learned(numbers, state, first, mirror)`, where `observe` asks for "load": write LEARNED
-      estimates and then LEARNED doubts into `state.observation` from `first` on.
     - `read(numbers, state)`, when a controller asks: write pose and velocity into `state.sensed`.
+
+    A sensor may report other quantities. `groups` gives their features, which `observe` shows by
+    the name of a group, and the function that writes them, after `read`:
+
+    - `show(numbers, state, see, mirror)`: write the group's features into `see`. `mirror` is -1
+      where the task shows a mirror image of y, else 1.
 
     Before each, `state.truth` holds the true pose and velocity of the base's centroid. Noise comes
     from `state.noise`, a row at a time, of which `state.noise_row[0]` is the next.
@@ -57,6 +86,11 @@ class Sensor:
         """Return the scales of what it learns, of friction [-] and of the load [m]; 0: nothing."""
         return 0.0, 0.0
 
+    @property
+    def groups(self) -> Mapping[str, Group]:
+        """Return the groups of quantities beyond pose and velocity, by name."""
+        return {"load": Group(LOAD_FEATURES, self.show_load)}
+
     def friction(self, line: BaseLine) -> Array:
         """Return the friction (rows, columns, 3) [-] that `update` may predict by."""
         return line.friction
@@ -73,11 +107,11 @@ class Sensor:
 
     @staticmethod
     @kernel_function
-    def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
-        """Write that nothing was learned: nominal values, and full doubt."""
+    def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
+        """Write that nothing was learned, as `LOAD_FEATURES`: nominal values, and full doubt."""
         for k in range(LEARNED):
-            state.observation[first + k] = 0.0
-            state.observation[first + LEARNED + k] = 1.0
+            see[k] = 0.0
+            see[LEARNED + k] = 1.0
 
 
 ENTRY_ROWS = 2  # of noise that a start uses

@@ -7,7 +7,7 @@ from surface_gym import checks
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import Array
 from surface_gym.sensors import kalman
-from surface_gym.sensors.base import LEARNED, Entry, Physics
+from surface_gym.sensors.base import LEARNED, Entry, Physics, Singles
 from surface_gym.state import EnvState
 
 FRAMES = 16  # that can be under way at a time
@@ -226,15 +226,15 @@ class AdaptiveCamera(Camera):
 
     @staticmethod
     @kernel_function
-    def learned(numbers: Array, state: EnvState, first: int, mirror: float) -> None:
-        """Write what was learned, and the share of the doubt that is left."""
-        estimate, see = state.sensor_state, state.observation
+    def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
+        """Write what was learned, and the share of the doubt that remains, as `LOAD_FEATURES`."""
+        estimate = state.sensor_state
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
             apart = estimate[kalman.CONSTANT + j] - (1.0 if j == 0 else 0.0)
-            see[first + j] = (mirror if j == 2 else 1.0) * apart / spread
-            left = max(0.0, estimate[kalman.DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
-            see[first + LEARNED + j] = min(1.0, left)
+            see[j] = (mirror if j == 2 else 1.0) * apart / spread
+            doubt = max(0.0, estimate[kalman.DOUBT + (LEARNED + 1) * j]) ** 0.5 / spread
+            see[LEARNED + j] = min(1.0, doubt)
 
 
 @kernel_function

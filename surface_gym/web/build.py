@@ -43,13 +43,12 @@ def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
         has_camera: whether a camera senses the parcels; otherwise sensors are exact.
     """
     from surface_gym.config import EnvConfig
-    from surface_gym.core.actions import GROUPS
     from surface_gym.sensors import Camera, Exact
 
     config = EnvConfig(task, sensors=Camera() if has_camera else Exact())
     if config.task.is_stream:
         return config
-    return config.replace(observe=tuple(GROUPS))
+    return config.replace(observe=tuple(config.groups))
 
 
 def write_task(task: str, folder: Path, own: Any = None) -> str:
