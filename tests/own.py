@@ -197,3 +197,22 @@ class Nonsense(Guess):
     def read(numbers: own.Array, state: EnvState) -> None:
         for k in range(6):
             state.sensed[k] = math.nan
+
+
+@dataclass(frozen=True)
+class Grouped(own.Exact):
+    """Reports groups as they are given."""
+
+    given: Any = None
+
+    @property
+    def groups(self) -> Any:
+        return self.given
+
+    @staticmethod
+    @kernel_function
+    def show(numbers: own.Array, state: EnvState, see: own.Singles, mirror: float) -> None:
+        see[0], see[1] = 1.0, mirror
+
+
+TWO = own.Group((own.Feature("one", 0.0, 1.0), own.Feature("other", -1.0, 1.0)), Grouped.show)

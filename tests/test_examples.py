@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
 from surface_gym.agents.library import find_task
+from surface_gym.extend import GYRATION, MASS
 from surface_gym.tasks import Sort
 from tests.environments import played_out
 
@@ -32,7 +33,9 @@ def test_the_page_shows_it_as_it_is(file):
     assert f"```python\n{file.read_text()}```" in (ROOT / "docs" / "extending.md").read_text()
 
 
-@pytest.mark.parametrize(("example", "lines"), [("reach", 120), ("haste", 20), ("even", 250)])
+@pytest.mark.parametrize(
+    ("example", "lines"), [("reach", 120), ("haste", 20), ("even", 250), ("scales", 80)]
+)
 def test_it_is_short(example, lines):
     assert len((ROOT / "examples" / f"{example}.py").read_text().splitlines()) <= lines
 
@@ -101,13 +104,40 @@ def test_haste_rewards_early_success():
     assert rewards == [0.0] * (len(rewards) - 1) + [pytest.approx(1.0 + 0.5 / info["time"])]
 
 
-class TestRuled:
-    def test_its_docstring_runs(self):
-        names = run_example("ruled")
-        text = doctest.DocTestParser().get_doctest(names["__doc__"], names, "ruled", None, 0)
-        assert len(text.examples) > 2
-        assert doctest.DocTestRunner().run(text).failed == 0
+@pytest.mark.parametrize("example", ["ruled", "scales"])
+def test_its_docstring_runs(example):
+    names = run_example(example)
+    text = doctest.DocTestParser().get_doctest(names["__doc__"], names, example, None, 0)
+    assert len(text.examples) > 2
+    assert doctest.DocTestRunner().run(text).failed == 0
 
+
+class TestScales:
+    def test_they_show_what_they_weighed_once_beside_all_else(self):
+        """Pose and velocity are those of an exact sensor."""
+        scales = run_example("scales")["Scales"](error=0.5)
+        observe = ("parcel", "weight")
+        env = sg.SmartSurfaceEnv("sort", sensors=scales, observe=observe, actions="halves")
+        exact = sg.SmartSurfaceEnv("sort", observe=("parcel",), actions="halves")
+        weighed = set()
+        for seed in range(6):
+            shown, _ = env.reset(seed=seed)
+            body, mass = env.batch.view(0).body, 10.0 * float(shown[-2])
+            weighed.add(mass - body[MASS])
+            assert shown[-1] == pytest.approx(mass * body[GYRATION], rel=1e-5)
+            np.testing.assert_array_equal(shown[:-2], exact.reset(seed=seed)[0])
+            shown, _, _, _, _ = env.step(3)
+            assert 10.0 * float(shown[-2]) == mass
+            np.testing.assert_array_equal(shown[:-2], exact.step(3)[0])
+        assert len(weighed) == 6
+        assert 0.1 < np.std(list(weighed)) < 1.0
+
+    def test_only_their_environment_offers_the_group(self):
+        with pytest.raises(ValueError, match="observe must be one of 'parcel', 'rotors', 'load'"):
+            sg.SmartSurfaceEnv("sort", observe=("weight",))
+
+
+class TestRuled:
     def test_it_sees_the_nearest_line_and_the_mean_velocity_since(self):
         ruled = run_example("ruled")["Ruled"](line=0.02, turn=0.05)
         env = sg.SmartSurfaceEnv("sort", sensors=ruled)

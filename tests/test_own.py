@@ -121,6 +121,24 @@ class TestFaults:
         with pytest.raises(ValueError, match="with Nonsense, must write finite features"):
             env.reset(seed=0)
 
+    @pytest.mark.parametrize(
+        ("groups", "message"),
+        [
+            ({"rotors": own.TWO}, "Grouped.groups must have names of their own, got 'rotors'"),
+            ({"own": (own.TWO,)}, r"Grouped.groups\['own'\] must be a Group, got"),
+            ({"own": own.TWO._replace(show=len)}, "Grouped.groups must show by kernel functions"),
+        ],
+    )
+    def test_groups_of_a_sensor_that_cannot_be_shown(self, groups, message):
+        with pytest.raises(ValueError, match=message):
+            sg.SmartSurfaceEnv("sort", sensors=own.Grouped(groups), observe=("own",))
+
+    def test_a_sensor_that_writes_more_features_than_it_names(self):
+        one = {"own": own.TWO._replace(features=own.TWO.features[:1])}
+        env = sg.SmartSurfaceEnv("sort", sensors=own.Grouped(one), observe=("own",))
+        with pytest.raises(ValueError, match="must keep within their arrays"):
+            env.reset(seed=0)
+
     def test_a_class_or_another_object_is_no_task(self):
         for task in (own.Cross, object(), None):
             with pytest.raises(ValueError, match="task must be one of sort"):
