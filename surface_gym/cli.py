@@ -73,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from surface_gym import __version__
 
         print(f"{NAME} {__version__}")
+    elif not given:
+        parser.print_help()
     else:
         run_command(parser.parse_args(given[:1]).command, given[1:])
 

@@ -1,8 +1,10 @@
 """`surface-gym`, the one command of the package, and `python -m` of its parts."""
 
+import runpy
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,11 +43,16 @@ def test_every_command_has_help_that_names_it(name, capsys):
         "-m surface_gym.paper", "-m surface_gym.play", "-m surface_gym.validation", "-m benchmarks",
     ],
 )  # fmt: skip
-def test_a_usage_line_names_the_command_that_was_typed(typed):
-    done = subprocess.run(
-        [sys.executable, *typed.split(), "--help"], capture_output=True, text=True, cwd=ROOT
-    )
-    assert f"usage: python {typed} [" in " ".join(done.stdout.split()), done.stderr
+def test_a_usage_line_names_the_command_that_was_typed(typed, capsys, monkeypatch):
+    program, *arguments = typed.removeprefix("-m ").split()
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(sys, "argv", [program, *arguments, "--help"])
+    monkeypatch.delitem(sys.modules, program, raising=False)  # as in a process of its own
+    by_name = partial(runpy.run_module, alter_sys=True)
+    run = by_name if typed.startswith("-m ") else runpy.run_path
+    with pytest.raises(SystemExit):
+        run(program, run_name="__main__")
+    assert f"usage: python {typed} [" in " ".join(capsys.readouterr().out.split())
 
 
 # What comes with the extra `agents` and not with `tools`.
@@ -70,29 +77,32 @@ def test_design_answers_without_torch(tmp_path):
     assert (tmp_path / "columns.png").is_file(), done.stderr
 
 
-@pytest.mark.parametrize("name", ["design", "paper", "play"])
-def test_no_module_of_a_tool_needs_torch(name):
+def test_no_module_of_a_tool_needs_torch():
+    tools = ["design", "paper", "play"]
     program = (
-        f"{WITHOUT}top = importlib.import_module('surface_gym.{name}')\n"
-        "for each in pkgutil.walk_packages(getattr(top, '__path__', []), top.__name__ + '.'):\n"
-        "    importlib.import_module(each.name)\n"
-        f"main(['{name}', '--help'])"
+        f"{WITHOUT}for tool in {tools}:\n"
+        "    top = importlib.import_module('surface_gym.' + tool)\n"
+        "    for each in pkgutil.walk_packages(getattr(top, '__path__', []), top.__name__ + '.'):\n"
+        "        importlib.import_module(each.name)\n"
+        "    try: main([tool, '--help'])\n"
+        "    except SystemExit: pass\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert f"usage: surface-gym {name} [" in done.stdout, done.stderr
+    assert all(f"usage: surface-gym {tool} [" in done.stdout for tool in tools), done.stderr
 
 
 def test_help_lists_all_commands_and_there_is_a_version(capsys):
     assert ended("--help") == 0
     printed = capsys.readouterr().out
     assert all(f"\n  {name} " in printed for name in COMMANDS)
+    main([])
+    assert capsys.readouterr().out == printed
     main(["--version"])
     assert capsys.readouterr().out == f"surface-gym {__version__}\n"
 
 
-@pytest.mark.parametrize("arguments", [[], ["juggle"]])
-def test_another_command_is_refused(arguments, capsys):
-    assert ended(*arguments) == 2
+def test_another_command_is_refused(capsys):
+    assert ended("juggle") == 2
     assert "COMMAND" in capsys.readouterr().err
 
 
@@ -105,20 +115,26 @@ def test_a_command_gets_its_own_arguments(monkeypatch):
     assert sys.argv == before
 
 
-@pytest.mark.parametrize(("name", "library"), MISSING)
-def test_a_missing_library_is_reported_in_one_line(name, library, tmp_path):
+def test_a_missing_library_is_reported_in_one_line(tmp_path):
     program = (
-        f"import runpy, sys; sys.modules[{library!r}] = None; sys.argv = ['it', '--figures', 'f']; "
-        f"runpy.run_module('surface_gym.{name}', run_name='__main__')"
+        f"import runpy, sys\nfor name, library in {MISSING}:\n"
+        "    for each in list(sys.modules):\n"
+        "        if each.startswith(f'surface_gym.{name}'): del sys.modules[each]\n"
+        "    there, sys.modules[library] = sys.modules.get(library), None\n"
+        "    sys.argv = ['it', '--figures', 'f']\n"
+        "    try: runpy.run_module(f'surface_gym.{name}', run_name='__main__')\n"
+        "    except SystemExit as end: print(end.code)\n"
+        "    if there is None: del sys.modules[library]\n"
+        "    else: sys.modules[library] = there\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path
     )
-    assert done.returncode == 1
-    assert done.stderr == (
+    assert done.stdout.splitlines() == [
         f"error: surface-gym {name} needs {library}, which is not installed: "
-        f"pip install 'surface_gym[{COMMANDS[name].extra}]'\n"
-    )
+        f"pip install 'surface_gym[{COMMANDS[name].extra}]'"
+        for name, library in MISSING
+    ], done.stderr
 
 
 def test_another_missing_module_is_an_error(monkeypatch):
