@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, files
-from surface_gym.packing import Reader, pack
 from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
@@ -257,14 +256,14 @@ class Recording:
         """Encode the recording as bytes, in the format of its file and of pages."""
         motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
         tables = [
-            pack("time", self.time[:, np.newaxis], TIME),
-            pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
-            pack("first_contact", np.diff(self.first_contact)[:, np.newaxis], (1.0,)),
-            pack("bearer", self.bearer[:, np.newaxis], BEARER),
-            pack("contacts", self.contacts, CONTACT),
-            pack("first_push", np.diff(self.first_push)[:, np.newaxis], (1.0,)),
-            pack("pushes", self.pushes, PUSH),
-            pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
+            _pack("time", self.time[:, np.newaxis], TIME),
+            _pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
+            _pack("first_contact", np.diff(self.first_contact)[:, np.newaxis], (1.0,)),
+            _pack("bearer", self.bearer[:, np.newaxis], BEARER),
+            _pack("contacts", self.contacts, CONTACT),
+            _pack("first_push", np.diff(self.first_push)[:, np.newaxis], (1.0,)),
+            _pack("pushes", self.pushes, PUSH),
+            _pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
         ]
         turned = np.diff(self.axis.reshape(len(self), -1), axis=0, prepend=np.uint8(0))
         metrics = np.array([*self.metrics.values()], dtype="<f4")
@@ -360,6 +359,53 @@ def _firsts(counts: Array) -> Integers:
     return np.append(0, np.cumsum(counts)).astype(np.int64)
 
 
+def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
+    """Return the rounded second differences of a table (rows, columns) as bytes.
+
+    Differences are folded to positive numbers. The first bytes of all numbers come first, then
+    all second bytes, and so on, which compresses well.
+    """
+    counts = np.rint(values / np.array(units))
+    if counts.size and np.abs(counts).max() >= 2**31:
+        raise ValueError(f"{name} must be less than {2**31} units of {units} to be saved")
+    change = np.diff(counts.astype(np.int64), n=2, axis=0, prepend=np.zeros((2, len(units))))
+    change = change.astype(np.int64)
+    folded = ((change << 1) ^ (change >> 63)).T.astype("<u8").reshape(-1, 1)
+    planes: bytes = folded.view(np.uint8)[:, :5].T.tobytes()
+    return planes
+
+
+def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
+    """Compute the table (rows, columns) whose bytes `_pack` returned."""
+    padded = np.zeros((planes.size // 5, 8), dtype=np.uint8)
+    padded[:, :5] = planes.reshape(5, -1).T
+    folded = padded.view("<u8").astype(np.int64).reshape(len(units), -1).T
+    change = (folded >> 1) ^ -(folded & 1)
+    return np.cumsum(np.cumsum(change, axis=0), axis=0) * np.array(units)
+
+
+class _Reader:
+    """Bytes of a recording, taken one part after the other."""
+
+    def __init__(self, content: bytes) -> None:
+        self._remaining = memoryview(content)
+
+    def take(self, size: int) -> NDArray[np.uint8]:
+        if not 0 <= size <= len(self._remaining):
+            raise ValueError(f"it must hold {size} bytes more, got {len(self._remaining)}")
+        part, self._remaining = self._remaining[:size], self._remaining[size:]
+        return np.frombuffer(part, dtype=np.uint8)
+
+    def table(self, rows: int, units: tuple[float, ...]) -> Array:
+        if rows == 0 or not units:
+            return np.zeros((rows, len(units)))
+        return _unpack(self.take(5 * rows * len(units)), units)
+
+    def check_end(self) -> None:
+        if len(self._remaining):
+            raise ValueError(f"it must end, got {len(self._remaining)} bytes more")
+
+
 def _decode(packed: bytes) -> Recording:
     unpacker, most = zlib.decompressobj(), min(MOST_BYTES, files.most_unpacked(len(packed)))
     content = unpacker.decompress(packed, most)
@@ -367,7 +413,7 @@ def _decode(packed: bytes) -> Recording:
         raise ValueError(f"it must unpack to at most {most} bytes, got more")
     if not unpacker.eof:
         raise ValueError("it is cut short")
-    reader = Reader(content)
+    reader = _Reader(content)
     size = int.from_bytes(reader.take(4).tobytes(), "little")
     if size > MOST_HEADER:
         raise ValueError(f"its header must have at most {MOST_HEADER} bytes, got {size}")

@@ -9,10 +9,16 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import Case, Slow, Sort, Stop, Turn, Unknown
-from surface_gym.design.arrangement import Arrangement, arrange
 from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER
 from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
-from surface_gym.design.limits import friction_range, least_speed, least_tilt, span_around
+from surface_gym.design.limits import (
+    Arrangement,
+    arrange,
+    friction_range,
+    least_speed,
+    least_tilt,
+    span_around,
+)
 from surface_gym.paper.runs import SlowingLayout, load_targets
 from surface_gym.physics.types import GRAVITY
 

@@ -209,7 +209,7 @@ function sum(values) {
   return values.reduce((total, value) => total + value, 0);
 }
 
-/** Compute a table's columns from their bytes: what `pack` in packing.py wrote. */
+/** Compute a table's columns from their bytes: what `_pack` in recording.py wrote. */
 function unpack(planes, units) {
   const count = planes.length / 5;
   const rows = count / (units.length || 1);
