@@ -1,55 +1,102 @@
-"""Tasks and trained policies by name: the package's, and a user's own.
+"""Tasks, learning algorithms and trained policies by name: the package's, and a user's own.
 
-Reading a policy runs no code from its files. Nothing here imports PyTorch until a policy is loaded.
+A policy on disk is a safetensors file of weights and a YAML card. Reading a policy runs no code
+from its files. Nothing here imports PyTorch until a policy is loaded.
 """
 
 import hashlib
 import importlib.util
+import json
 import sys
-from dataclasses import dataclass
-from importlib import import_module
+from abc import ABC
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import yaml
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS
-from surface_gym.files import read_bytes
-from surface_gym.registration import FLOW, FLOW_TASK, ON_SLOPES, PERIODS, env_id
-from surface_gym.tasks import TASKS, Task
+from surface_gym.files import DAMAGE, describe_damage, read_bytes, replacing
+from surface_gym.registration import TASKS, env_id
+from surface_gym.registry import Registry
+from surface_gym.tasks.base import Task
 
-from .yaml_file import YAML
-
-if TYPE_CHECKING:
-    from .policy import AnyPolicy
+from .base import BatchController
+from .yaml_file import YAML, parse_yaml
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.safetensors"
 OLD_WEIGHTS = "policy.pt"  # of policies that were written before
+ZIP = b"PK"  # begins these
+POLICY = 2**27  # [bytes] of weights: the largest here has 0.2 million
 CARD = "policy.yaml"
-ALGOS = ("ppo", "dqn", "modules", "schedule", "parcels", "local")
+DIGEST = "digest"  # field of the card: of its other fields and the weights
+OWN = "Own/"  # before the name of a user's task or algorithm, whose file no card names
 QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
-MOST_PARCELS = 12  # on a slope at once, for a policy of parcels or modules
 MOST_LAYERS = 16  # of a network
-HEADS = 4  # of attention, of a policy of parcels
-OWN = "Own/"  # before the class of a user's task, in place of an id
-_NAMES = {env_id(name): name for name in PERIODS}
+
+Weights = Mapping[str, Any]  # arrays of a policy by name
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """A learning algorithm: how its runs are configured and train, and what its policies need."""
+
+    label: str  # in tables
+    config: type[Any]  # options of a run: a `TrainConfig` of agents.learning.config
+    # called with the options, the run's folder and `on_progress`; returns a `TrainResult` of
+    # agents.learning.runs, and leaves a policy in the folder by `save_policy`
+    train: Callable[..., Any]
+    # called with a policy's card, its weights and the configuration of its environment
+    build: Callable[..., "TrainedPolicy"]
+    actions: tuple[str, ...]  # kinds of action that it learns
+    serves: Callable[[Task], bool] = lambda task: not task.is_stream  # whether it learns a task
+    served: str = "one of a single parcel"  # such tasks in words
+    # arguments of its environments beside task, actions, control period and observed groups
+    env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def check(self, task: Task, actions: str) -> None:
+        """Raise a ValueError unless it learns a task by this kind of action."""
+        if not self.serves(task):
+            raise ValueError(f"task must be {self.served} for {self.label}, got {task.name!r}")
+        checks.one_of(f"actions for {self.label}", actions, self.actions)
+
+
+ALGORITHMS: Registry[Algorithm] = Registry("algo", "surface_gym.agents.learning.algorithms")
+_NAMED: list[str] = []  # algorithms that a user has named by their files, in this process
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """Find the algorithm of a name; a file in the name is run, and its algorithm registered."""
+    if ":" not in name:
+        return ALGORITHMS.find(name)
+    found = _find_in_file("algo", name, lambda value: isinstance(value, Algorithm), "an Algorithm")
+    if name not in _NAMED:
+        _NAMED.append(name)
+    registered: Algorithm = ALGORITHMS.register(card_algo(name), found)
+    return registered
+
+
+def is_known(algo: str) -> bool:
+    """Return whether an algorithm is registered, or a user has named it by its file before."""
+    return algo in ALGORITHMS or algo in _NAMED
 
 
 def find_task(name: str) -> Task:
     """Make the task of a name; a file in the name is run."""
     if name in TASKS:
         return TASKS[name]()
-    file, colon, kind = name.rpartition(":")
-    if not colon or not file.endswith(".py"):
-        raise ValueError(
-            f"task must be one of {', '.join(TASKS)}, or your own as path/to/file.py:Class, "
-            f"got {name!r}"
-        )
-    found = getattr(_load_module(Path(file)), kind, None)
-    if not (isinstance(found, type) and issubclass(found, Task)):
-        raise ValueError(f"task must be a class of {file} that inherits from Task, got {kind!r}")
-    return found()
+
+    def is_task(value: Any) -> bool:
+        return isinstance(value, type) and issubclass(value, Task)
+
+    task: Task = _find_in_file("task", name, is_task, "a class that inherits from Task")()
+    return task
 
 
 def task_kind(name: str) -> str:
@@ -58,24 +105,46 @@ def task_kind(name: str) -> str:
 
 
 def task_label(name: str) -> str:
-    """Shorten a task's name for tables and names of files."""
+    """Shorten a task's or an algorithm's name for tables and names of files."""
     return name.rpartition(":")[2].lower()
 
 
 def card_env_id(name: str) -> str:
     """Name the environment of a task for a policy's card: its id, or "Own/Class"."""
-    return env_id(name) if name in PERIODS else OWN + name.rpartition(":")[2]
+    return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
-def task_files(name: str | None) -> tuple[Path, ...]:
-    """List the file of a user's own task, which other machines need; none for the package's."""
-    return (Path(name.rpartition(":")[0]),) if name is not None and ":" in name else ()
+def card_algo(name: str) -> str:
+    """Name an algorithm for a policy's card: as it is registered, or "Own/NAME"."""
+    return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
-def _load_module(file: Path) -> Any:
+def task_files(*names: str | None) -> tuple[Path, ...]:
+    """List the files of a user's own tasks and algorithms, which other machines need."""
+    return tuple(
+        Path(name.rpartition(":")[0]) for name in names if name is not None and ":" in name
+    )
+
+
+def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
+    """Run the file in a name like path/to/file.py:Name and return what it calls Name."""
+    file, colon, called = name.rpartition(":")
+    if not colon or not file.endswith(".py"):
+        known = TASKS if kind == "task" else ALGORITHMS
+        raise ValueError(
+            f"{kind} must be one of {', '.join(known)}, or your own as path/to/file.py:Name, "
+            f"got {name!r}"
+        )
+    found = getattr(_load_module(kind, Path(file)), called, None)
+    if not fits(found):
+        raise ValueError(f"{kind} must be {wanted} in {file}, got {called!r}")
+    return found
+
+
+def _load_module(kind: str, file: Path) -> Any:
     """Run a file's module, once in a process."""
     if not file.is_file():
-        raise ValueError(f"task must be in a file that exists, got {file}")
+        raise ValueError(f"{kind} must be in a file that exists, got {file}")
     place = str(file.resolve())
     name = f"_own_{file.stem}_{hashlib.sha256(place.encode()).hexdigest()[:8]}"
     if name not in sys.modules:
@@ -88,12 +157,9 @@ def _load_module(file: Path) -> Any:
         except Exception as error:
             del sys.modules[name]
             raise ValueError(
-                f"task must be in a file that runs, got {file}: {type(error).__name__}: {error}"
+                f"{kind} must be in a file that runs, got {file}: {type(error).__name__}: {error}"
             ) from error
     return sys.modules[name]
-
-
-POLICY = 2**27  # [bytes] of weights: the largest here has 0.2 million
 
 
 @dataclass(frozen=True)
@@ -101,7 +167,7 @@ class PolicyCard:
     """The environment and the network that a policy's weights are for."""
 
     env_id: str  # of the package, or "Own/Class" for a user's task
-    algo: str  # "ppo", "dqn"; PPO per "modules", "parcels" or "local" module; on a "schedule"
+    algo: str  # name of the algorithm, or "Own/NAME" for a user's
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
@@ -109,49 +175,34 @@ class PolicyCard:
 
     def __post_init__(self) -> None:
         if not str(self.env_id).startswith(OWN):
-            checks.one_of("env_id", self.env_id, _NAMES)
-        checks.one_of("algo", self.algo, ALGOS)
+            checks.one_of("env_id", self.env_id, [env_id(name) for name in TASKS])
+        ALGORITHMS.find(self.algo)
         checks.positive("control_period", self.control_period)
         for units in self.hidden:
             checks.integer("hidden", units, least=1)
         if not 1 <= len(self.hidden) <= MOST_LAYERS:
             raise ValueError(f"hidden must be 1 to {MOST_LAYERS} layers, got {len(self.hidden)}")
-        if self.algo == "modules":
-            checks.one_of("env_id", self.env_id, (env_id("sort"),))
-            checks.one_of("actions", self.actions, ("modules",))
         checks.some_of("observe", self.observe, tuple(GROUPS))
-        slopes = tuple(map(env_id, ON_SLOPES))
-        for algos, ids in ((("schedule",), (FLOW,)), (("parcels", "local"), slopes)):
-            if (self.algo in algos) != (self.env_id in ids):
-                raise ValueError(
-                    f"algo must be {' or '.join(map(repr, algos))} for {', '.join(ids)} alone, "
-                    f"got {self.algo!r}"
-                )
-            if self.algo in algos:
-                only = "modules" if self.algo == "local" else "parcels"
-                checks.one_of("actions", self.actions, (only,))
-        if self.algo == "parcels":
-            check_heads(self.hidden)
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Arguments of the environment the policy was trained on."""
-        of_schedule = self.algo == "schedule"
-        more: dict[str, Any] = {"gate": True, "queue": QUEUE} if of_schedule else {}
-        if self.algo in ("parcels", "local"):
-            more["max_parcels"] = MOST_PARCELS
-        if self.observe:
-            more["observe"] = self.observe
-        return {"actions": self.actions, "control_period": self.control_period, **more}
+        more = {"observe": self.observe} if self.observe else {}
+        own = {"actions": self.actions, "control_period": self.control_period}
+        return {**own, **ALGORITHMS.find(self.algo).env_kwargs, **more}
 
     @property
     def task(self) -> str:
-        """The name of the package's task, or of the class of a user's task."""
-        return _NAMES.get(self.env_id, self.env_id.removeprefix(OWN))
+        """The task's name; the class of a user's task."""
+        known = {env_id(name): name for name in TASKS}
+        return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
     def env_config(self, task: Task | None = None) -> EnvConfig:
-        if self.task == FLOW_TASK or self.task in ON_SLOPES:
-            raise ValueError(f"env_id must be that of single parcels, got {self.env_id!r}")
+        """Configure the policy's environment.
+
+        Args:
+            task: the user's own, if the policy was trained on one.
+        """
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:
             raise ValueError(
@@ -161,10 +212,21 @@ class PolicyCard:
         return EnvConfig(task=task if own and task is not None else self.task, **self.env_kwargs)
 
 
-def check_heads(hidden: tuple[int, ...]) -> None:
-    """Raise a ValueError unless heads of attention can share the one number of units."""
-    if len(hidden) != 1 or hidden[0] % HEADS:
-        raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
+class TrainedPolicy(BatchController, ABC):
+    """A trained policy, with the environment that it was trained in.
+
+    Args:
+        card: of the policy.
+        config: of its environment.
+    """
+
+    def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
+        self.card = card
+        self.env_id = card.env_id
+        own = {"task": config.task} if card.env_id.startswith(OWN) else {}
+        self.env_kwargs = {**own, **card.env_kwargs}
+        features = len(config.features)
+        self._shape = (None, features) if config.task.is_stream else (features,)
 
 
 @dataclass(frozen=True)
@@ -174,6 +236,8 @@ class PolicyFiles:
     folder: Path
     weights: bytes
     card: bytes
+    # Algorithms that a user has named by their files, for other processes.
+    algorithms: tuple[str, ...] = field(default_factory=lambda: tuple(_NAMED))
 
 
 def read_files(folder: Path) -> PolicyFiles:
@@ -187,7 +251,56 @@ def read_files(folder: Path) -> PolicyFiles:
             raise ValueError(f"{folder} holds no policy: {name} is missing") from None
         except ValueError as error:
             raise ValueError(f"{folder} holds no policy: {name}: {error}") from None
-    return PolicyFiles(folder, *found)
+    weights, card = found
+    return PolicyFiles(folder, weights, card)
+
+
+def save_policy(weights: Weights, card: PolicyCard, folder: Path) -> None:
+    """Write weights and card into a folder, each whole or not at all."""
+    from safetensors.numpy import save
+
+    content = save({name: np.ascontiguousarray(value) for name, value in weights.items()})
+    with replacing(folder / WEIGHTS) as part:
+        part.write_bytes(content)
+    fields = {**asdict(card), "hidden": list(card.hidden), "observe": list(card.observe)}
+    fields[DIGEST] = _digest(fields, content)
+    with replacing(folder / CARD) as part:
+        part.write_text(yaml.safe_dump(fields, sort_keys=False))
+
+
+def read_card(files: PolicyFiles) -> PolicyCard:
+    """Decode the card of a policy.
+
+    Raises:
+        ValueError: card or weights are not as they were written, or foreign.
+    """
+    fields = parse_yaml(files.card.decode())
+    if fields.pop(DIGEST) != _digest(fields, files.weights):
+        raise ValueError(f"{WEIGHTS} or {CARD} is not as it was written: its digest differs")
+    for name in {"hidden", "observe"} & fields.keys():
+        fields[name] = tuple(fields[name])
+    return PolicyCard(**fields)
+
+
+def read_weights(files: PolicyFiles) -> dict[str, Any]:
+    """Decode the weights of a policy: safetensors, or before an archive of PyTorch's."""
+    if files.weights.startswith(ZIP):
+        from io import BytesIO
+
+        from .tensors import load_tensors
+
+        return {name: each.numpy() for name, each in load_tensors(BytesIO(files.weights)).items()}
+    from safetensors import SafetensorError
+    from safetensors.numpy import load as decode
+
+    try:
+        return decode(files.weights)
+    except SafetensorError as error:
+        raise ValueError(f"{WEIGHTS}: {error}") from None
+
+
+def _digest(fields: dict[str, Any], weights: bytes) -> str:
+    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode() + weights).hexdigest()
 
 
 def names() -> tuple[str, ...]:
@@ -206,7 +319,7 @@ def load(
     seed: int | None = None,
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
-) -> "AnyPolicy":
+) -> TrainedPolicy:
     """Load a shipped policy, with `predict`, `env_id` and `env_kwargs`.
 
     Args:
@@ -224,7 +337,7 @@ def load(
     return from_files(read_files(SHELF / name / f"seed-{chosen}"), None, config, most_touches)
 
 
-def read(folder: str | Path, task: Task | None = None) -> "AnyPolicy":
+def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
     """Read the policy that a run of any algorithm left in a folder.
 
     Raises:
@@ -238,15 +351,25 @@ def from_files(
     task: Task | None = None,
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
-) -> "AnyPolicy":
+) -> TrainedPolicy:
     """Build a policy from the content of its files, wherever they were read; see `read` and
     `load`.
     """
-    try:  # only now: it imports PyTorch
-        policy: Any = import_module(".policy", __package__)
+    given = {"config": config, "most_touches": most_touches or None}
+    options = {name: value for name, value in given.items() if value is not None}
+    for name in files.algorithms:
+        find_algorithm(name)
+    try:
+        card = read_card(files)
+        own, algorithm = card.env_config(task), ALGORITHMS.find(card.algo)
+        algorithm.check(own.task, card.actions)
+        return algorithm.build(card, read_weights(files), own, **options)
     except ModuleNotFoundError as error:
         raise ImportError(
             f"a policy needs {error.name}, which is not installed: "
             "pip install 'surface_gym[agents]'"
         ) from None
-    return policy.build_policy(files, task, config, most_touches)
+    except DAMAGE as error:
+        raise ValueError(
+            f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
+        ) from None

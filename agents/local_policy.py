@@ -18,9 +18,10 @@ from surface_gym.flow.module_view import OWN, PASSED, ModuleView
 from surface_gym.flow.state import NOBODY
 
 from .base import Integers, Singles
-from .library import PolicyCard
+from .library import PolicyCard, Weights
 from .module_policy import draw_choices
-from .parcel_policy import SlopePolicy
+from .parcel_policy import SlopePolicy, suited
+from .tensors import load_weights
 
 MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
 HOLD = 2  # control periods for which the number that the modules below a parcel agree on stays
@@ -87,12 +88,10 @@ class LocalPolicy(SlopePolicy):
     """A trained policy of modules on a slope.
 
     Args:
-        config: of the environment; None: the card's.
+        config: of the environment.
     """
 
-    def __init__(
-        self, network: LocalNetwork, card: PolicyCard, config: EnvConfig | None = None
-    ) -> None:
+    def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(network, card, config)
         self._network = network
         self._view = ModuleView(self._config)
@@ -132,3 +131,19 @@ def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest:
     actions = np.full((num_envs, modules), rest)
     actions[seen.env, seen.module] = choice
     return actions
+
+
+def build_local(
+    card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
+) -> LocalPolicy:
+    """Build a policy of modules on a slope from its weights.
+
+    Args:
+        own: environment of the card.
+        config: environment that the policy is for; None: the card's.
+    """
+
+    def make() -> LocalNetwork:
+        return LocalNetwork(len(own.chosen_orientations), card.hidden)
+
+    return LocalPolicy(load_weights(make, card.hidden, weights), card, suited(own, config))

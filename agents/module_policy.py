@@ -26,8 +26,9 @@ from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.lines import BaseLine, Line
 from surface_gym.tasks import planning, sort
 
-from .base import SIDE, BatchController, Integers, Numbers, Singles, mirrored_orientations
-from .library import PolicyCard
+from .base import SIDE, Integers, Numbers, Singles, mirrored_orientations
+from .library import PolicyCard, TrainedPolicy, Weights
+from .tensors import load_weights
 
 EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
 ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
@@ -358,7 +359,7 @@ class ValueNetwork(nn.Module):
         return self._layers(without_side)[:, 0]
 
 
-class ModulePolicy(BatchController):
+class ModulePolicy(TrainedPolicy):
     """A policy of modules with shared weights.
 
     Args:
@@ -370,13 +371,12 @@ class ModulePolicy(BatchController):
         self, network: SharedNetwork, card: PolicyCard, zone: tuple[int, int] | None = None
     ) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
-        self._network = network.eval()
         config = replace(card.env_config(), zone=zone)
+        super().__init__(card, config)
+        self._network = network.eval()
         self._view = ModuleView(config)
-        self._shape = (len(config.features),)
-        self.card = card
-        self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs if zone is None else {**card.env_kwargs, "zone": zone}
+        if zone is not None:
+            self.env_kwargs["zone"] = zone
 
     def for_zone(self, zone: tuple[int, int] | None) -> "ModulePolicy":
         return ModulePolicy(self._network, self.card, zone)
@@ -393,3 +393,12 @@ class ModulePolicy(BatchController):
             uniform = torch.rand(GROUPS * len(batch))
             choices = draw_choices(log_probability, GROUPS * env, uniform)
         return self._view.actions(batch, seen, choices.numpy()), None
+
+
+def build_modules(card: PolicyCard, weights: Weights, config: EnvConfig) -> ModulePolicy:
+    """Build a policy of modules from its weights."""
+
+    def make() -> SharedNetwork:
+        return SharedNetwork(len(config.chosen_orientations), card.hidden, card.observe)
+
+    return ModulePolicy(load_weights(make, card.hidden, weights), card)

@@ -1,11 +1,13 @@
-"""Policy of parcels: one network with attention corrects what a rule proposes for each on a slope.
+"""Policy of parcels: one network with attention corrects what a rule proposes for each of them.
 
 Each row of the table is a parcel. What it does depends on its own row and, by attention, on all
 others of its surface, so that the number of parcels does not matter, nor their order. Before
-learning, the policy is nearly the rule: residual policy learning (Silver et al. 2018).
+learning, the policy is nearly the rule: residual policy learning (Silver et al. 2018). For a task
+without such a rule the network decides alone.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,25 +16,23 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.flow import take_away as ta
 from surface_gym.flow.task import HALVES
+from surface_gym.tasks.features import Column, Feature, columns
 
-from .base import BatchController, Booleans, Integers, Numbers, is_fresh
-from .library import HEADS, PolicyCard, check_heads
-from .rules.sequencing import PassAndPark
-from .rules.singulation import TimeSlots
-from .rules.slopes import SlopeRule, make_memory
+from .base import Booleans, Integers, Numbers, is_fresh
+from .library import PolicyCard, TrainedPolicy, Weights
+from .rules.slopes import PRIORS
+from .tensors import load_weights
 
 MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
 APART = (2.0, 1.4, 2.0)  # of two parcels, [m] along and across and [m/s], that differ at most
 PAIR = 5  # numbers that say how two parcels lie to each other
 PRIOR = 6.0  # logit of what the rule proposes, before learning: 0.96 of all choices
 SMALL = 0.01  # [-] of the usual first weights of the last layer
-RULES: dict[str, type[SlopeRule]] = {
-    "singulate": TimeSlots,
-    "merge": TimeSlots,
-    "sequence": PassAndPark,
-}
+HEADS = 4  # of attention
+# Features that say how two parcels lie: x, less the length; y; and vx.
+PLACE = {"to the end": -1.0, "offset": 1.0, "forward speed": 1.0}  # [-] sign of each
+PRESENT, TIME = "present", "time"  # features of a row: there is a parcel; since it entered
 
 
 class ParcelValues(NamedTuple):
@@ -50,18 +50,33 @@ class ParcelNetwork(nn.Module):
         features: of a row of the table.
         orientations: to choose from, for each half of a parcel; a choice is of both together.
         hidden: (units,).
+        has_rule: whether a rule proposes choices.
     """
 
-    def __init__(self, features: int, orientations: int, hidden: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        features: Sequence[Feature],
+        orientations: int,
+        hidden: tuple[int, ...],
+        has_rule: bool = True,
+    ) -> None:
         super().__init__()
-        check_heads(hidden)
+        if len(hidden) != 1 or hidden[0] % HEADS:  # which share the units
+            raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
         units = hidden[0]
         self.choices = orientations**HALVES
+        self._has_rule = has_rule
+        names = [each.name for each in features]
+        self._present = names.index(PRESENT)
+        self._place = [names.index(name) for name in PLACE if PLACE.keys() <= set(names)]
+        self._scale = torch.tensor([PLACE[names[k]] * features[k].scale for k in self._place])
+        inputs = len(features) + (self.choices if has_rule else 0)
         self.encoder = nn.Sequential(
-            nn.Linear(features + self.choices, units), nn.ReLU(), nn.Linear(units, units), nn.ReLU()
+            nn.Linear(inputs, units), nn.ReLU(), nn.Linear(units, units), nn.ReLU()
         )
         self.attend = nn.Linear(units, 3 * units)  # query, key and value
-        self.pair = nn.Linear(PAIR, HEADS)  # how much two attend to each other by how they lie
+        # How much two attend to each other by how they lie.
+        self.pair = nn.Linear(PAIR, HEADS) if self._place else None
         last = nn.Linear(units, self.choices)
         with torch.no_grad():
             last.weight.mul_(SMALL)
@@ -69,20 +84,27 @@ class ParcelNetwork(nn.Module):
         self.actor = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), last)
         self.critic = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), nn.Linear(units, 1))
 
+    def find_present(self, tables: torch.Tensor) -> torch.Tensor:
+        """Find (num_envs, rows) which rows hold a parcel."""
+        return tables[..., self._present] > 0.5
+
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
         """Compute what each parcel may do.
 
         Args:
             tables: (num_envs, rows, features).
-            proposed: (num_envs, rows) choice of the rule.
+            proposed: (num_envs, rows) choice of the rule; without one it is not read.
         """
-        present = ta.COLUMN.present.of(tables) > 0.5
+        present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
         rows = tables.flatten(0, 1)[index].clamp(-MOST, MOST)
-        rule = nn.functional.one_hot(proposed.flatten()[index], self.choices).to(rows.dtype)
-        own = self.encoder(torch.cat([rows, rule], dim=1))
+        inputs, prior = [rows], torch.zeros(1)
+        if self._has_rule:
+            rule = nn.functional.one_hot(proposed.flatten()[index], self.choices).to(rows.dtype)
+            inputs, prior = [rows, rule], PRIOR * rule
+        own = self.encoder(torch.cat(inputs, dim=1))
         both = torch.cat([own, self._look_around(rows, own, present)], dim=1)
-        return ParcelValues(index, self.actor(both) + PRIOR * rule, self.critic(both)[:, 0])
+        return ParcelValues(index, self.actor(both) + prior, self.critic(both)[:, 0])
 
     def _look_around(
         self, rows: torch.Tensor, own: torch.Tensor, present: torch.Tensor
@@ -100,12 +122,13 @@ class ParcelNetwork(nn.Module):
             room = values.new_zeros(len(present), most, values.shape[1])
             return room.index_put((surface, place), values)
 
-        x, y, vx = ta.COLUMN.to_the_end, ta.COLUMN.offset, ta.COLUMN.forward_speed
-        lie = torch.stack([-x.of(rows), y.of(rows), rows[:, vx.place]], dim=1)
-        where = packed(lie)
-        apart = where[:, None] - where[:, :, None]
-        apart = apart.clamp(-torch.tensor(APART), torch.tensor(APART))
-        bias = self.pair(torch.cat([apart, apart[..., :2].square()], dim=3)).permute(0, 3, 1, 2)
+        bias = torch.zeros(1)
+        if self.pair is not None:
+            where = packed(rows[:, self._place] * self._scale)
+            apart = where[:, None] - where[:, :, None]
+            apart = apart.clamp(-torch.tensor(APART), torch.tensor(APART))
+            pairs = self.pair(torch.cat([apart, apart[..., :2].square()], dim=3))
+            bias = pairs.permute(0, 3, 1, 2)
         query, key, value = (
             packed(each).view(len(present), most, HEADS, -1).transpose(1, 2)
             for each in self.attend(own).chunk(3, dim=1)
@@ -123,50 +146,63 @@ def to_halves(choice: Integers, orientations: int) -> Integers:
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
-def propose(
-    rule: SlopeRule, tables: Any, memory: Any, fresh: Any, orientations: int
-) -> tuple[Integers, Any]:
-    """Return what a rule would choose for both halves together (num_envs, rows), and its memory."""
-    actions, memory = rule.predict(tables, memory, fresh)
-    halves = actions.reshape(*tables.shape[:2], HALVES)
-    choice: Integers = halves[..., 0] * orientations + halves[..., 1]
-    return choice, memory
+class Proposer:
+    """The rule that a policy corrects, if its task has one, and what it proposes.
 
-
-def find_config(card: PolicyCard, config: EnvConfig | None) -> EnvConfig:
-    """Return the environment that a policy on a slope is for, which its card must suit; by default
-    the card's own.
+    Args:
+        config: of the environment.
     """
-    usual = EnvConfig(card.task, **card.env_kwargs)
-    own = usual if config is None else config
-    checks.one_of("task", own.task_name, (card.task,))
-    checks.one_of("actions", own.actions, (card.actions,))
-    checks.one_of("gate", own.stream_task.gate, (False,))
-    if own.chosen_orientations != usual.chosen_orientations:
+
+    def __init__(self, config: EnvConfig) -> None:
+        make = PRIORS.get(config.task_name)
+        self._rule = None if make is None else make(config.replace(actions="parcels"))
+        self._orientations = len(config.chosen_orientations)
+
+    def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
+        """Return the rule's choices for both halves together (num_envs, rows), and its memory."""
+        if self._rule is None:
+            return np.zeros(tables.shape[:2], dtype=np.int64), None
+        actions, memory = self._rule.predict(tables, memory, fresh)
+        halves = actions.reshape(*tables.shape[:2], HALVES)
+        choice: Integers = halves[..., 0] * self._orientations + halves[..., 1]
+        return choice, memory
+
+
+def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
+    """Make the network of an environment's parcels, its weights not learned."""
+    choices, has_rule = len(config.chosen_orientations), config.task_name in PRIORS
+    return ParcelNetwork(config.features, choices, hidden, has_rule)
+
+
+def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
+    """Return the environment that a policy is for, which must suit the one of its card, `own`."""
+    if config is None:
+        return own
+    checks.one_of("task", config.task_name, (own.task_name,))
+    checks.one_of("actions", config.actions, (own.actions,))
+    checks.one_of("gate", config.stream_task.gate, (False,))
+    if config.chosen_orientations != own.chosen_orientations:
         raise ValueError(
-            f"orientations must be {usual.chosen_orientations}, those of the card, "
-            f"got {own.chosen_orientations}"
+            f"orientations must be {own.chosen_orientations}, those of the card, "
+            f"got {config.chosen_orientations}"
         )
-    return own
+    return config
 
 
-class SlopePolicy(BatchController):
+class SlopePolicy(TrainedPolicy):
     """A trained policy on a slope.
 
     Args:
         network: of the policy.
         card: of the environment that it learned in.
-        config: of the environment; None: the card's.
+        config: of the environment.
     """
 
-    def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig | None) -> None:
+    def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        super().__init__(card, config)
         network.eval()
-        self._config = find_config(card, config)
-        self._shape = (None, len(self._config.features))
-        self.card = card
-        self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs
+        self._config = config
 
 
 class ParcelMemory(NamedTuple):
@@ -174,7 +210,7 @@ class ParcelMemory(NamedTuple):
 
     rule: Any
     due: Numbers  # (num_envs, rows, choices) probabilities, less what was chosen
-    since: Numbers  # (num_envs, rows) time since it entered, as seen last
+    since: Numbers  # (num_envs, rows) [s] since it entered, as seen last; 0: not seen
 
 
 class ParcelPolicy(SlopePolicy):
@@ -185,29 +221,32 @@ class ParcelPolicy(SlopePolicy):
     furthest behind its share.
 
     Args:
-        config: of the environment; None: the card's.
+        config: of the environment.
     """
 
-    def __init__(
-        self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig | None = None
-    ) -> None:
+    def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
         super().__init__(network, card, config)
         self._network = network
-        self._orientations = len(self._config.chosen_orientations)
-        self._rule = RULES[card.task](self._config)
+        self._proposer = Proposer(config)
+        self._orientations = len(config.chosen_orientations)
+        seen = columns(config.features)
+        self._present: Column = seen.present
+        self._time: Column | None = getattr(seen, TIME, None)
 
     def _predict(
         self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
     ) -> tuple[Any, Any]:
         fresh = is_fresh(len(batch), state, episode_start)
         memory = None
-        if state is not None:
+        if state is not None:  # the rule checks its own
+            checks.instance("state", state, ParcelMemory, "one that predict returned")
             due = np.zeros((*batch.shape[:2], self._orientations**HALVES))
-            like = ParcelMemory(make_memory(*batch.shape[:2]), due, due[..., 0])
-            memory = checks.alike("state", state, like).rule
-        proposed, memory = propose(self._rule, batch, memory, fresh, self._orientations)
+            checks.alike("state.due", state.due, due)
+            checks.alike("state.since", state.since, due[..., 0])
+            memory = state.rule
+        proposed, memory = self._proposer.propose(batch, memory, fresh)
         probability, index = self.probabilities(batch, proposed)
-        due = _carry_over(state, fresh, batch, probability.shape[1])
+        due, since = self._carry_over(state, fresh, batch, probability.shape[1])
         owed = due.reshape(-1, probability.shape[1])
         choice = np.zeros(len(owed), dtype=np.int64)
         if deterministic:
@@ -218,7 +257,6 @@ class ParcelPolicy(SlopePolicy):
             uniform = torch.rand(len(index), 1).numpy()
             choice[index] = (uniform > probability.cumsum(axis=1)[:, :-1]).sum(axis=1)
         halves = to_halves(choice.reshape(batch.shape[:2]), self._orientations)
-        since = ta.COLUMN.time.of(batch).astype(np.float64)
         return halves.reshape(len(batch), -1), ParcelMemory(memory, due, since)
 
     @torch.no_grad()
@@ -228,12 +266,33 @@ class ParcelPolicy(SlopePolicy):
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()
 
+    def _carry_over(
+        self, state: Any, fresh: Booleans, batch: Any, choices: int
+    ) -> tuple[Numbers, Numbers]:
+        """Return (num_envs, rows, choices) what is owed the parcels that are there still, and
+        (num_envs, rows) the time since each entered.
+        """
+        present = self._present.of(batch) > 0.5
+        since = np.zeros(batch.shape[:2])
+        due = np.zeros((*batch.shape[:2], choices))
+        if self._time is not None:
+            since = self._time.of(batch).astype(np.float64)
+        if state is not None:
+            stays = present & ~fresh[:, np.newaxis]
+            if self._time is not None:
+                stays &= since > state.since
+            due[stays] = state.due[stays]
+        return due, since
 
-def _carry_over(state: Any, fresh: Booleans, batch: Any, choices: int) -> Numbers:
-    """Return (num_envs, rows, choices) what is owed those parcels that are there still."""
-    due = np.zeros((*batch.shape[:2], choices))
-    if state is not None:
-        stays = (ta.COLUMN.time.of(batch) > state.since) & (ta.COLUMN.present.of(batch) > 0.5)
-        stays &= ~fresh[:, np.newaxis]
-        due[stays] = state.due[stays]
-    return due
+
+def build_parcels(
+    card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
+) -> ParcelPolicy:
+    """Build a policy of parcels from its weights.
+
+    Args:
+        own: environment of the card.
+        config: environment that the policy is for; None: the card's.
+    """
+    network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
+    return ParcelPolicy(network, card, suited(own, config))

@@ -12,12 +12,13 @@ from torch import nn
 
 from surface_gym.config import EnvConfig
 
-from .base import BatchController, Integers
-from .library import PolicyCard
+from .base import Integers
+from .library import PolicyCard, TrainedPolicy, Weights
 from .scheduling.decisions import DecidingScheduler, Decisions
 from .scheduling.features import ABOUT, LEVELS, OPTION, TOKEN
 from .scheduling.maneuvers import Library
 from .scheduling.scheduler import Scheduler, find_plain, find_quiet
+from .tensors import load_weights
 
 # [-] of a touch, in parcels that the line could have delivered: those that may be chosen.
 PRICES = np.geomspace(0.3, 50.0, 24)
@@ -111,13 +112,13 @@ class NetworkScheduler(DecidingScheduler):
         return self._network(*as_tensors(decisions)).numpy()
 
 
-class SchedulePolicy(BatchController):
+class SchedulePolicy(TrainedPolicy):
     """A trained policy on the schedule of an environment's stream.
 
     When it first chooses, its maneuvers are tried, and what a touch is to cost; both take seconds.
 
     Args:
-        config: of the environment, with a gate and actions "parcels"; None: the card's.
+        config: of the environment, with a gate and actions "parcels".
         most_touches: [-] per delivery in the trial, for which a touch is dear enough.
     """
 
@@ -125,19 +126,17 @@ class SchedulePolicy(BatchController):
         self,
         network: ScheduleNetwork,
         card: PolicyCard,
-        config: EnvConfig | None = None,
+        config: EnvConfig,
         most_touches: float = 0.0,
     ) -> None:
         torch.set_num_threads(1)  # the network is small: more threads only wait for each other
+        super().__init__(card, config)
         self._network = network.eval()
-        self._config = EnvConfig("flow", **card.env_kwargs) if config is None else config
+        self._config = config
         if not self._config.stream_task.gate:
             raise ValueError("gate must be True for a policy on a schedule, got False")
         self._shape = (self._config.rows, len(self._config.features))
         self._most_touches = most_touches
-        self.card = card
-        self.env_id = card.env_id
-        self.env_kwargs = card.env_kwargs
 
     @cached_property
     def scheduler(self) -> Scheduler:
@@ -154,3 +153,21 @@ class SchedulePolicy(BatchController):
         self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
     ) -> tuple[Any, Any]:
         return self.scheduler.predict(batch, state, episode_start, deterministic)
+
+
+def build_schedule(
+    card: PolicyCard,
+    weights: Weights,
+    own: EnvConfig,
+    config: EnvConfig | None = None,
+    most_touches: float = 0.0,
+) -> SchedulePolicy:
+    """Build a policy on the schedule from its weights.
+
+    Args:
+        own: environment of the card.
+        config: environment that the policy is for; None: the card's.
+        most_touches: [-] per delivery that it allows in its trial.
+    """
+    network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
+    return SchedulePolicy(network, card, own if config is None else config, most_touches)

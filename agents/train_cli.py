@@ -4,16 +4,18 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import tyro
 
 from surface_gym.cli import TRAIN, command_line, typed
 from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
-from surface_gym.registration import FLOW_TASK, ON_SLOPES
+from surface_gym.registration import DEFAULT_TASK
 
 from .learning import config as configs
+from .learning.algorithms import PPOConfig
 from .learning.config import TrainConfig
+from .library import ALGORITHMS, find_task, task_files
 
 SWEEP = "sweep.yml"  # in the folder of a search
 
@@ -23,8 +25,8 @@ class Options:
     """Options of the command that are not part of a run's configuration."""
 
     resume: Path | None = None
-    """Alone: go on with a run or a search that was broken off. For a user's task --task must name
-    it too, since a file must not say what code is run."""
+    """Alone: go on with a run or a search that was broken off. A user's task or algorithm must be
+    named by --task or --algo too, since a file must not say what code is run."""
     search: Path | None = None
     """Search hyper-parameters as this file says; with --task, --out and --name only."""
     hyperparams: Path | None = None
@@ -51,6 +53,7 @@ class Request:
 
     cluster: str | None
     task: str | None  # as on the command line
+    algo: str | None = None  # as on the command line
     search: Path | None = None  # file of a search
     config: TrainConfig | None = None  # of a run
     folder: Path | None = None  # of a search, or of a run to resume; None: a new run
@@ -86,24 +89,24 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
             )
         return Request(selection.cluster, task, search=selection.search, folder=folder)
     if selection.resume is not None:
-        _check_alone("resume", ("task",), selection, others)
+        _check_alone("resume", ("task", "algo"), selection, others)
         folder = selection.resume
         if (folder / SWEEP).is_file():
             return Request(selection.cluster, task, search=folder / SWEEP, folder=folder)
         from .learning.runs import CONFIG, read_config
 
-        config = read_config(folder / CONFIG, task)
-        return Request(selection.cluster, task, config=config, folder=folder)
-    return Request(selection.cluster, task, config=_parse_config(selection, given))
+        config = read_config(folder / CONFIG, task, selection.algo)
+        return Request(selection.cluster, task, selection.algo, config=config, folder=folder)
+    return Request(selection.cluster, task, selection.algo, config=_parse_config(selection, given))
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     """Carry out the work that a command line asks for."""
-    from .library import task_files
-
-    workers = choose_workers(request.cluster, usable_cores(), task_files(request.task))
+    workers = choose_workers(
+        request.cluster, usable_cores(), task_files(request.task, request.algo)
+    )
     if request.search is not None:
-        from .tuning.sweep import search
+        from .tuning.cli import search
 
         assert request.folder is not None
         search(request.search, request.folder, workers, console, request.task)
@@ -113,7 +116,7 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
     config, folder = request.config, request.folder
     assert config is not None
     if folder is None:
-        if configs.on_device(config):
+        if isinstance(config, PPOConfig) and config.device != configs.CPU:
             from .learning.cuda import check_device
 
             check_device(config)
@@ -132,12 +135,10 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
-    task = selection.task or "sort"
-    usual = {FLOW_TASK: "schedule", **dict.fromkeys(ON_SLOPES, "parcels")}.get(task, "ppo")
-    names = {"algo": tuple(configs.CONFIGS), "preset": get_args(configs.PresetName)}
-    names["device"] = get_args(configs.DeviceName)
-    given = {key: value for key in names if (value := getattr(selection, key)) in names[key]}
-    default = configs.defaults(task, file=selection.hyperparams, **{"algo": usual, **given})
+    task = selection.task or DEFAULT_TASK
+    given = {name: value for name in ("preset", "device") if (value := getattr(selection, name))}
+    algo = selection.algo or usual_algorithm(task)
+    default = configs.defaults(task, algo, selection.hyperparams, **given)
     # The names of the fields are the headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
@@ -149,6 +150,12 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
         description="Train an agent, resume a run, or search hyper-parameters.",
     )
     return parsed.training
+
+
+def usual_algorithm(task: str) -> str:
+    """Return the first algorithm that learns a task."""
+    made = find_task(task)
+    return next(name for name, each in ALGORITHMS.items() if each.serves(made))
 
 
 def _check_alone(

@@ -2,6 +2,7 @@
 
 import doctest
 import math
+import pickle
 import runpy
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
+from surface_gym import agents
+from surface_gym.agents import library, train_cli
+from surface_gym.agents.learning import runs
+from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.library import find_task
 from surface_gym.extend import GYRATION, MASS
 from surface_gym.tasks import Sort
@@ -34,7 +39,8 @@ def test_the_page_shows_it_as_it_is(file):
 
 
 @pytest.mark.parametrize(
-    ("example", "lines"), [("reach", 120), ("haste", 20), ("even", 250), ("scales", 80)]
+    ("example", "lines"),
+    [("reach", 120), ("haste", 20), ("even", 250), ("scales", 80), ("reinforce", 125)],
 )
 def test_it_is_short(example, lines):
     assert len((ROOT / "examples" / f"{example}.py").read_text().splitlines()) <= lines
@@ -164,3 +170,89 @@ def test_the_checkered_line_sorts_and_is_drawn(tmp_path, monkeypatch, capsys):
     assert printed[0].startswith("S-box: success after")
     assert printed[1].startswith("B-box: success after")
     assert (tmp_path / "checkered.png").read_bytes().startswith(b"\x89PNG")
+
+
+class TestReinforce:
+    ALGO = f"{ROOT}/examples/reinforce.py:REINFORCE"
+    OPTIONS = (
+        "--task",
+        "sort",
+        "--algo",
+        ALGO,
+        "--steps",
+        "600",
+        "--num-envs",
+        "4",
+        "--n-steps",
+        "20",
+    )
+
+    @pytest.fixture
+    def run(self, tmp_path: Path) -> Path:
+        options = (*self.OPTIONS, "--checkpoint-every", "200", "--out", str(tmp_path))
+        config = train_cli.parse_arguments(options).config
+        assert config is not None
+        folder = runs.make_folder(config, options)
+        assert not runs.train(config, folder).interrupted
+        return folder
+
+    def test_its_policy_is_read_back_and_acts(self, run):
+        assert run.name.startswith("sort-reinforce-seed0-")
+        policy = agents.read(run)
+        assert policy.card.algo == "Own/REINFORCE"
+        env = gym.make(policy.env_id, **policy.env_kwargs)
+        observation, _ = env.reset(seed=0)
+        for deterministic in (True, False):
+            assert policy.predict(observation, deterministic=deterministic)[0] in env.action_space
+
+    def test_an_interrupted_run_is_resumed_to_the_same_result(self, run, tmp_path):
+        broken = tmp_path / "broken"
+        broken.mkdir()
+        config = runs.read_config(run / runs.CONFIG, algo=self.ALGO)
+
+        def interrupt(steps: int, _success: float) -> None:
+            if steps > 300:
+                raise runs.StopTraining
+
+        assert runs.train(config, broken, interrupt).interrupted
+        runs.train(config, broken)
+        assert (broken / library.WEIGHTS).read_bytes() == (run / library.WEIGHTS).read_bytes()
+
+    def test_its_file_must_be_named_by_the_user(self, run, monkeypatch):
+        monkeypatch.setattr(library, "_NAMED", [])
+        with pytest.raises(ValueError, match=r"algo must be .*: name it by --algo, got None"):
+            runs.read_config(run / runs.CONFIG)
+        config = train_cli.parse_arguments(("--resume", str(run), "--algo", self.ALGO)).config
+        assert config == pickle.loads(pickle.dumps(config))  # by its file, in any process
+        assert config is not None
+        assert config.hidden == defaults("sort", self.ALGO).hidden
+        with pytest.raises(ValueError, match=r"algo must be an Algorithm in .*, got 'train'"):
+            library.find_algorithm(self.ALGO.replace("REINFORCE", "train"))
+
+
+def test_a_task_on_streams_is_learned_without_a_rule(tmp_path):
+    options = (
+        "--task",
+        f"{ROOT}/examples/even.py:Even",
+        "--num-envs",
+        "6",
+        "--n-steps",
+        "8",
+        "--steps",
+        "96",
+        "--hidden",
+        "8",
+        "--batch-size",
+        "48",
+        "--n-epochs",
+        "1",
+    )
+    config = train_cli.parse_arguments(options).config
+    assert config is not None
+    assert config.algo == "parcels"
+    assert runs.train(config, tmp_path).steps == 96
+    even = find_task(config.task)
+    policy = agents.read(tmp_path, even)
+    env = gym.make("SmartSurface/Flow-v0", **policy.env_kwargs)
+    observation, _ = env.reset(seed=0)
+    assert policy.predict(observation)[0] in env.action_space

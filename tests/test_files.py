@@ -23,7 +23,7 @@ from surface_gym.agents.evaluation import benchmark, robustness
 from surface_gym.agents.evaluation.methods import of_run
 from surface_gym.agents.export.policy import of_run as exported
 from surface_gym.agents.learning import config as configs, runs
-from surface_gym.agents.policy import check_like
+from surface_gym.agents.tensors import check_like
 from surface_gym.agents.tuning.sweep import read_sweep
 from surface_gym.agents.yaml_file import parse_yaml
 from surface_gym.design import case

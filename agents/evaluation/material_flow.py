@@ -30,6 +30,7 @@ from surface_gym.state import RUNNING
 
 from .. import library
 from ..base import BatchController, Booleans, Controller, find_axes
+from ..learning.algorithms import MOST_PARCELS
 from ..library import PolicyFiles
 from ..planning.receding_horizon import RecedingHorizon
 from ..rules.sequencing import PassAndPark
@@ -118,7 +119,7 @@ def find_learned(task: str) -> tuple[FlowMethod, ...]:
 def learned_method(files: dict[int, PolicyFiles]) -> FlowMethod:
     """Make the method of policies by their seeds, all of one algorithm."""
     name, actions = LEARNED[parse_yaml(next(iter(files.values())).card.decode())["algo"]]
-    return FlowMethod(name, partial(_read, files), tuple(files), library.MOST_PARCELS, actions)
+    return FlowMethod(name, partial(_read, files), tuple(files), MOST_PARCELS, actions)
 
 
 def _read(files: dict[int, PolicyFiles], config: EnvConfig, seed: int) -> Controller:

@@ -123,8 +123,9 @@ def trained(folders: dict[int, Path], task: str | None = None) -> Method:
     """Read the policies that a run left, a folder for each seed."""
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     card = library.from_files(next(iter(files.values())), _own(task)).card
+    label = library.ALGORITHMS.find(card.algo).label
     return Method(
-        LABELS[card.algo], task or card.task, card.actions, card.control_period,
+        label, task or card.task, card.actions, card.control_period,
         partial(_read, files, task), tuple(folders), observe=card.observe,
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ from ..evaluation.methods import policy_folders
 from ..learning import runs
 from ..learning.config import NOMINAL, current_option
 from ..module_policy import ModulePolicy
-from ..policy import DIGEST, Policy, make_network, read_weights
+from ..policy import Policy, make_network
 from ..yaml_file import parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
@@ -91,8 +91,8 @@ def _read(
         seed,
         policy,
         policy.card.env_config(task),
-        read_weights(files),
-        str(parse_yaml(files.card.decode())[DIGEST]),
+        {name: torch.from_numpy(each) for name, each in library.read_weights(files).items()},
+        str(parse_yaml(files.card.decode())[library.DIGEST]),
         training or Training(NOMINAL),
     )
 

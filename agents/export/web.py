@@ -42,12 +42,11 @@ from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
-from ..policy import read_weights
 from ..rules import RULES
 from ..rules.base import FixedRule
 from ..rules.sequencing import PassAndPark
 from ..rules.singulation import HoldAndRelease, TimeSlots
-from ..rules.slopes import SlopeRule, forget, make_memory
+from ..rules.slopes import PRIORS, SlopeRule, forget, make_memory
 from ..rules.sorting import FixedLayout
 from ..rules.streams import OWN
 from .home import write_home
@@ -332,7 +331,7 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
         "kind": "parcels",
         **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
         **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
-        "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
+        "heads": parcel_policy.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
         "most": parcel_policy.MOST, "present": ta.COLUMN.present.place,
         "time": ta.COLUMN.time.place, "end": ta.COLUMN.to_the_end.place,
         "offset": ta.COLUMN.offset.place, "forward": ta.COLUMN.forward_speed.place,
@@ -381,12 +380,12 @@ def write_slope_policy(
         folder: where to write.
     """
     task, weights = policy.card.task, Weights()
-    tensors = read_weights(library.read_files(source))
+    tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
     if isinstance(policy, ParcelPolicy):
-        corrected = parcel_policy.RULES[task]
+        corrected = PRIORS[task]
         (called,) = (name for name, rule in RULES_ON_SLOPES[task].items() if rule is corrected)
-        rule = write_rule(called, corrected, config, folder)
+        rule = write_rule(called, RULES_ON_SLOPES[task][called], config, folder)
         card = describe_parcel_network(tensors, rule, weights)
     else:
         tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)

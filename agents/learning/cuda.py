@@ -14,13 +14,15 @@ import torch
 from gymnasium import spaces
 
 from surface_gym.config import REWARD, EnvConfig
-from surface_gym.registration import env_id
+from surface_gym.registration import DEFAULT_TASK, env_id
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
-from ..library import find_task
-from ..policy import EqualCategoricals, EqualChoicesPolicy, check_like, load_optimizer, make_network
+from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
+from ..tensors import check_like, load_optimizer
 from . import ppo
-from .config import PPOConfig, is_registered, make_card
+from .algorithms import PPOConfig
+from .config import make_card
+from .learner import learning_rate, train_learner
 from .runs import RECENT_EPISODES, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
@@ -39,7 +41,7 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
     task = training_task(config.task)
     try:
         made: Any = gym.make_vec(
-            env_id(config.task if is_registered(config.task) else "sort"),  # the task is given
+            env_id(DEFAULT_TASK),  # the task is given
             num_envs=num_envs,
             device=config.device,
             task=task,
@@ -126,9 +128,9 @@ class TotalsCurve(Curve):
         self,
         folder: Path,
         terms: tuple[str, ...],
-        num_envs: int,
         steps: int,
         recent: list[dict[str, float]],
+        num_envs: int,
     ) -> None:
         super().__init__(folder, terms, steps, recent)
         self._least = max(RECENT_EPISODES, num_envs)
@@ -260,7 +262,7 @@ class DeviceLearner:
 
     def learn(self, curve: TotalsCurve) -> None:
         config = self._config
-        self._policy.optimizer.param_groups[0]["lr"] = ppo.learning_rate(config, self.steps)
+        self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
         samples = self.roll_out()
         count = len(samples.returns)
         for _ in range(config.n_epochs):
@@ -312,8 +314,8 @@ def train_on_device(
 ) -> TrainResult:
     """Train PPO on a device; see `train_learner`."""
 
-    def make_learner() -> DeviceLearner:
+    def make_learner(config: PPOConfig) -> DeviceLearner:
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))
 
-    make_curve = partial(TotalsCurve, folder, find_task(config.task).terms, config.num_envs)
-    return ppo.train_learner(config, folder, on_progress, make_learner, make_curve)
+    make_curve = partial(TotalsCurve, num_envs=config.num_envs)
+    return train_learner(config, folder, on_progress, make_learner, make_curve)

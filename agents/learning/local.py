@@ -5,23 +5,21 @@ each is a sample of its own. They choose alike, by a shared draw, so that what t
 seen to pay.
 """
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from surface_gym.flow.module_view import ModuleView
-from surface_gym.flow.take_away import TakeAwayTask
 from surface_gym.flow.task import HALVES
 
 from ..base import Integers, Numbers
 from ..local_policy import CENTRE, HOLD, LocalInputs, LocalNetwork, fill, find_rest, see_modules
 from ..module_policy import GROUPS, draw_choices, draw_groups
 from ..parcel_policy import to_halves
-from . import ppo
-from .config import LocalConfig
-from .runs import Curve, OnProgress, TrainResult
+from .algorithms import LocalConfig
+from .learner import train_learner
+from .runs import OnProgress, TrainResult
 from .slopes import VALUE_COEF, Kept, SlopeLearner, Stepped, Surfaces, shuffle, training_configs
 
 # Rounds of imitation: control periods, the share of environments in which the network acts while
@@ -190,5 +188,4 @@ def train_local(
     config: LocalConfig, folder: Path, on_progress: OnProgress = lambda *_: None
 ) -> TrainResult:
     """Train one policy for all modules on a slope; see `train_learner`."""
-    curve = partial(Curve, folder, TakeAwayTask.terms)
-    return ppo.train_learner(config, folder, on_progress, partial(LocalLearner, config), curve)
+    return train_learner(config, folder, on_progress, LocalLearner)

@@ -1,22 +1,21 @@
 """Shared-policy PPO per module, by the likelihood of all choices in an environment together."""
 
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from surface_gym.tasks.sort import TERMS
-
 from .. import module_policy
 from ..base import Integers, Singles
 from ..module_policy import GROUPS, ModuleView
-from ..policy import check_like, load_optimizer
+from ..tensors import check_like, load_optimizer
 from ..vec_env import ConcatVecEnv
 from . import ppo
-from .config import ModulesConfig, make_card
+from .algorithms import ModulesConfig
+from .config import make_card
+from .learner import learning_rate, train_learner
 from .runs import Curve, OnProgress, TrainResult
 from .sb3 import make_training_envs
 
@@ -101,7 +100,7 @@ class ModuleLearner:
 
     def learn(self, curve: Curve) -> None:
         for optimiser in self._optimisers:
-            optimiser.param_groups[0]["lr"] = ppo.learning_rate(self._config, self.steps)
+            optimiser.param_groups[0]["lr"] = learning_rate(self._config, self.steps)
         samples, advantage, returns, infos = self._roll_out()
         count = len(returns)
         for _ in range(self._config.n_epochs):
@@ -209,5 +208,4 @@ def train_modules(
     config: ModulesConfig, folder: Path, on_progress: OnProgress = lambda *_: None
 ) -> TrainResult:
     """Train one policy shared by all modules; see `train_learner`."""
-    curve = partial(Curve, folder, TERMS)
-    return ppo.train_learner(config, folder, on_progress, partial(ModuleLearner, config), curve)
+    return train_learner(config, folder, on_progress, ModuleLearner)

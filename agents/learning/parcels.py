@@ -1,18 +1,15 @@
 """PPO of parcels on a slope: one network for all of them, which corrects the rule of its task."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from surface_gym.flow import take_away as ta
-
 from ..base import Integers, Singles
-from ..parcel_policy import ParcelNetwork, to_halves
-from . import ppo
-from .config import ParcelsConfig
-from .runs import Curve, OnProgress, TrainResult
+from ..parcel_policy import ParcelNetwork, make_network, to_halves
+from .algorithms import ParcelsConfig
+from .learner import train_learner
+from .runs import OnProgress, TrainResult
 from .slopes import Kept, Seen, SlopeLearner, Surfaces, training_configs
 
 
@@ -24,10 +21,8 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
     def __init__(self, config: ParcelsConfig) -> None:
         configs = training_configs(config)
         surfaces = Surfaces(configs, config.num_envs)
-        features = configs[0].row_space().shape[0]
         torch.manual_seed(config.seed)
-        network = ParcelNetwork(features, surfaces.orientations, config.hidden)
-        super().__init__(config, surfaces, network)
+        super().__init__(config, surfaces, make_network(configs[0], config.hidden))
 
     def begin(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -88,7 +83,7 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
         tables, proposed = map(np.concatenate, zip(*all_seen, strict=True))
         shape = proposed.shape
         returns, advantage = returns.reshape(shape), advantage.reshape(shape)
-        there = advantage[ta.COLUMN.present.of(tables) > 0.5]
+        there = advantage[self._learning.find_present(torch.from_numpy(tables)).numpy()]
         advantage = (advantage - there.mean()) / (there.std() + 1e-8)
         of_rows = (np.concatenate(chosen), np.concatenate(likely), advantage, returns)
         old = [torch.from_numpy(each.reshape(shape).astype(np.float32)) for each in of_rows]
@@ -105,5 +100,4 @@ def train_parcels(
     config: ParcelsConfig, folder: Path, on_progress: OnProgress = lambda *_: None
 ) -> TrainResult:
     """Train one policy for all parcels; see `train_learner`."""
-    curve = partial(Curve, folder, ta.TakeAwayTask.terms)
-    return ppo.train_learner(config, folder, on_progress, partial(ParcelLearner, config), curve)
+    return train_learner(config, folder, on_progress, ParcelLearner)

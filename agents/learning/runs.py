@@ -44,9 +44,9 @@ from surface_gym.files import (
     replacing,
 )
 from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
-from surface_gym.registration import PERIODS
+from surface_gym.registration import TASKS
 
-from ..library import task_label
+from ..library import find_algorithm, is_known, task_label
 from ..yaml_file import read_yaml
 from . import config as configs
 from .config import TrainConfig
@@ -91,10 +91,8 @@ class StopTraining(Exception):
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
     """Make a new folder with the resolved configuration and the command."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
-    name = (
-        config.name
-        or f"{task_label(config.task)}-{config.algo}-{which}-{datetime.now():%Y%m%d-%H%M%S}"
-    )
+    labels = task_label(config.task), task_label(config.algo), which
+    name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
     folder = config.out / name
     try:
         folder.mkdir(parents=True)
@@ -128,27 +126,36 @@ def write_config(config: TrainConfig, file: Path) -> None:
     file.write_text(yaml.safe_dump(plain, sort_keys=False))
 
 
-def read_config(file: Path, task: str | None = None) -> TrainConfig:
+def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`, also with earlier names of fields.
 
     Args:
-        task: that it must be of; None: one of the package, since a file must not say what code is
-            run.
+        task: that it must be of; None: one that is registered, since a file must not say what code
+            is run.
+        algo: in the same way.
     """
     try:
         plain = read_yaml(file)
         plain = {configs.RENAMED.get(name, name): value for name, value in plain.items()}
-        known = plain["task"] in PERIODS
-        asked = plain["task"] if task is None and known else task
-        if plain["task"] != asked:
-            raise ValueError(
-                f"task must be {plain['task']!r}, which the run is of: name it by --task, got "
-                f"{task!r}"
-            )
-        for name in ("hidden", "observe", "zones"):
-            plain[name] = tuple(plain.get(name, ()))
+        known = {"task": plain["task"] in TASKS, "algo": is_known(plain["algo"])}
+        for name, given in (("task", task), ("algo", algo)):
+            asked = plain[name] if given is None and known[name] else given
+            if plain[name] != asked:
+                raise ValueError(
+                    f"{name} must be {plain[name]!r}, which the run is of: name it by --{name}, "
+                    f"got {given!r}"
+                )
+        kind = find_algorithm(plain["algo"]).config
+        names = {each.name for each in fields(kind)}
+        unused = plain.keys() - names
+        plain = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in plain.items()
+            if name not in unused & configs.ONCE_UNUSED
+        }
         plain["out"] = Path(plain["out"])
-        return configs.CONFIGS[plain["algo"]](**plain)
+        config: TrainConfig = kind(**plain)
+        return config
     except FileNotFoundError:
         raise ValueError(f"{file.parent} holds no run: {file.name} is missing") from None
     except DAMAGE as error:
@@ -165,7 +172,7 @@ def task_name(file: Path) -> str | None:
 
 def training_command(config: TrainConfig) -> str:
     """Build the command that trains the same again, with every option that is no default."""
-    device = config.device if configs.on_device(config) else configs.CPU
+    device = configs.device_of(config)
     default = configs.defaults(config.task, config.algo, preset=config.preset, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
     if config.preset != configs.NOMINAL:
@@ -216,7 +223,7 @@ def write_state(state: dict[str, Any], folder: Path) -> None:
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
     """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file."""
-    from ..policy import load_tensors
+    from ..tensors import load_tensors
 
     try:
         check_plain(folder / CHECKPOINT, ARCHIVE)
@@ -343,30 +350,8 @@ def train(
     A run with a checkpoint is resumed. An interrupt, or `StopTraining` raised by `on_progress`,
     saves the policy as it is.
     """
-    if isinstance(config, configs.ModulesConfig):
-        from .modules import train_modules
-
-        return train_modules(config, folder, on_progress)
-    if isinstance(config, configs.SchedulesConfig):
-        from .schedules import train_schedules
-
-        return train_schedules(config, folder, on_progress)
-    if isinstance(config, configs.ParcelsConfig):
-        from .parcels import train_parcels
-
-        return train_parcels(config, folder, on_progress)
-    if isinstance(config, configs.LocalConfig):
-        from .local import train_local
-
-        return train_local(config, folder, on_progress)
-    if configs.on_device(config):
-        from .cuda import train_on_device
-
-        return train_on_device(config, folder, on_progress)
-    from .sb3 import train_sb3
-
-    assert isinstance(config, configs.PPOConfig | configs.DQNConfig)
-    return train_sb3(config, folder, on_progress)
+    result: TrainResult = find_algorithm(config.algo).train(config, folder, on_progress)
+    return result
 
 
 def train_seeds(

@@ -1,6 +1,5 @@
 """Training environments: some with exact sensors, some with a camera and varied friction."""
 
-import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,17 +18,14 @@ from surface_gym.config import PRESETS, Preset
 from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
-from ..library import find_task
-from ..policy import EqualChoicesPolicy, check_like, load_optimizer, save_policy
+from ..library import find_task, save_policy
+from ..policy import EqualChoicesPolicy
+from ..tensors import check_like, load_optimizer
 from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
-from .config import DQNConfig, PPOConfig, TrainConfig, make_card
+from .algorithms import DQNConfig, PPOConfig
+from .config import ParcelConfig, make_card
 from .ppo import CLIP_RANGE
-
-# Below 10 deg of tilt keeping a heading costs more speed than the slope gives.
-_TASKS: dict[str, sg.tasks.Task] = {
-    "track": sg.tasks.Track(tilts=(math.radians(10.0), math.radians(15.0)))
-}
 
 # For the lab: other parcels than in its evaluation, of the same distribution and a little beyond.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
@@ -40,17 +36,17 @@ _EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(
 
 def training_task(name: str) -> sg.tasks.Task:
     """Return the task to train on, which may be narrower than the task of a name."""
-    return _TASKS.get(name) or find_task(name)
+    return find_task(name).training_tasks()[0]
 
 
-def make_mirrored_envs(config: TrainConfig) -> vec_env.VecEnv:
+def make_mirrored_envs(config: ParcelConfig) -> vec_env.VecEnv:
     """Make the environments of a configuration, with actions mirrored where the task is."""
     envs = make_training_envs(config)
     mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
     return envs if mirror is None else MirrorVecEnv(envs, mirror)
 
 
-def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
+def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
     """Make the environments of a configuration, with actions in the world."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
@@ -64,7 +60,7 @@ def make_training_envs(config: TrainConfig) -> ConcatVecEnv:
     return ConcatVecEnv([_make_envs(config, *share) for share in shares if share[0]])
 
 
-def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
+def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
     """Return the presets of the environments with exact sensors, and of the others."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
@@ -76,7 +72,7 @@ def _presets(config: TrainConfig) -> tuple[Preset, Preset]:
 
 
 def _make_envs(
-    config: TrainConfig, num_envs: int, preset: Preset, columns: int | None
+    config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> SurfaceVecEnv:
     """Make environments under a preset, with a zone of so many columns or the task's own."""
     task = training_task(config.task)
@@ -288,5 +284,5 @@ def train_sb3(
     except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
-    save_policy(model.policy, make_card(config), folder)
+    save_policy(model.policy.state_dict(), make_card(config), folder)
     return runs.TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)

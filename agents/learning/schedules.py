@@ -3,7 +3,6 @@ vary, from episodes in which the network itself decides and explores.
 """
 
 import math
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,13 +21,14 @@ from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers
 from ..library import QUEUE
-from ..policy import check_like, load_optimizer
 from ..schedule_policy import NetworkScheduler, ScheduleNetwork, as_tensors
 from ..scheduling.bounds import entrance_bound
 from ..scheduling.decisions import Decisions
 from ..scheduling.features import LEVELS, USUAL
+from ..tensors import check_like, load_optimizer
 from . import ppo
-from .config import SchedulesConfig
+from .algorithms import SchedulesConfig
+from .learner import learning_rate, train_learner
 from .runs import Curve, OnProgress, TrainResult
 
 DURATION = 16.0  # [s] of an episode
@@ -168,7 +168,7 @@ class ScheduleLearner:
 
     def learn(self, curve: Curve) -> None:
         for group in self._optimiser.param_groups:
-            group["lr"] = ppo.learning_rate(self._config, self.steps)
+            group["lr"] = learning_rate(self._config, self.steps)
         for _ in range(self._config.lines):
             samples, infos = self._roll_out()
             self._samples = [*self._samples, samples][-MEMORY:]
@@ -291,5 +291,4 @@ def train_schedules(
     config: SchedulesConfig, folder: Path, on_progress: OnProgress = lambda *_: None
 ) -> TrainResult:
     """Train a policy on the schedule; see `train_learner`."""
-    curve = partial(Curve, folder, TERMS)
-    return ppo.train_learner(config, folder, on_progress, partial(ScheduleLearner, config), curve)
+    return train_learner(config, folder, on_progress, ScheduleLearner, terms=TERMS)

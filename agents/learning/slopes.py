@@ -16,53 +16,43 @@ import torch
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.merge import lines
-from surface_gym.flow.sequence import shuffled
 from surface_gym.flow.state import CORRECT, JAM, WRONG
-from surface_gym.flow.stream import Stream
-from surface_gym.flow.take_away import PARCEL_TERMS, bulk
 from surface_gym.parcel import assortment
 from surface_gym.state import OUT_OF_TIME
 
 from ..base import Booleans, Integers, Numbers, Singles
-from ..library import MOST_PARCELS
-from ..parcel_policy import RULES, propose
-from ..policy import check_like, load_optimizer
+from ..library import find_algorithm, find_task
+from ..parcel_policy import Proposer
+from ..tensors import check_like, load_optimizer
 from . import ppo
-from .config import LocalConfig, ParcelsConfig
+from .algorithms import LocalConfig, ParcelsConfig
+from .learner import learning_rate
 from .runs import Curve
 
 DURATION = 60.0  # [s] of an episode
 SHAPES = 64  # of the lab, in each of its groups of environments
-# Times its reward that a term counts in learning: time is dear, since a queue waits at the edge.
-WEIGHTS = {"right": 1.0, "wrong": 2.0, "touch": 5.0, "progress": 1.0, "time": 5.0}
 JAMMED = -1.0  # reward of each parcel in a jam
 STALLED = 15.0  # [s] in which none of the parcels there leaves, that count as a jam
 SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
 CRITIC_FIRST = 10  # rollouts in which only the critic learns
 VALUE_COEF = 0.5
 SMOOTH = 0.97  # [-] of the score of all rollouts before the last
-# Streams, and other arguments of the environments; no surface takes the first two as offered.
-SCENARIOS: dict[str, list[tuple[Stream, dict[str, Any]]]] = {
-    "singulate": [(bulk(14_000.0), {"exits": "mouth", "alignment": math.radians(10.0)})],
-    "merge": [(lines(10_000.0), {})],
-    "sequence": [(shuffled(3000.0, window), {}) for window in (4, 8)],
-}
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """List the environments to learn from: each scenario with exact sensors and in the lab."""
+    """List the environments to learn from: each task with exact sensors and in the lab."""
     found = []
-    for stream, more in SCENARIOS[config.task]:
+    for task in find_task(config.task).training_tasks():
         common = {
-            "task": config.task, "actions": config.actions, "control_period": config.control_period,
-            "duration": DURATION, "max_parcels": MOST_PARCELS, **more,
+            "actions": config.actions, "control_period": config.control_period,
+            "duration": DURATION, **find_algorithm(config.algo).env_kwargs,
         }  # fmt: skip
+        stream = EnvConfig(task=task).stream_task.stream
         for seed in range(2):
             shapes = tuple((each, 1.0) for each in assortment(SHAPES, seed))
             shaped = replace(stream, parcels=shapes)
-            found.append(EnvConfig(stream=shaped, preset="lab", **common))
-        found.append(EnvConfig(stream=stream, **common))
+            found.append(EnvConfig(task=task, stream=shaped, preset="lab", **common))
+        found.append(EnvConfig(task=task, **common))
     return found
 
 
@@ -95,11 +85,11 @@ class Surfaces:
         ]
         self.num_envs, self.rows = num_envs, self.batches[0].rows
         self.orientations = len(configs[0].chosen_orientations)
-        self._rules = [
-            RULES[config.task_name](config.replace(actions="parcels")) for config in configs
-        ]
-        self._weights = np.array([WEIGHTS[term] for term in PARCEL_TERMS])
-        self._terms = self.batches[0].config.task.terms
+        self._rules = [Proposer(config) for config in configs]
+        task = configs[0].stream_task
+        weights = [task.learning_weights.get(term, 1.0) for term in task.parcel_terms]
+        self._weights = np.array(weights)
+        self._terms = task.terms
         self._sums = np.zeros((num_envs, len(self._terms)))
         self._quiet = np.zeros(num_envs)  # [s] since a parcel left, or none was there
         self.infos: list[dict[str, Any]] = []  # of the episodes that have ended
@@ -117,8 +107,8 @@ class Surfaces:
         """See all, once in a control period: the rule remembers what it has seen."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
-            choice, self._memories[k] = propose(
-                rule, batch.observation, self._memories[k], self._fresh[k], self.orientations
+            choice, self._memories[k] = rule.propose(
+                batch.observation, self._memories[k], self._fresh[k]
             )
             proposed.append(choice)
         tables = np.concatenate([batch.observation for batch in self.batches])
@@ -209,7 +199,7 @@ class SlopeLearner(ABC, Generic[Network]):
 
     def learn(self, curve: Curve) -> None:
         for group in self._optimiser.param_groups:
-            group["lr"] = ppo.learning_rate(self._config, self.steps)
+            group["lr"] = learning_rate(self._config, self.steps)
         samples = self._roll_out()
         rollout = self._config.n_steps * self._config.num_envs
         critic_only = self.steps < CRITIC_FIRST * rollout

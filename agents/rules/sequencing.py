@@ -17,6 +17,7 @@ from surface_gym.tasks.features import read
 from ..base import Integers, Numbers, Singles
 from .slopes import (
     NOBODY,
+    PRIORS,
     Brakes,
     Parcels,
     Slope,
@@ -258,3 +259,6 @@ class PassAndPark(SlopeRule):
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         tables, slope, tuning, *more = super().arguments(tables, memory, halves)
         return (tables, slope, tuning, self._parking, *more)
+
+
+PRIORS.register("sequence", PassAndPark)

@@ -16,6 +16,7 @@ from ..base import Integers, Numbers, Singles
 from .slopes import (
     HELD,
     NOBODY,
+    PRIORS,
     Brakes,
     Parcels,
     Slope,
@@ -258,3 +259,7 @@ class HoldAndRelease(SlopeRule):
 
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         return (*super().arguments(tables, memory, halves), self._hold)
+
+
+PRIORS.register("singulate", TimeSlots)
+PRIORS.register("merge", TimeSlots)

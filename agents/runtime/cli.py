@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from surface_gym.config import EnvConfig
 
-    from ..module_policy import ModulePolicy
-    from ..policy import Policy
+    from ..library import TrainedPolicy
     from .controller import ControlLoop
 
 READY_TIMEOUT = 300.0  # [s] maximum time until fixed layouts are ready, including compilation
@@ -34,12 +33,11 @@ SHOW_EVERY = 1.0  # [s] between updates of the progress
 COLLECT_EVERY = 5.0  # [s] between garbage collections
 
 
-def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
+def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
     """Load the policy of a command."""
+    from surface_gym.config import EnvConfig
+
     from .. import library
-    from ..local_policy import LocalPolicy
-    from ..parcel_policy import ParcelPolicy
-    from ..schedule_policy import SchedulePolicy
 
     if config.name in library.names():
         policy = library.load(config.name, config.seed)
@@ -50,12 +48,12 @@ def load_policy(config: RuntimeConfig) -> "Policy | ModulePolicy":
         raise ValueError(
             f"name must be a folder or one of {', '.join(library.names())}, got {config.name!r}"
         )
-    if isinstance(policy, SchedulePolicy | ParcelPolicy | LocalPolicy):
+    if EnvConfig(**{"task": policy.card.task, **policy.env_kwargs}).task.is_stream:
         raise ValueError(f"name must be of one parcel at a time, got {config.name!r}")
     return policy
 
 
-def make_env_config(policy: "Policy | ModulePolicy", preset: str) -> "EnvConfig":
+def make_env_config(policy: "TrainedPolicy", preset: str) -> "EnvConfig":
     """Return the configuration of a policy's environment under a preset."""
     from surface_gym.config import EnvConfig
 

@@ -36,11 +36,10 @@ from surface_gym.files import ARCHIVE, DAMAGE, check_plain, describe_damage
 from surface_gym.parallel import Report, Workers, map_jobs
 
 from ..evaluation.tables import markdown
-from ..learning.config import TrainConfig, config_of_seed, write_hyperparams
+from ..learning.config import ParcelConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve, train
 from ..learning.sb3 import make_training_envs
-from ..library import find_task
-from ..policy import load_policy
+from ..library import find_task, read
 from .sweep import Choices, Span, Sweep
 
 FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
@@ -229,7 +228,7 @@ class Pruning:
         return self._trial.should_prune()
 
 
-def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruning) -> float:
+def _train_and_score(sweep: Sweep, config: ParcelConfig, place: int, prune: Pruning) -> float:
     """Train with the seed at a place, and score its policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
@@ -254,9 +253,9 @@ def _train_and_score(sweep: Sweep, config: TrainConfig, place: int, prune: Pruni
         return score_policy(run, sweep, folder)
 
 
-def score_policy(config: TrainConfig, sweep: Sweep, folder: Path) -> float:
+def score_policy(config: ParcelConfig, sweep: Sweep, folder: Path) -> float:
     """Return the mean over the greedy policy's first episodes on fresh starts."""
-    policy = load_policy(folder, find_task(config.task))
+    policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
     usual: dict[str, Any] = {
         name: sweep.fixed.get(name, getattr(sweep.default, name))

@@ -1,28 +1,21 @@
-"""The request of a search, as its YAML file has it, and the command that starts or resumes one:
-`surface-gym tune sweep.yml`, or `train.py --search sweep.yml`.
-"""
+"""The request of a search, as its YAML file has it."""
 
-import argparse
 import json
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surface_gym import checks, files, parallel
-from surface_gym.cli import TRAIN, command_line, typed
+from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage
+from surface_gym.registration import TASKS
 
-from ..learning.config import RENAMED, TrainConfig, defaults
+from ..learning.config import RENAMED, ParcelConfig, defaults
+from ..learning.runs import CURVE_EVERY
+from ..library import ALGORITHMS
 from ..yaml_file import read_yaml
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-ALGOS = ("ppo", "dqn", "modules")
 METRICS = ("success", "return")
 SAMPLERS = ("tpe", "random")
 PRUNERS = ("median", "halving", "none")
@@ -93,15 +86,16 @@ class Sweep:
     fixed: dict[str, Any] = field(default_factory=dict)  # that differs from the task's defaults
 
     def __post_init__(self) -> None:
-        checks.one_of("algo", self.algo, ALGOS)
+        of_one = [
+            name for name, each in ALGORITHMS.items() if issubclass(each.config, ParcelConfig)
+        ]
+        checks.one_of("algo", self.algo, of_one)
         for name, allowed in (("metric", METRICS), ("sampler", SAMPLERS), ("pruner", PRUNERS)):
             checks.one_of(name, getattr(self, name), allowed)
         for name in ("trials", "evaluations", "seeds"):
             checks.integer(name, getattr(self, name), least=1)
         for name in ("seed", "startup_trials"):
             checks.integer(name, getattr(self, name), least=0)
-        from ..learning.runs import CURVE_EVERY
-
         least = (self.evaluations + 1) * CURVE_EVERY  # each evaluation has a row of the curve
         checks.integer(f"steps, with {self.evaluations} evaluations,", self.steps, least)
         if not self.space:
@@ -123,16 +117,18 @@ class Sweep:
                     self._try("space", {name: value, **any_batch})
 
     @cached_property
-    def default(self) -> TrainConfig:
+    def default(self) -> ParcelConfig:
         """The package's configuration of the task and the algorithm."""
-        return defaults(self.task, self.algo)
+        found = defaults(self.task, self.algo)
+        assert isinstance(found, ParcelConfig)
+        return found
 
     @property
     def max_reports(self) -> int:
         """Number of evaluations during a trial that is not pruned."""
         return self.seeds * self.evaluations
 
-    def config(self, params: Mapping[str, Any]) -> TrainConfig:
+    def config(self, params: Mapping[str, Any]) -> ParcelConfig:
         """Return the configuration of drawn values, with the first seed."""
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
@@ -165,8 +161,6 @@ def differences(sweep: Sweep, other: Sweep) -> list[str]:
 
 
 def _read(plain: dict[str, Any], task: str | None) -> Sweep:
-    from surface_gym.tasks import TASKS
-
     known = [each.name for each in fields(Sweep)]
     for name in plain:
         checks.one_of("a name", name, known)
@@ -197,76 +191,3 @@ def _values(name: str, values: Any) -> Span | Choices:
         raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
     except ValueError as error:
         raise ValueError(f"space: {name}: {error}") from None
-
-
-FILE = "sweep.yml"  # in a search's folder
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Search hyper-parameters; an error ends it with one line."""
-    parser = argparse.ArgumentParser(prog=typed("tune"), description=main.__doc__)
-    parser.add_argument("file", type=Path, help="what to search, as docs/search.md says")
-    parser.add_argument("--task", help="custom task of the search, as path/to/file.py:Class")
-    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for searches")
-    parser.add_argument("--name", help="folder in there, which is resumed if it holds the search")
-    parser.add_argument("--cluster", help="address of a Ray cluster to share the trials among")
-    given = parser.parse_args(arguments)
-    from rich.console import Console
-
-    from ..library import task_files
-
-    folder = given.out / (given.name or f"search-{given.file.stem}")
-    try:
-        workers = parallel.choose_workers(
-            given.cluster, parallel.usable_cores(), task_files(given.task)
-        )
-        search(given.file, folder, workers, Console(), given.task)
-    except (ValueError, parallel.WorkFailed) as error:
-        sys.exit(f"error: {error}")
-
-
-def search(
-    file: Path, folder: Path, workers: parallel.Workers, console: "Console", task: str | None = None
-) -> None:
-    """Search hyper-parameters and leave a report in a folder, or resume a search there."""
-    parallel.check_workers(workers)
-    if find_spec("optuna") is None:
-        raise ValueError(
-            "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
-        )
-    from . import study
-
-    sweep = open_folder(file, folder, task)
-    with study.open_study(sweep, folder) as opened:
-        try:
-            study.optimize(sweep, opened, workers, console, study.run_trial)
-        except KeyboardInterrupt:
-            kept = len(study.finished_trials(opened))
-            console.print(
-                f"interrupted: {folder} holds {kept} trials; "
-                f"{command_line(TRAIN, '--resume', str(folder))} resumes it",
-                soft_wrap=True,
-            )
-            return
-        study.write_report(sweep, opened, folder)
-        trials = study.finished_trials(opened)
-    console.print(study.summary(sweep, trials))
-    best = "" if study.best_trial(trials) is None else f" and {study.BEST}"
-    console.print(f"{folder} holds {study.PAGE}{best}", soft_wrap=True)
-
-
-def open_folder(file: Path, folder: Path, task: str | None = None) -> Sweep:
-    """Read the request of a search and keep it in the search's folder, which is made if need be."""
-    sweep = read_sweep(file, task)
-    kept = folder / FILE
-    if kept.is_file():
-        before = read_sweep(kept, task)
-        if found := differences(before, sweep):
-            raise ValueError(f"folder must be of this search, got {folder}: {'; '.join(found)}")
-        return before
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"folder must be new, or a search's, got {folder}")
-    folder.mkdir(parents=True, exist_ok=True)
-    with files.replacing(kept) as part:
-        part.write_bytes(file.read_bytes())
-    return sweep

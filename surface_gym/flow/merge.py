@@ -1,6 +1,6 @@
 """The task of merging lines of parcels into one on a slope."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from surface_gym.compiler.jit import inlined
@@ -86,6 +86,10 @@ class Merge(TakeAwayTask):
         super().__post_init__()
         if len(self.inlets) < 2:
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
+
+    def training_tasks(self) -> tuple["Merge", ...]:
+        """Return the task with more parcels than it can take."""
+        return (replace(self, stream=lines(10_000.0)),)
 
     @staticmethod
     @inlined

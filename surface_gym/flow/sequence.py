@@ -1,6 +1,6 @@
 """The task of bringing parcels into an order on a slope."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from surface_gym import checks
 from surface_gym.compiler.jit import inlined
@@ -91,6 +91,10 @@ class Sequence(TakeAwayTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
+
+    def training_tasks(self) -> tuple["Sequence", ...]:
+        """Return the task with parcels out of order in a narrow and in a wide window."""
+        return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     @staticmethod
     @inlined

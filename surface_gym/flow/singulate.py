@@ -1,9 +1,9 @@
 """The task of singulation on a slope: a bulk of parcels leaves one at a time."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.flow.take_away import TakeAwayTask, bulk
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,11 @@ class Singulate(TakeAwayTask):
 
     - `v0`: first version.
     """
+
+    def training_tasks(self) -> tuple["Singulate", ...]:
+        """Return the task with more parcels than it can take, and a mouth that they leave by."""
+        mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
+        return (mouth,)
 
 
 MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] that the comparison asks for through a mouth

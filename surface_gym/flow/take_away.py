@@ -6,6 +6,7 @@ the reward, and the statistics of an episode.
 
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -336,6 +337,8 @@ class TakeAwayTask(StreamTask):
     features = FEATURES
     terms = (*PARCEL_TERMS, *SURFACE_TERMS)
     waiting_reward: ClassVar[float] = 0.0
+    # time is dear in learning, since a queue waits at the edge
+    learning_weights = MappingProxyType({"wrong": 2.0, "touch": 5.0, "time": 5.0})
     goals = fs.GOALS + 7
     memories = 2
     statistics = TakeAwayStatistics

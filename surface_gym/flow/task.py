@@ -1,8 +1,10 @@
 """Tasks on streams of parcels: their actions, features, rewards and parameters."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -146,6 +148,8 @@ class StreamTask(Task):
     line = flow_line()
     waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
     jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
+    # times its reward that a term of a parcel counts in learning, by its name; others count once
+    learning_weights: ClassVar[Mapping[str, float]] = MappingProxyType({})
     outcomes = ("jam",)
     options = ("stream",)
     goals = fs.GOALS

@@ -108,6 +108,10 @@ class Task:
         """Return the terms of the reward that a parcel earns."""
         return self.terms
 
+    def training_tasks(self) -> "tuple[Task, ...]":
+        """Return the tasks that agents learn this one on; by default the task itself."""
+        return (self,)
+
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
         """Return the same task, with other parcels where it draws the default ones of its class."""
         return replace(self, parcels=parcels) if draws_default_parcels(self) else self

@@ -165,6 +165,12 @@ asked one |
         for kind in self.kinds:
             checks.one_of("kinds", kind, shapes.KINDS)
 
+    def training_tasks(self) -> tuple[Task, ...]:
+        """Return the task on steep fields: below 10 deg of tilt keeping a heading costs more speed
+        than the slope gives.
+        """
+        return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
+
     def start(self, draw: Draw) -> Start:
         """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds. The centre
         starts on the path at the asked speed along it, theta at 0.

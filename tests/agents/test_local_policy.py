@@ -8,6 +8,7 @@ import torch
 
 from surface_gym.agents.library import PolicyCard
 from surface_gym.agents.local_policy import HOLD, LocalNetwork, LocalPolicy, see_modules
+from surface_gym.agents.parcel_policy import suited
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.module_view import OWN, ModuleView
@@ -15,6 +16,7 @@ from surface_gym.registration import env_id
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 CARD = PolicyCard(env_id("singulate"), "local", "modules", 0.04, (8,))
+OWN_CONFIG = CARD.env_config()
 CONFIG = EnvConfig("singulate")
 CHOICES, ROLL = 4, 3
 
@@ -52,7 +54,7 @@ def test_modules_see_what_the_view_says_and_those_of_a_parcel_are_in_a_row(table
 
 
 def test_a_module_without_a_parcel_lets_it_roll_on(network, tables) -> None:
-    actions, _ = LocalPolicy(network, CARD).predict(tables)
+    actions, _ = LocalPolicy(network, CARD, OWN_CONFIG).predict(tables)
     owner = ModuleView(CONFIG)(tables).owner
     assert (actions[owner < 0] == ROLL).all()
     assert len(np.unique(actions[owner >= 0])) > 1
@@ -76,7 +78,9 @@ def test_a_parcel_far_behind_changes_nothing_and_one_near_does(network, tables) 
 def test_modules_that_see_alike_choose_alike(network, tables) -> None:
     network.actor[0].weight[:, -len(OWN) :] = 0.0  # they see nothing of themselves
     for deterministic in (True, False):
-        actions, _ = LocalPolicy(network, CARD).predict(tables, deterministic=deterministic)
+        actions, _ = LocalPolicy(network, CARD, OWN_CONFIG).predict(
+            tables, deterministic=deterministic
+        )
         owner = ModuleView(CONFIG)(tables).owner
         for i in range(3):
             for k in np.unique(owner[i][owner[i] >= 0]):
@@ -84,7 +88,10 @@ def test_modules_that_see_alike_choose_alike(network, tables) -> None:
 
 
 def test_choices_follow_their_probabilities_and_stay_for_some_periods(network, tables) -> None:
-    policy, seen = LocalPolicy(network, CARD), see_modules(ModuleView(CONFIG), tables)
+    policy, seen = (
+        LocalPolicy(network, CARD, OWN_CONFIG),
+        see_modules(ModuleView(CONFIG), tables),
+    )
     probability = network(seen.passed[seen.parcel], seen.own).exp().numpy()
     count, moving, chosen = np.zeros_like(probability), tables.copy(), []
     moving[..., ta.COLUMN.time.place] = np.ceil(moving[..., ta.COLUMN.time.place] * 50.0) / 50.0
@@ -99,14 +106,16 @@ def test_choices_follow_their_probabilities_and_stay_for_some_periods(network, t
 
 
 def test_a_batch_decides_as_each_alone(network, tables) -> None:
-    policy = LocalPolicy(network, CARD)
+    policy = LocalPolicy(network, CARD, OWN_CONFIG)
     together, _ = policy.predict(tables)
     alone = [policy.predict(each)[0] for each in tables]
     np.testing.assert_array_equal(together, alone)
 
 
 def test_nobody_there_is_no_error(network) -> None:
-    actions, _ = LocalPolicy(network, CARD).predict(np.zeros((2, 32, 29), dtype=np.float32))
+    actions, _ = LocalPolicy(network, CARD, OWN_CONFIG).predict(
+        np.zeros((2, 32, 29), dtype=np.float32)
+    )
     assert (actions == ROLL).all()
 
 
@@ -118,6 +127,6 @@ def test_nobody_there_is_no_error(network) -> None:
         ({"task": "singulate", "orientations": (0.0, 0.5)}, "orientations must be"),
     ],
 )
-def test_it_is_for_the_environment_of_its_card(network, given, message) -> None:
+def test_it_is_for_the_environment_of_its_card(given, message) -> None:
     with pytest.raises(ValueError, match=message):
-        LocalPolicy(network, CARD, EnvConfig(**given))
+        suited(OWN_CONFIG, EnvConfig(**given))

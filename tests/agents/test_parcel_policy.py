@@ -12,7 +12,8 @@ from surface_gym.agents.parcel_policy import (
     ParcelNetwork,
     ParcelPolicy,
     ParcelValues,
-    propose,
+    Proposer,
+    suited,
     to_halves,
 )
 from surface_gym.agents.rules.singulation import TimeSlots
@@ -22,7 +23,8 @@ from surface_gym.registration import env_id
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 CARD = PolicyCard(env_id("singulate"), "parcels", "parcels", 0.04, (8,))
-FEATURES, CHOICES = len(ta.FEATURES), 4
+CONFIG = CARD.env_config()
+FEATURES, CHOICES = CONFIG.features, 4
 
 
 @pytest.fixture(scope="module")
@@ -80,28 +82,27 @@ def test_a_parcel_heeds_those_of_its_surface_alone(network, tables) -> None:
 
 
 def test_nobody_there_is_no_error(network) -> None:
-    found = ask(network, np.zeros((2, 5, FEATURES), dtype=np.float32))
+    found = ask(network, np.zeros((2, 5, len(FEATURES)), dtype=np.float32))
     assert found.logits.shape == (0, CHOICES**2)
 
 
 def constant(network: ParcelNetwork, monkeypatch: pytest.MonkeyPatch) -> ParcelPolicy:
     """A policy whose rule always proposes the first choice."""
-    policy = ParcelPolicy(network, CARD)
+    policy = ParcelPolicy(network, CARD, CONFIG)
     brake = SimpleNamespace(predict=lambda seen, *_: (np.zeros((*seen.shape[:2], 2), int), None))
-    monkeypatch.setattr(policy, "_rule", brake)
+    monkeypatch.setattr(policy._proposer, "_rule", brake)
     return policy
 
 
 def test_before_learning_it_is_nearly_the_rule(tables) -> None:
     torch.manual_seed(0)
-    config = EnvConfig("singulate", **CARD.env_kwargs)
-    policy = ParcelPolicy(ParcelNetwork(FEATURES, CHOICES, (8,)), CARD)
-    seen = tables[:, : config.task.max_parcels]
-    proposed, _ = propose(TimeSlots(config), seen, None, np.ones(3, dtype=bool), CHOICES)
+    policy = ParcelPolicy(ParcelNetwork(FEATURES, CHOICES, (8,)), CARD, CONFIG)
+    seen = tables[:, : CONFIG.task.max_parcels]
+    proposed, _ = Proposer(CONFIG).propose(seen, None, np.ones(3, dtype=bool))
     probability, index = policy.probabilities(seen, proposed)
     of_rule = probability[np.arange(len(index)), proposed.flatten()[index]]
     assert ((of_rule > 0.9) & (of_rule < 0.99)).all()
-    wanted, _ = TimeSlots(config).predict(seen)
+    wanted, _ = TimeSlots(CONFIG).predict(seen)
     chosen, _ = policy.predict(seen)
     np.testing.assert_array_equal(chosen.reshape(-1, 2)[index], wanted.reshape(-1, 2)[index])
 
@@ -122,7 +123,7 @@ def test_choices_follow_their_probabilities_over_time(network, tables, monkeypat
 
 
 def test_what_is_owed_ends_with_the_parcel_and_with_the_episode(network, tables) -> None:
-    policy = ParcelPolicy(network, CARD)
+    policy = ParcelPolicy(network, CARD, CONFIG)
     first, state = policy.predict(tables)
     anew, _ = policy.predict(tables, state, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(anew, first)
@@ -134,7 +135,7 @@ def test_what_is_owed_ends_with_the_parcel_and_with_the_episode(network, tables)
 
 
 def test_a_batch_decides_as_each_alone(network, tables) -> None:
-    policy = ParcelPolicy(network, CARD)
+    policy = ParcelPolicy(network, CARD, CONFIG)
     together, _ = policy.predict(tables)
     alone = [policy.predict(each)[0] for each in tables]
     np.testing.assert_array_equal(together, alone)
@@ -164,10 +165,10 @@ def test_draws_follow_the_probabilities(network, tables, monkeypatch) -> None:
         ({"task": "singulate", "orientations": (0.0, 0.5)}, "orientations must be"),
     ],
 )
-def test_it_is_for_the_environment_of_its_card(network, given, message) -> None:
+def test_it_is_for_the_environment_of_its_card(given, message) -> None:
     config = EnvConfig(**{"actions": "parcels", **given})
     with pytest.raises(ValueError, match=message):
-        ParcelPolicy(network, CARD, config)
+        suited(CONFIG, config)
 
 
 def test_layers_that_cannot_be_shared_among_heads_are_refused() -> None:

@@ -19,7 +19,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from surface_gym import agents
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
-from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard
+from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.core.actions import KINDS
@@ -64,15 +64,15 @@ def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
 @pytest.fixture(params=["ppo", "dqn", "modules"])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     card = CARDS[request.param]
-    policies.save_policy(policy_of(card)._network, card, tmp_path)
+    save_policy(policy_of(card)._network.state_dict(), card, tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize("name", CARDS)
 def test_a_round_trip_predicts_what_an_environment_takes(name, tmp_path) -> None:
     before = policy_of(CARDS[name])
-    policies.save_policy(before._network, CARDS[name], tmp_path)
-    after = policies.load_policy(tmp_path)
+    save_policy(before._network.state_dict(), CARDS[name], tmp_path)
+    after = agents.read(tmp_path)
     assert after.card == CARDS[name]
     assert (after.env_id, after.env_kwargs) == (before.env_id, before.env_kwargs)
     envs = gym.make_vec(after.env_id, num_envs=50, **after.env_kwargs)
@@ -104,7 +104,7 @@ def test_no_byte_can_change_unnoticed(folder, name) -> None:
         if name == CARD and yaml_of(bytes(changed)) == yaml_of(whole):
             continue  # white space
         with pytest.raises(ValueError, match="damaged or foreign"):
-            policies.load_policy(folder)
+            agents.read(folder)
 
 
 def yaml_of(content: bytes) -> object:
@@ -139,7 +139,7 @@ def test_weights_of_another_kind_are_refused(folder, change, message) -> None:
     save_file(changed, folder / WEIGHTS)
     sign(folder)
     with pytest.raises(ValueError, match=re.escape(message)):
-        policies.load_policy(folder)
+        agents.read(folder)
 
 
 class Trap:
@@ -157,22 +157,22 @@ def test_a_pickle_is_refused_and_not_run(folder) -> None:
     torch.save({"a": Trap(mark)}, folder / WEIGHTS)
     sign(folder)
     with pytest.raises(ValueError, match=r"it holds more than tensors and plain values$"):
-        policies.load_policy(folder)
+        agents.read(folder)
     (folder / WEIGHTS).write_bytes(pickle.dumps(Trap(mark), protocol=2))
     sign(folder)
     with pytest.raises(ValueError, match=f"damaged or foreign policy: {WEIGHTS}: "):
-        policies.load_policy(folder)
+        agents.read(folder)
     assert not mark.exists()
 
 
 def test_a_policy_of_an_earlier_version_is_read(folder) -> None:
     """Its weights are in an archive of PyTorch's."""
-    now, earlier = policies.load_policy(folder), folder / OLD_WEIGHTS
+    now, earlier = agents.read(folder), folder / OLD_WEIGHTS
     torch.save(load_file(folder / WEIGHTS), earlier)
     earlier.replace(folder / WEIGHTS)
     sign(folder)
     (folder / WEIGHTS).replace(earlier)
-    before = policies.load_policy(folder)
+    before = agents.read(folder)
     assert before.card == now.card
     weights = now._network.state_dict()
     for name, each in before._network.state_dict().items():
@@ -185,7 +185,7 @@ def test_a_policy_of_an_earlier_version_is_read(folder) -> None:
 def test_a_foreign_card_is_refused(folder, text) -> None:
     (folder / CARD).write_text(text)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        policies.load_policy(folder)
+        agents.read(folder)
 
 
 @pytest.mark.parametrize(
@@ -203,24 +203,24 @@ def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong)
     (folder / CARD).write_text("\n".join([*kept, wrong] if given else kept))
     sign(folder)
     with pytest.raises(ValueError, match="damaged or foreign"):
-        policies.load_policy(folder)
+        agents.read(folder)
 
 
 def test_damage_and_absence_are_named(folder) -> None:
     whole, lines = (folder / WEIGHTS).read_bytes(), (folder / CARD).read_text().splitlines()
     (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
     with pytest.raises(ValueError, match="'digest' is missing"):
-        policies.load_policy(folder)
+        agents.read(folder)
     sign(folder)
     (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match="its digest differs"):
-        policies.load_policy(folder)
+        agents.read(folder)
     sign(folder)
     with pytest.raises(ValueError, match=f"damaged or foreign policy: {WEIGHTS}: "):
-        policies.load_policy(folder)
+        agents.read(folder)
     (folder / WEIGHTS).unlink()
     with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):
-        policies.load_policy(folder)
+        agents.read(folder)
 
 
 CHOICES, OPTIONS = 25, 4
@@ -278,7 +278,7 @@ FLOW_CARD = PolicyCard("SmartSurface/Flow-v0", "schedule", "parcels", 0.04, (8,)
 @pytest.fixture
 def flow_folder(tmp_path: Path) -> Path:
     torch.manual_seed(0)
-    policies.save_policy(ScheduleNetwork(FLOW_CARD.hidden), FLOW_CARD, tmp_path)
+    save_policy(ScheduleNetwork(FLOW_CARD.hidden).state_dict(), FLOW_CARD, tmp_path)
     return tmp_path
 
 
@@ -286,7 +286,7 @@ def test_a_policy_file_of_another_kind_is_refused(flow_folder) -> None:
     card = (flow_folder / CARD).read_text()
     (flow_folder / CARD).write_text(card.replace("algo: schedule", "algo: ppo"))
     sign(flow_folder)
-    with pytest.raises(ValueError, match="algo must be 'schedule'"):
+    with pytest.raises(ValueError, match="task must be one of a single parcel for PPO, got 'flow'"):
         agents.read(flow_folder)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
-from surface_gym.agents.learning.config import DQNConfig
+from surface_gym.agents.learning.algorithms import DQNConfig
 from surface_gym.agents.learning.sb3 import make_mirrored_envs
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from surface_gym.agents import train_cli
-from surface_gym.agents.learning import config as configs, runs
+from surface_gym.agents.learning import algorithms, config as configs, runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
 
@@ -53,8 +53,8 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
         ("--search wide.yml --steps 5", "--search must stand alone"),
         ("--search wide.yml --resume there", "--search must stand alone"),
         ("--search wide.yml --out . --name there", "--resume there goes on"),
-        ("--device cuda --algo dqn", "algo, on device 'cuda', must be one of 'ppo', got 'dqn'"),
-        ("--device cuda --task flow", "algo, on device 'cuda', must be one of 'ppo'"),
+        ("--device cuda --algo dqn", "algo must be one for device 'cuda', got 'dqn'"),
+        ("--device cuda --task flow", "algo must be one for device 'cuda'"),
         ("--device cuda --camera-share 0.5", "camera_share must be 0.0 for device 'cuda', got 0.5"),
         ("--device cuda --zones 8", "zones must be () for device 'cuda', got (8,)"),
         ("--device cuda --preset lab", "preset must be 'nominal' for device 'cuda', got 'lab'"),
@@ -79,7 +79,7 @@ def test_refusals_name_what_is_wrong_and_leave_no_folder(
 
 def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
     config = config_of("--task", "track", "--algo", "dqn", "--seed", "3", "--out", str(tmp_path))
-    assert isinstance(config, configs.DQNConfig)
+    assert isinstance(config, algorithms.DQNConfig)
     assert config == replace(configs.defaults("track", "dqn"), seed=3, out=tmp_path)
     assert config_of("--algo", "modules") == configs.defaults("sort", "modules")
     assert config_of("--task", "flow") == configs.defaults("flow", "schedule")
@@ -113,7 +113,7 @@ def test_a_search_is_new_or_resumed(tmp_path) -> None:
 
 def test_the_command_of_a_card_trains_the_same(tmp_path) -> None:
     config = config_of("--device", "cuda", "--num-envs", "32768", "--out", str(tmp_path))
-    assert isinstance(config, configs.PPOConfig)
+    assert isinstance(config, algorithms.PPOConfig)
     command = runs.training_command(config)
     assert command.endswith("--task sort --algo ppo --device cuda --num-envs 32768")
     assert config_of(*command.split()[2:]) == replace(config, out=Path("runs"))

@@ -22,7 +22,7 @@ from rich.console import Console
 from surface_gym import checks, parallel, ray_executor
 from surface_gym.agents.evaluation.benchmark import compute_results
 from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
-from surface_gym.agents.learning.config import ModulesConfig, PPOConfig
+from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial

@@ -13,10 +13,9 @@ import torch
 
 from surface_gym.agents import library
 from surface_gym.agents.export.web import write_agents, write_run
-from surface_gym.agents.library import PolicyCard
+from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.agents.local_policy import LocalNetwork
 from surface_gym.agents.parcel_policy import ParcelNetwork
-from surface_gym.agents.policy import save_policy
 from surface_gym.agents.rules.sequencing import PassAndPark
 from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
 from surface_gym.agents.rules.sorting import BestSorting
@@ -47,7 +46,9 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     torch.manual_seed(0)
     for task in ON_SLOPES:
         card = PolicyCard(env_id(task), "local", "modules", 0.04, (16,))
-        save_policy(LocalNetwork(4, card.hidden), card, folder / f"{task}-drawn" / "seed-0")
+        save_policy(
+            LocalNetwork(4, card.hidden).state_dict(), card, folder / f"{task}-drawn" / "seed-0"
+        )
         (folder / f"{task}-drawn" / "card.yaml").write_text("command: none\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "SHELF", folder)
@@ -255,11 +256,11 @@ def test_a_run_on_a_slope_acts_as_in_python(agents, site, tmp_path, kind):
     network: torch.nn.Module = LocalNetwork(4, (8,))
     config = EnvConfig("merge", actions=actions)
     if kind == "parcels":
-        network = ParcelNetwork(len(config.features), 4, (8,))
+        network = ParcelNetwork(config.features, 4, (8,))
         torch.nn.init.normal_(network.actor[-1].weight)
     card = PolicyCard(env_id("merge"), kind, actions, 0.04, (8,))
     for seed in (3, 4):
-        save_policy(network, card, run / f"seed-{seed}")
+        save_policy(network.state_dict(), card, run / f"seed-{seed}")
     beside = tmp_path / "beside"
     beside.mkdir()
     assert write_run(run, None, None, beside, site.folder) == ("merge", run.name)

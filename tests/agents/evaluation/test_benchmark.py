@@ -12,10 +12,10 @@ from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents import library
 from surface_gym.agents.evaluation import benchmark as runs
 from surface_gym.agents.evaluation.methods import Method, all_methods, of_run, rules, shipped
-from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.runs import CONFIG, write_config
-from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.policy import make_network, save_policy
+from surface_gym.agents.library import PolicyCard, save_policy
+from surface_gym.agents.policy import make_network
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
@@ -117,7 +117,7 @@ def _leave(folder: Path, task: str, observe: tuple[str, ...] = ()) -> None:
     """A policy that has learned nothing."""
     card = PolicyCard(env_id(task), "ppo", "halves", 0.04, (8,), observe)
     folder.mkdir(parents=True)
-    save_policy(make_network(card, card.env_config()), card, folder)
+    save_policy(make_network(card, card.env_config()).state_dict(), card, folder)
 
 
 def test_agents_of_a_preset_are_found_among_the_shipped(tmp_path, monkeypatch) -> None:

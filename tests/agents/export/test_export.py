@@ -14,10 +14,10 @@ from surface_gym.agents.export import check, onnx as graphs, policy
 from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
-from surface_gym.agents.learning.config import RENAMED, PPOConfig
+from surface_gym.agents.learning.algorithms import PPOConfig
+from surface_gym.agents.learning.config import RENAMED
 from surface_gym.agents.learning.runs import write_config
-from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.policy import save_policy
+from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
 from surface_gym.registration import ON_SLOPES
@@ -209,7 +209,7 @@ def test_modules_that_share_weights_are_exported_too(tmp_path) -> None:
 
 
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
-    save_policy(made("window").policy._network, CARDS["window"], tmp_path / "window")
+    save_policy(made("window").policy._network.state_dict(), CARDS["window"], tmp_path / "window")
     folder = tmp_path / "window"
     source = policy.of_run(folder, "mine")
     assert (source.name, source.seed, source.training.preset) == ("mine", 0, "nominal")

@@ -14,8 +14,9 @@ from surface_gym.agents import library
 from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
+from surface_gym.agents.library import save_policy
 from surface_gym.agents.module_policy import SharedNetwork
-from surface_gym.agents.policy import make_network, save_policy
+from surface_gym.agents.policy import make_network
 from surface_gym.agents.rules.sorting import FixedLayout
 from surface_gym.compiler.wasm import Module
 from surface_gym.compiler.wasm_image import name_arguments
@@ -176,7 +177,7 @@ def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task
 
 def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
     card = replace(library.load("sort-modules").card, observe=("parcel",), hidden=(8,))
-    save_policy(SharedNetwork(4, card.hidden, card.observe), card, tmp_path / "run")
+    save_policy(SharedNetwork(4, card.hidden, card.observe).state_dict(), card, tmp_path / "run")
     with pytest.raises(ValueError, match=r"run must hold .*, got modules, modules, \['parcel'\]"):
         web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 
@@ -184,7 +185,7 @@ def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
 def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(folder, tmp_path):
     card = replace(library.load("sort-ppo").card, observe=("load",), hidden=(8,))
     config = card.env_config()
-    save_policy(make_network(card, config), card, tmp_path / "run")
+    save_policy(make_network(card, config).state_dict(), card, tmp_path / "run")
     web.write_run(tmp_path / "run", None, None, tmp_path, folder)
     agents = json.loads((tmp_path / "agents.json").read_text())
     shown = make_config("sort").features
@@ -195,7 +196,9 @@ def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(fo
 
 def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path):
     policy = library.load("merge-parcels")
-    save_policy(policy._network, replace(policy.card, control_period=0.02), tmp_path / "run")
+    save_policy(
+        policy._network.state_dict(), replace(policy.card, control_period=0.02), tmp_path / "run"
+    )
     with pytest.raises(ValueError, match=r"control_period must be 0\.04 s.*, got 0\.02"):
         web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 

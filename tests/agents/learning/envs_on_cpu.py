@@ -5,7 +5,7 @@ from typing import Any
 import torch
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.learning.config import PPOConfig
+from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.library import find_task
 from surface_gym.config import REWARD
 

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
-from surface_gym.agents.learning import config as configs
+from surface_gym.agents.learning import algorithms, config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
+from surface_gym.agents.library import ALGORITHMS
 from surface_gym.registration import ON_SLOPES, env_id
 from surface_gym.tasks import TASKS
 
@@ -20,15 +21,16 @@ BAD: tuple[dict[str, Any], ...] = (
     {"task": "juggle"}, {"actions": "thirds"}, {"seed": -1}, {"seeds": 0}, {"steps": 0},
     {"num_envs": 0}, {"preset": "field"}, {"observe": ("moon",)}, {"checkpoint_every": 0},
     {"control_period": 0.0}, {"camera_share": 1.5}, {"zones": (0,)},
-    {"zones": (8,), "task": "track"}, {"friction": 1.0}, {"hidden": (0,)}, {"hidden": ()},
+    {"friction": 1.0}, {"hidden": (0,)}, {"hidden": ()},
     {"learning_rate": 0.0}, {"gamma": 1.1}, {"batch_size": 0}, {"n_steps": 0},
 )  # fmt: skip
 BAD_PPO: tuple[dict[str, Any], ...] = (
     {"algo": "dqn"}, {"n_epochs": 0}, {"batch_size": 1000}, {"gae_lambda": -0.1},
-    {"ent_coef": -1.0},
+    {"ent_coef": -1.0}, {"zones": (8,), "task": "track"},
 )  # fmt: skip
 BAD_MODULES: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"}, {"task": "slow"}, {"actions": "halves"}, {"split_probability": 1.5},
+    {"gamma": 1.1},
 )  # fmt: skip
 BAD_SCHEDULE: tuple[dict[str, Any], ...] = (
     {"task": "sort"}, {"actions": "halves"}, {"lines": 0}, {"batch_size": 0},
@@ -45,14 +47,14 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
     ("kind", "wrong"),
     [
         (kind, wrong)
-        for kind in configs.CONFIGS.values()
+        for kind in (each.config for each in ALGORITHMS.values())
         for wrong in BAD
         if next(iter(wrong)) in kind.__dataclass_fields__
     ]
-    + [(configs.PPOConfig, wrong) for wrong in BAD_PPO]
-    + [(configs.DQNConfig, wrong) for wrong in BAD_DQN]
-    + [(configs.ModulesConfig, wrong) for wrong in BAD_MODULES]
-    + [(configs.SchedulesConfig, wrong) for wrong in BAD_SCHEDULE],
+    + [(algorithms.PPOConfig, wrong) for wrong in BAD_PPO]
+    + [(algorithms.DQNConfig, wrong) for wrong in BAD_DQN]
+    + [(algorithms.ModulesConfig, wrong) for wrong in BAD_MODULES]
+    + [(algorithms.SchedulesConfig, wrong) for wrong in BAD_SCHEDULE],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_fields_are_named(kind, wrong) -> None:
@@ -100,9 +102,11 @@ def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
     """Whole as a run's, and as hyper-parameters without seeds, folder and name."""
     hidden = (12,) if algo == "parcels" else (7, 9, 11)
     config = replace(
-        configs.defaults(task, algo), steps=123_456, learning_rate=1 / 3e4, gamma=0.1 + 0.2,
-        friction=0.35, control_period=0.02, hidden=hidden, checkpoint_every=777,
+        configs.defaults(task, algo), steps=123_456, learning_rate=1 / 3e4,
+        control_period=0.02, hidden=hidden, checkpoint_every=777,
     )  # fmt: skip
+    if isinstance(config, configs.ParcelConfig):
+        config = replace(config, friction=0.35)
     whole = replace(config, seed=7, seeds=3, name="a", out=tmp_path)
     configs.write_hyperparams(whole, tmp_path / "own.yml")
     assert configs.defaults(task, algo, tmp_path / "own.yml") == config
@@ -111,7 +115,7 @@ def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
 
 
 def test_it_is_the_zoos_schema(tmp_path) -> None:
-    config: configs.TrainConfig = configs.DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
+    config: configs.TrainConfig = algorithms.DQNConfig(task="slow", num_envs=32, learning_rate=2e-5)
     configs.write_hyperparams(config, tmp_path / "own.yml")
     entry = yaml.safe_load((tmp_path / "own.yml").read_text())["SmartSurface/Slow-v0"]
     assert (entry["n_envs"], entry["n_timesteps"]) == (32, 1_000_000)
@@ -164,7 +168,7 @@ def test_a_foreign_file_of_hyperparameters_is_refused(text, named, tmp_path) -> 
 @pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
 def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
     config = configs.defaults(task, "ppo", device="cuda")
-    assert isinstance(config, configs.PPOConfig)
+    assert isinstance(config, algorithms.PPOConfig)
     assert (config.task, config.device, config.camera_share) == (task, "cuda", 0.0)
     assert config.num_envs >= 16_384
     # Checkpoints are many rollouts apart.
@@ -180,28 +184,28 @@ def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
 
 def test_an_unknown_device_is_refused() -> None:
     with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
-        configs.PPOConfig(device="tpu")
-    with pytest.raises(ValueError, match="algo must be 'ppo' for device 'cuda', got 'modules'"):
-        configs.ModulesConfig(device="cuda", camera_share=0.0)
+        algorithms.PPOConfig(device="tpu")
+    with pytest.raises(ValueError, match="algo must be one for device 'cuda', got 'modules'"):
+        configs.defaults("sort", "modules", device="cuda")
 
 
 def test_what_was_written_before_is_read_too(tmp_path) -> None:
-    """With earlier names of fields, and of a run from before there were devices."""
+    """With earlier names of fields, and with some that the algorithm never used."""
     hyperparams, run = tmp_path / "own.yml", tmp_path / "config.yaml"
     config = configs.defaults("sort", "modules")
     configs.write_hyperparams(config, hyperparams)
     assert "split_probability" in hyperparams.read_text()
     hyperparams.write_text(hyperparams.read_text().replace("split_probability", "parted"))
     assert configs.defaults("sort", "modules", hyperparams) == config
-    config = configs.ModulesConfig(split_probability=0.5)
+    config = algorithms.ModulesConfig(split_probability=0.5)
     write_config(config, run)
     earlier = {name: before for before, name in configs.RENAMED.items()}
     plain = yaml.safe_load(run.read_text())
-    del plain["device"]
+    plain["device"] = "cpu"  # which every configuration had
     plain = {earlier.get(name, name): value for name, value in plain.items()}
     assert len(set(plain) & set(configs.RENAMED)) == 3
     run.write_text(yaml.safe_dump(plain))
     assert read_config(run) == config
-    assert configs.config_of_seed(configs.PPOConfig(seeds=3, steps=5), 2) == configs.PPOConfig(
-        seed=2, seeds=1, steps=5
-    )
+    assert configs.config_of_seed(
+        algorithms.PPOConfig(seeds=3, steps=5), 2
+    ) == algorithms.PPOConfig(seed=2, seeds=1, steps=5)

@@ -17,7 +17,8 @@ from stable_baselines3.common.logger import configure
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.base import ActionMirror
 from surface_gym.agents.learning import cuda
-from surface_gym.agents.learning.config import PPOConfig, defaults
+from surface_gym.agents.learning.algorithms import PPOConfig
+from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.runs import read_curve, train
 from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
 from surface_gym.agents.library import WEIGHTS

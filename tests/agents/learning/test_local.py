@@ -8,7 +8,8 @@ import torch
 
 from surface_gym import agents
 from surface_gym.agents.learning import local, slopes
-from surface_gym.agents.learning.config import LocalConfig, defaults
+from surface_gym.agents.learning.algorithms import LocalConfig
+from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.runs import train
 from surface_gym.config import EnvConfig
 from surface_gym.registration import ON_SLOPES

@@ -18,7 +18,14 @@ from rich.console import Console
 from safetensors.torch import load_file
 
 from surface_gym import agents
-from surface_gym.agents.learning import config as configs, local, runs, schedules, slopes
+from surface_gym.agents.learning import (
+    algorithms,
+    config as configs,
+    local,
+    runs,
+    schedules,
+    slopes,
+)
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.library import WEIGHTS
@@ -52,15 +59,17 @@ _CUDA: dict[str, Any] = {
 }  # fmt: skip
 # Each with the control periods after which it is interrupted, and its reward terms.
 RUNS: dict[str, tuple[configs.TrainConfig, int, tuple[str, ...]]] = {
-    "ppo": (configs.PPOConfig(**_STOP, n_steps=32, batch_size=256, n_epochs=1), 9_000, STOP_TERMS),
-    "dqn": (configs.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
-    "modules": (
-        configs.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
+    "ppo": (
+        algorithms.PPOConfig(**_STOP, n_steps=32, batch_size=256, n_epochs=1), 9_000, STOP_TERMS,
     ),
-    "schedule": (configs.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
-    "parcels": (configs.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
-    "local": (configs.LocalConfig(**_MERGE), 300, SLOPE_TERMS),
-    "cuda": (configs.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
+    "dqn": (algorithms.DQNConfig(**_STOP, **_DQN), 9_000, STOP_TERMS),
+    "modules": (
+        algorithms.ModulesConfig(steps=512, num_envs=8, checkpoint_every=256, **_SORT), 300, TERMS,
+    ),
+    "schedule": (algorithms.SchedulesConfig(**_FLOW), 300, schedules.TERMS),
+    "parcels": (algorithms.ParcelsConfig(**_MERGE), 300, SLOPE_TERMS),
+    "local": (algorithms.LocalConfig(**_MERGE), 300, SLOPE_TERMS),
+    "cuda": (algorithms.PPOConfig(**_CUDA, actions="quadrants"), 1_500, TERMS),
 }  # fmt: skip
 TRAIN = """
 import sys
@@ -92,7 +101,7 @@ def run(
 ) -> runs.TrainResult:
     """Train in a folder; a run for a device has environments on the CPU."""
     folder.mkdir(exist_ok=True)
-    if configs.on_device(config):
+    if configs.device_of(config) != configs.CPU:
         return train_on_device(config, folder, on_progress, envs_on_cpu)
     return train(config, folder, on_progress)
 
@@ -159,7 +168,7 @@ def test_its_curve_and_its_policy_are_read(whole) -> None:
 @pytest.mark.parametrize("name", RUNS)
 def test_a_seed_fixes_the_weights(name, tmp_path) -> None:
     config = replace(RUNS[name][0], steps=1)
-    if isinstance(config, configs.DQNConfig):
+    if isinstance(config, algorithms.DQNConfig):
         config = replace(config, steps=160, learning_starts=16)
     for folder, seed in (("one", 3), ("again", 3), ("other", 4)):
         run(replace(config, seed=seed), tmp_path / folder)

@@ -9,7 +9,7 @@ import torch
 
 from surface_gym.agents.evaluation.material_flow import NEVER_SEEN, SHAPES_SEED
 from surface_gym.agents.learning import local, slopes
-from surface_gym.agents.learning.config import LocalConfig, ParcelsConfig
+from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
 from surface_gym.agents.learning.local import LocalLearner
 from surface_gym.agents.learning.parcels import ParcelLearner
 from surface_gym.flow import take_away as ta

@@ -12,8 +12,9 @@ from stable_baselines3.common.utils import set_random_seed
 from torch.nn.functional import smooth_l1_loss
 
 from surface_gym import agents
-from surface_gym.agents.learning import config as configs, sb3, schedules
-from surface_gym.agents.learning.config import DQNConfig, ModulesConfig, PPOConfig, defaults
+from surface_gym.agents.learning import algorithms, sb3, schedules
+from surface_gym.agents.learning.algorithms import DQNConfig, ModulesConfig, PPOConfig
+from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.modules import ModuleSamples
 from surface_gym.agents.learning.ppo import compute_advantages
 from surface_gym.agents.learning.runs import train
@@ -163,7 +164,9 @@ def test_who_comes_behind_is_to_blame_for_a_touch() -> None:
 
 def test_it_learns_how_many_touches_to_expect() -> None:
     """Of decisions that lead to one in three where the first feature of a candidate is high."""
-    learner = schedules.ScheduleLearner(configs.SchedulesConfig(hidden=(8, 8), learning_rate=0.01))
+    learner = schedules.ScheduleLearner(
+        algorithms.SchedulesConfig(hidden=(8, 8), learning_rate=0.01)
+    )
     torch.manual_seed(0)
     count = 512
     option = torch.randn(count, 1, OPTION)

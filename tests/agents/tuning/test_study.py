@@ -21,12 +21,14 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 
 from surface_gym.agents.evaluation.benchmark import SEED
-from surface_gym.agents.learning.config import PPOConfig, defaults, make_card
+from surface_gym.agents.learning.algorithms import PPOConfig
+from surface_gym.agents.learning.config import defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult, train
-from surface_gym.agents.policy import load_policy
+from surface_gym.agents.library import read
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study, sweep as sweeps
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, main, open_folder, search
+from surface_gym.agents.tuning.cli import main, open_folder, search
+from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
@@ -263,7 +265,7 @@ def test_a_policy_is_judged_by_starts_of_their_own(tmp_path, monkeypatch) -> Non
     config = PPOConfig(steps=60_000, camera_share=0.0, hidden=(16,))
     train(config, tmp_path)
     monkeypatch.setattr(study, "STARTS", 100)
-    policy, seed = load_policy(tmp_path), study.JUDGE_SEED + 5
+    policy, seed = read(tmp_path), study.JUDGE_SEED + 5
     alone = run_episodes(policy, make_card(config).env_config(), [{}] * 100, seed)
     judged = study.score_policy(config, sweep, tmp_path)
     assert judged == alone.success.mean()

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from surface_gym.agents.learning.config import PPOConfig, defaults
+from surface_gym.agents.learning.algorithms import PPOConfig
+from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, differences, read_sweep
 
 ROOT = Path(__file__).parents[3]

@@ -1,0 +1,287 @@
+"""The package's learning algorithms: their options, and what trains and builds their policies.
+
+The modules that train and build are imported when they are first called, so that options are known
+without PyTorch.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, get_args
+
+from surface_gym import checks
+from surface_gym.flow.take_away import TakeAwayTask
+from surface_gym.flow.task import Flow
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.sort import Sort
+
+from ..library import ALGORITHMS, QUEUE, Algorithm
+from .config import CPU, NOMINAL, ActionName, DeviceName, ParcelConfig, TrainConfig
+
+MOST_PARCELS = 12  # on a surface at once, for a policy of its parcels or its modules
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutConfig(TrainConfig):
+    """Options of all algorithms that learn by PPO."""
+
+    n_steps: int = 64
+    """Control periods of each environment between updates."""
+    batch_size: int = 1024
+    """Samples of a gradient step."""
+    n_epochs: int = 5
+    """Passes over a rollout."""
+    gamma: float = 0.99
+    """Discount factor of a control period."""
+    gae_lambda: float = 0.95
+    """Lambda of the generalised advantage estimate."""
+    ent_coef: float = 0.003
+    """Weight of the entropy bonus."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("n_steps", "batch_size", "n_epochs"):
+            checks.integer(name, getattr(self, name), least=1)
+        samples = self.num_envs * self.n_steps
+        if samples % self.batch_size:
+            raise ValueError(
+                f"batch_size must be a factor of num_envs x n_steps, {samples}, "
+                f"got {self.batch_size!r}"
+            )
+        for name in ("gamma", "gae_lambda"):
+            checks.within(name, getattr(self, name), 0.0, 1.0)
+        checks.not_negative("ent_coef", self.ent_coef)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(ParcelConfig, RolloutConfig):
+    """Train PPO on a task, then compare it with the paper's fixed layout.
+
+    Defaults are the task's, in agents/hyperparams/ppo.yml.
+    """
+
+    algo: str = "ppo"
+    """PPO."""
+    device: DeviceName = CPU
+    """Device of the environments and the network: cpu, or cuda with exact sensors, with defaults in
+    agents/hyperparams/ppo-cuda.yml."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if checks.one_of("device", self.device, get_args(DeviceName)) == CPU:
+            return
+        # A device has no cameras or zones.
+        for name, only in (("preset", NOMINAL), ("camera_share", 0.0), ("zones", ())):
+            if getattr(self, name) != only:
+                raise ValueError(
+                    f"{name} must be {only!r} for device {self.device!r}, "
+                    f"got {getattr(self, name)!r}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DQNConfig(ParcelConfig):
+    """Train DQN with double Q on a task, then compare it with the paper's fixed layout.
+
+    Defaults are the task's, in agents/hyperparams/dqn.yml.
+    """
+
+    algo: str = "dqn"
+    """DQN with double Q."""
+    gamma: float = 0.99
+    """Discount factor of a control period."""
+    buffer_size: int = 500_000
+    """Transitions in the replay buffer."""
+    learning_starts: int = 5_000
+    """Control periods before the first gradient step."""
+    batch_size: int = 512
+    """Samples of a gradient step."""
+    n_steps: int = 3
+    """Control periods of an n-step return."""
+    gradient_steps: int = 8
+    """Gradient steps after every control period of all environments."""
+    tau: float = 0.005
+    """[-] weight of the network in an update of the target network."""
+    exploration_fraction: float = 0.15
+    """[-] of the run in which the share of random actions falls."""
+    exploration_final_eps: float = 0.02
+    """[-] share of random actions after that."""
+    max_grad_norm: float = 1.0
+    """Maximum norm of a gradient."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("buffer_size", "batch_size", "n_steps", "gradient_steps"):
+            checks.integer(name, getattr(self, name), least=1)
+        checks.integer("learning_starts", self.learning_starts, least=0)
+        for name in ("gamma", "tau", "exploration_fraction", "exploration_final_eps"):
+            checks.within(name, getattr(self, name), 0.0, 1.0)
+        checks.positive("max_grad_norm", self.max_grad_norm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModulesConfig(ParcelConfig, RolloutConfig):
+    """Train one policy shared by all modules to sort, by PPO with shared draws, then compare it
+    with the paper's fixed layout.
+
+    Defaults are in agents/hyperparams/modules.yml.
+    """
+
+    algo: str = "modules"
+    """Shared-policy PPO per module."""
+    actions: ActionName = "modules"
+    """Kind of action, as in the environment."""
+    split_probability: float = 0.3
+    """[-] that a line through the parcel splits its modules into two groups, each with a draw of
+    its own; otherwise all modules share one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.within("split_probability", self.split_probability, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SchedulesConfig(TrainConfig):
+    """Train one policy on the schedule of streams, on any lines: it learns which decisions lead to
+    touches, from those that it takes itself. Then measure its capacity.
+
+    Defaults are in agents/hyperparams/schedule.yml.
+    """
+
+    task: str = Flow().name
+    """Task to learn."""
+    algo: str = "schedule"
+    """Monte Carlo values of decisions on a schedule."""
+    actions: ActionName = "parcels"
+    """Kind of action, as in the environment."""
+    lines: int = 4
+    """Rollouts between updates, each on a line drawn at random, with `num_envs` streams."""
+    batch_size: int = 1024
+    """Decisions of a gradient step."""
+    gradient_steps: int = 60
+    """Gradient steps of an update."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("lines", "batch_size", "gradient_steps"):
+            checks.integer(name, getattr(self, name), least=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParcelsConfig(RolloutConfig):
+    """Train one policy shared by all parcels of a stream by PPO with a reward for each; where the
+    task has a rule, the policy corrects it. Then compare it with that rule.
+
+    Defaults are in agents/hyperparams/parcels.yml.
+    """
+
+    task: str = "singulate"
+    """Task to learn: one on a stream of parcels."""
+    algo: str = "parcels"
+    """Shared-policy PPO per parcel."""
+    actions: ActionName = "parcels"
+    """Kind of action, as in the environment."""
+    hidden: tuple[int, ...] = (64,)
+    """Units of all layers, one number."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalConfig(RolloutConfig):
+    """Train one policy shared by all modules on a slope, each of which sees only itself and what
+    its neighbours pass on, by PPO, beginning from the task's rule; then compare it with that rule.
+
+    Defaults are in agents/hyperparams/local.yml.
+    """
+
+    task: str = "singulate"
+    """Task to learn: one on a slope with a take-away."""
+    algo: str = "local"
+    """Shared-policy PPO per module that sees what is near."""
+    actions: ActionName = "modules"
+    """Kind of action, as in the environment."""
+    split_probability: float = 0.3
+    """[-] that a line through a parcel splits its modules into two groups, each with a draw of its
+    own; otherwise all modules share one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.within("split_probability", self.split_probability, 0.0, 1.0)
+
+
+def _later(module: str, name: str) -> Callable[..., Any]:
+    """Return a function of a module beside this folder, imported as it is first called."""
+
+    def call(*given: Any, **options: Any) -> Any:
+        return getattr(import_module(module, __package__), name)(*given, **options)
+
+    return call
+
+
+def _train_ppo(config: PPOConfig, *more: Any) -> Any:
+    """Train PPO with Stable-Baselines3, or on a device."""
+    if config.device == CPU:
+        return _later(".sb3", "train_sb3")(config, *more)
+    return _later(".cuda", "train_on_device")(config, *more)
+
+
+def _shows_parcels(task: Task) -> bool:
+    return task.is_stream and any(each.name == "present" for each in task.features)
+
+
+_BUILD = _later("..policy", "build_policy")
+_OF_ONE_PARCEL = ("halves", "quadrants", "window", "modules")
+ALGORITHMS.register("ppo", Algorithm("PPO", PPOConfig, _train_ppo, _BUILD, _OF_ONE_PARCEL))
+ALGORITHMS.register(
+    "dqn", Algorithm("DQN", DQNConfig, _later(".sb3", "train_sb3"), _BUILD, ("halves",))
+)
+ALGORITHMS.register(
+    "modules",
+    Algorithm(
+        "PPO per module",
+        ModulesConfig,
+        _later(".modules", "train_modules"),
+        _later("..module_policy", "build_modules"),
+        ("modules",),
+        lambda task: type(task) is Sort,
+        f"{Sort().name!r}",
+    ),
+)
+ALGORITHMS.register(
+    "schedule",
+    Algorithm(
+        "decisions on a schedule",
+        SchedulesConfig,
+        _later(".schedules", "train_schedules"),
+        _later("..schedule_policy", "build_schedule"),
+        ("parcels",),
+        lambda task: type(task) is Flow,
+        f"{Flow().name!r}",
+        {"gate": True, "queue": QUEUE},
+    ),
+)
+ALGORITHMS.register(
+    "parcels",
+    Algorithm(
+        "PPO per parcel",
+        ParcelsConfig,
+        _later(".parcels", "train_parcels"),
+        _later("..parcel_policy", "build_parcels"),
+        ("parcels",),
+        _shows_parcels,
+        "one on a stream of parcels that shows which rows are `present`",
+        {"max_parcels": MOST_PARCELS},
+    ),
+)
+ALGORITHMS.register(
+    "local",
+    Algorithm(
+        "PPO per module",
+        LocalConfig,
+        _later(".local", "train_local"),
+        _later("..local_policy", "build_local"),
+        ("modules",),
+        lambda task: isinstance(task, TakeAwayTask),
+        "one on a slope with a take-away",
+        {"max_parcels": MOST_PARCELS},
+    ),
+)
