@@ -45,7 +45,7 @@ def find_commands(page: str) -> Iterator[str]:
                         yield part.strip()
 
 
-COMMANDS = sorted({(page, command) for page in PAGES for command in find_commands(page)})
+COMMANDS = sorted({each: page for page in PAGES for each in find_commands(page)}.items())
 
 
 def then_stop(parse: Callable[..., Any]) -> Callable[..., Any]:
@@ -69,8 +69,8 @@ def stopping(monkeypatch):
     return monkeypatch
 
 
-@pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_a_program_accepts_the_command(page, command, stopping):
+@pytest.mark.parametrize(("command", "page"), COMMANDS)
+def test_a_program_accepts_the_command(command, page, stopping):
     words = [STAND_INS.get(word, word) for word in shlex.split(command)]
     if words[0] in OTHERS or "zensical" in words or "QUESTION" in words:
         return
@@ -111,7 +111,7 @@ def test_a_program_accepts_the_command(page, command, stopping):
 
 
 def test_the_commands_are_found_and_an_unknown_flag_is_refused(stopping, capsys):
-    commands = [command for _, command in COMMANDS]
+    commands = [command for command, _ in COMMANDS]
     for program in ("train.py", "evaluate.py", "surface-gym design", "surface-gym paper"):
         assert any(program in command for command in commands)
     stopping.setattr(sys, "argv", ["train.py", "--no-such-flag", "3"])
