@@ -13,6 +13,7 @@ from surface_gym.compiler.jit import is_compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core import actions
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions, ShownGroup
+from surface_gym.physics import types as ph
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
@@ -147,30 +148,56 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 
 
 def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.ParcelState]:
-    """Make the memory of surfaces and parcels, every axis the conveyor's."""
-    task, line, kind = config.task, config.chosen_line, config.action_kind
-    sizes = st.Sizes(
-        num_envs=num_envs,
-        rows=line.rows,
-        columns=line.columns,
-        command=kind.size,
-        choices=kind.choices,
-        observation=len(config.features),
-        terms=len(task.parcel_terms),
-        goals=task.goals,
-        memories=task.memories,
-        metrics=len(task.metrics),
-        sensor_state=config.sensors.sensor_size,
-        path=task.has_path,
-        noise=config.draws > 0,
-        turning=config.actuators.axis_speed != math.inf,
-        stiffness=config.randomisation.stiffness > 0.0,
-        max_parcels=config.rows,
+    """Make the memory of surfaces and parcels, nothing placed yet, every axis the conveyor's."""
+    return _make_surfaces(config, num_envs), _make_parcels(config, num_envs * config.rows)
+
+
+def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
+    line, kind = config.chosen_line, config.action_kind
+    grid = (count, line.rows, line.columns)
+    turning = config.actuators.axis_speed != math.inf
+    # Axes that are one of a few directions count them; those at any angle have one each.
+    angles = np.array(config.chosen_orientations)
+    if kind.choices > 0 and not turning:
+        axis = np.full(grid, len(angles), dtype=np.int32)
+        direction = np.array([[*axis_directions(angles), actions.CONVEYOR]])
+    else:
+        own = np.arange(line.rows * line.columns, dtype=np.int32).reshape(grid[1:])
+        axis = np.tile(own, (count, 1, 1))
+        direction = np.tile(np.array(actions.CONVEYOR), (count, own.size, 1))
+    return st.SurfaceState(
+        axis=axis,
+        direction=direction,
+        angle=np.zeros(grid if turning else (count, 1, 1)),
+        target=np.zeros(grid if turning else (count, 1, 1)),
+        stiffness=np.ones((count if config.randomisation.stiffness > 0.0 else 1, *grid[1:])),
+        conditions=np.zeros((count, st.CONDITION_COLUMNS)),
+        command=np.zeros((count, kind.size), dtype=np.int64 if kind.choices else np.float64),
     )
-    surfaces = st.make_surfaces(sizes)
-    surfaces.direction[:] = actions.CONVEYOR
-    if sizes.choices and not sizes.turning:  # axes count the orientations on offer
-        angles = np.array(config.chosen_orientations)
-        surfaces.direction[0, :-1] = axis_directions(angles)
-        surfaces.axis[:] = len(angles)
-    return surfaces, st.make_parcels(sizes)
+
+
+def _make_parcels(config: EnvConfig, rows: int) -> st.ParcelState:
+    task = config.task
+    return st.ParcelState(
+        state=np.zeros((rows, ph.STATE_SIZE)),
+        truth=np.zeros((rows, 6)),
+        sensed=np.zeros((rows, 6)),
+        clock=np.zeros(rows),
+        period=np.zeros(rows),
+        steps=np.zeros(rows, dtype=np.int64),
+        on_rotors=np.ones(rows, dtype=np.bool_),
+        on_surface=np.ones(rows, dtype=np.bool_),
+        body=np.zeros(rows, dtype=np.int64),
+        goal=np.zeros((rows, task.goals)),
+        path=np.zeros((rows, st.PATH_POINTS if task.has_path else 0)),
+        memory=np.zeros((rows, task.memories)),
+        metrics=np.zeros((rows, len(task.metrics))),
+        noise=np.zeros((rows, st.NOISE_ROWS if config.draws > 0 else 0, 4)),
+        noise_row=np.zeros((rows, 1), dtype=np.int64),
+        sensor_state=np.zeros((rows, config.sensors.sensor_size)),
+        observation=np.zeros((rows, len(config.features)), dtype=np.float32),
+        terms=np.zeros((rows, len(task.parcel_terms))),
+        reward=np.zeros(rows),
+        outcome=np.zeros(rows, dtype=np.int64),
+        fault=np.zeros(rows, dtype=np.int64),
+    )
