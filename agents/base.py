@@ -49,7 +49,7 @@ class Controller(Protocol):
 class BatchController(ABC):
     """A `Controller` that decides for a batch; a single observation is a batch of one."""
 
-    _shape: tuple[int | None, ...]  # of an observation; None: any length
+    _shape: tuple[Any, ...]  # of an observation; None: any length
 
     def predict(
         self,

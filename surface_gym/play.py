@@ -82,7 +82,12 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             if task is not None and ":" in task:
                 from surface_gym.agents.library import find_task
 
-                name = modules.add_own(find_task(task), beside)
+                own = find_task(task)
+                name = modules.add_own(own, beside)
+                if find_spec("torch") is not None:
+                    from surface_gym.agents.export import web
+
+                    web.write_own_rules(own, name, beside, folder)
             if run is not None:
                 from surface_gym.agents.export import web
 

@@ -14,7 +14,7 @@ from .. import library
 from ..base import Controller
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, read_config, task_name
-from ..rules import MORE_RULES, Rule, find_rules
+from ..rules import Rule, find_apart, find_rules
 
 FIXED = "fixed layout"
 BEST_FIXED = "best fixed layout"
@@ -64,7 +64,7 @@ def all_methods(task: str) -> list[Method]:
 def rules(task: str) -> list[Method]:
     """List methods that neither learn nor plan; the fixed layout first, then the best of such."""
     kind = library.task_kind(task)
-    more = [r for r in MORE_RULES if r.task == (kind if r.observed_task is None else task)]
+    more = [r for r in find_apart() if r.task == (kind if r.observed_task is None else task)]
     order = {FIXED: 0, BEST_FIXED: 1, ANY_ANGLE: 2}
     found = [_of_rule(rule, task) for rule in (*find_rules(kind), *more)]
     return sorted(found, key=lambda method: order.get(method.name, len(order)))

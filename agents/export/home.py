@@ -1,12 +1,11 @@
 """The comparison on the site's home page: one stream of boxes on two lines, each with its schedule.
 
-It writes `home.bin`, a stream of which all boxes are yet to come, and `home.json`, what lies where
-in it, and the tables by which `page/schedule.js` schedules both lines. The module is `flow.wasm`:
-the same kernel, whatever the exits, the gate and the boxes.
+It writes `home.bin`, a stream with all boxes yet to come, and `home.json`, its layout. The module
+is `flow.wasm`: the same kernel, whatever the exits, the gate and the boxes. The function of the
+schedulers is another module, with a memory for each line.
 """
 
 import json
-import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,16 +14,15 @@ import numpy as np
 
 from surface_gym.compiler.wasm_image import make_image
 from surface_gym.config import EnvConfig
-from surface_gym.files import replacing
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.task import COLUMN
 from surface_gym.web.starts import describe, goal_marks
 
 from ..evaluation.capacity import WARM_UP, StreamMethod
 from ..evaluation.streams import ARRANGED, FILMED, MODULES, stream_methods
-from ..scheduling.scheduler import BOOKED, LONG_AGO, WIDTH, Scheduler
-from ..scheduling.trajectories import SIGNATURE
+from ..scheduling.leading import schedule
+from ..scheduling.scheduler import Scheduler
+from .rules import write, write_machine
 
 FILES = ("home.bin", "home.json")
 BOXES = 1000  # that come within an hour; a page lets them come as fast as its reader asks
@@ -57,45 +55,6 @@ def place_stream(config: EnvConfig) -> StreamBatch:
     return batch
 
 
-def describe_schedule(scheduler: Scheduler) -> dict[str, Any]:
-    """Describe a scheduler for `page/schedule.js`: its tables, and what it reads of a parcel."""
-    library = scheduler.library
-    lead, maneuvers = library.lead, library.maneuvers
-    card: dict[str, Any] = {
-        "gaps": library.gaps.tolist(),
-        "delay": library.delay.tolist(),
-        "options": [[k for k in own if k >= 0] for own in library.options.tolist()],
-        "signature": library.signature.tolist(),
-        "kind": maneuvers.kind.tolist(),
-        "place": [None if math.isinf(x) else x for x in maneuvers.place.tolist()],
-        "choice": maneuvers.choice.tolist(),
-        "roll": lead.axes.roll,
-        "groups": None,
-    }
-    if lead.groups is not None:
-        card["groups"] = {
-            "turned": maneuvers.groups.tolist(),
-            "origin": lead.origin.tolist(),
-            "first": lead.first_x.tolist(),
-            "last": lead.last_x.tolist(),
-            "columns": np.diff(lead.spans).ravel().tolist(),
-            "ahead": lead.ahead,
-        }
-    return card
-
-
-def describe_table() -> dict[str, Any]:
-    """Describe what all schedulers share: columns of the table, units, sizes of their memory."""
-    return {
-        "present": COLUMN.present.place, "time": COLUMN.time.place,
-        "past": COLUMN.past_the_exit_s_start.place, "speed": COLUMN.forward_speed.place,
-        "length": COLUMN.size.place, "seen": SIGNATURE, "horizon": COLUMN.time.scale,
-        "unit": COLUMN.past_the_exit_s_start.scale,
-        "half": COLUMN.size.offset, "fifth": COLUMN.size.scale,
-        "booked": BOOKED, "width": WIDTH, "longAgo": LONG_AGO,
-    }  # fmt: skip
-
-
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
     """Write the comparison beside the modules of a site.
 
@@ -111,10 +70,14 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
         "starts": {"fields": [], "marks": [goal_marks(batch)]},  # the image is the only start
         "warmUp": WARM_UP,
         "obeying": obeying,
-        "table": describe_table(),
-        "lines": [describe_schedule(each) for each in make_schedulers()],
+        "lines": [
+            {
+                **write_machine("schedule", f"home-{place}", schedule, each.begin(), folder),
+                "byGroups": each.library.lead.groups is not None,
+            }
+            for place, each in enumerate(make_schedulers())
+        ],
     }
     written = (json.dumps(layout, separators=(",", ":"), allow_nan=False) + "\n").encode()
     for name, content in zip(FILES, (image.block, written), strict=True):
-        with replacing(folder / name) as part:
-            part.write_bytes(content)
+        write(folder / name, content)

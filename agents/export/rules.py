@@ -1,129 +1,102 @@
-"""Rules of one parcel for the playground: what `page/rules.js` has to know of each.
+"""Rules for the playground: their compiled functions, and the memory of each as an episode begins.
 
-A rule's card holds its kind, what it sees of its environment, and its numbers. The page computes
-what the rule does; tests hold both to the same runs.
+A rule that is registered is there, and its function is compiled to WebAssembly. Rules that arrange
+axes once are there by the layouts that they choose; a rule that searches is not.
 """
 
-import math
-from collections.abc import Callable
-from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
+from surface_gym.compiler.wasm import compile_module
+from surface_gym.compiler.wasm_image import make_image, name_arguments
 from surface_gym.config import EnvConfig
-from surface_gym.core import actions
-from surface_gym.lines import Line
-from surface_gym.physics.types import GRAVITY
-from surface_gym.tasks import base as tasks, track
+from surface_gym.files import replacing
+from surface_gym.registration import env_id
+from surface_gym.sensors import Camera
+from surface_gym.web.starts import SEEDS
 
-from ..base import find_axes
-from ..rules import RULES, base, braking, local, sorting, steering
+from ..rules import Rule, find_rules
+from ..rules.base import Compiled, FixedRule
 
-Card = dict[str, Any]
+Card = dict[str, Any]  # as `page/rule.js` reads it
+Runs = list[list[int]]  # a choice, and how many modules in a row have it
+WINDOW = "window"  # kind of action that moves with the parcel
 
 
-def describe_rules(task: str) -> dict[str, Card]:
-    """Describe a task's rules that choose anew each control period, by name."""
+def write_rules(task: str, folder: Path) -> dict[str, Card]:
+    """Write a task's rules that have a compiled function; describe them by name."""
     found = {}
-    for rule in RULES:
-        describe = DESCRIBED.get(rule.make)
-        if rule.task == task and describe is not None:
-            config = EnvConfig(task, actions=rule.actions)
-            found[rule.name] = {**_describe_seen(config), **describe(config)}
+    for rule in find_rules(task):
+        config = configure(rule)
+        made = rule.make(config)
+        if isinstance(made, Compiled):
+            found[rule.name] = write_rule(rule, folder)
     return found
 
 
-def _describe_seen(config: EnvConfig) -> Card:
-    """Describe what every rule needs: its observation, its modules and its choices."""
-    line, kind = config.chosen_line, config.action_kind
-    angles = np.array(config.chosen_orientations)
+def configure(rule: Rule, **others: Any) -> EnvConfig:
+    """Configure the page's environment of a rule, in which modules obey one by one."""
+    actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
+    return EnvConfig(rule.task, actions=actions, **others)
+
+
+def write_rule(rule: Rule, folder: Path) -> Card:
+    """Write a rule as it begins an episode."""
+    config = configure(rule)
+    made: Any = rule.make(config)
+    has_halves = config.actions == "parcels"
+    slug = rule.name.lower().replace(" ", "-")
+    code = slug if has_halves else f"{rule.task}-{slug}"
+    name = f"{rule.task}-{slug}"
+    card = {"kind": "rule", **write_machine(code, name, made.kernel, made.begin(), folder)}
+    if has_halves:
+        card["choices"] = made.choices.tolist()
+    elif config.actions == WINDOW:
+        card["window"] = list(config.action_kind.shape)
+    return {**card, "camera": find_camera_numbers(rule)}
+
+
+def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
+    """Write a compiled function, and a memory of it, as `page/machine.js` loads them."""
+    compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
+    image = make_image(kernel, arguments)
+    write(folder / f"agent-{name}.bin", image.block)
+    write(folder / f"agent-{name}.json", image.to_json().encode())
+    return {"code": f"agent-{code}", "machine": f"agent-{name}"}
+
+
+def find_camera_numbers(rule: Rule) -> dict[str, float]:
+    """Find, by name, the numbers of a rule that are others where a camera senses the parcels."""
+    exact, camera = (
+        name_arguments(made.kernel, made.begin())
+        for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
+        if isinstance(made, Compiled)
+    )
+    return {name: camera[name] for name in exact if np.any(exact[name] != camera[name])}
+
+
+def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
+    """Collect, by the rule's name, the layouts that rules choose for the starts of the seeds."""
+    rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
+    made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
+    fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
+    env = gym.make(env_id(task))
+    starts = np.stack([env.reset(seed=seed)[0] for seed in range(seeds)])
     return {
-        "actions": config.actions,
-        # Those of the page's environment: a rule needs no other.
-        "features": [feature.name for feature in EnvConfig(config.task_name).features],
-        "slopes": [f"slope {ahead:g} m ahead" for ahead in track.AHEAD],
-        "pitch": [line.pitch_x, line.pitch_y],
-        "zoneLength": line.pitch_x * line.zone_columns,
-        "rows": kind.shape[0],
-        "columns": kind.shape[1],
-        "axes": asdict(find_axes(config)),
-        "directions": np.stack([np.cos(angles), np.sin(angles)], axis=-1).tolist(),
-        "period": config.control_period,
-        "midway": steering.MIDWAY,
-        "justOver": actions.JUST_OVER_HALF,
-        "gravity": GRAVITY,
-        "braking": tasks.BRAKING,
+        name: [_pack(layout.tolist()) for layout in np.asarray(rule.predict(starts)[0])]
+        for name, rule in fixed.items()
     }
 
 
-def _describe_event(config: EnvConfig) -> Card:
-    del config
-    return {"kind": "event"}
+def _pack(choices: list[int]) -> Runs:
+    return [[choice, len(list(run))] for choice, run in groupby(choices)]
 
 
-def _describe_local(kind: str) -> Callable[[EnvConfig], Card]:
-    def describe(config: EnvConfig) -> Card:
-        task = local.LOCAL_TASKS[config.task_name]
-        return {
-            "kind": kind, "task": config.task_name,
-            "thresholds": task.thresholds, "gains": task.gains,
-            "aside": local.ASIDE, "centring": local.CENTRING, "crossing": local.CROSSING,
-            "straightening": local.STRAIGHTENING, "turning": local.TURNING,
-            "endOfTurn": local.END_OF_TURN, "closeEnough": local.CLOSE_ENOUGH,
-            "mostSummed": local.MOST_SUMMED,
-        }  # fmt: skip
-
-    return describe
-
-
-def _describe_sliding(config: EnvConfig) -> Card:
-    return {
-        "kind": "sliding", "steps": steering.STEPS,
-        "options": steering.leading_options(config).tolist(), "ahead": track.AHEAD[1],
-        "surfaceSlope": steering.SLOPE, "speedWeight": steering.SPEED_WEIGHT,
-        "turnWeight": steering.TURN_WEIGHT, "straightening": steering.STRAIGHTENING,
-    }  # fmt: skip
-
-
-def _describe_turning(config: EnvConfig) -> Card:
-    del config
-    return {
-        "kind": "turning", "steps": steering.STEPS, "from": steering.FROM.tolist(),
-        "endOfTurn": steering.END_OF_TURN, "speedWorth": steering.SPEED_WORTH,
-        "driftWorth": steering.DRIFT_WORTH, "closeEnough": steering.CLOSE_ENOUGH,
-        "worthIt": steering.WORTH_IT,
-    }  # fmt: skip
-
-
-def _describe_braking(kind: str, gently: float) -> Callable[[EnvConfig], Card]:
-    def describe(config: EnvConfig) -> Card:
-        rows, _ = config.action_kind.shape
-        levels = np.arange(len(base.LEANS))[:, np.newaxis]
-        half = base.LEANS[base.HALF]
-        return {
-            "kind": kind, "gently": gently, "dt": config.timing.dt, "steps": config.timing.steps,
-            "choices": base.ColumnAxes(config)(levels).reshape(len(levels), rows).tolist(),
-            "leans": np.stack([np.cos(base.LEANS), np.sin(base.LEANS)], axis=-1).tolist(),
-            "half": [math.cos(half), math.sin(half)],
-            "isNarrow": isinstance(config.chosen_line, Line), "onEdge": braking.ON_EDGE,
-            "rollingLoss": tasks.ROLLING_LOSS, "supportLoss": braking.SUPPORT_LOSS,
-            "comHeight": braking.COM_HEIGHT, "short": braking.SHORT, "caution": braking.CAUTION,
-            "trimTime": braking.TRIM_TIME, "unsure": braking.UNSURE.tolist(),
-            "least": braking.LEAST, "most": braking.MOST, "predicted": braking.PREDICTED,
-            "noises": [braking.SEEN_EXACTLY, braking.SEEN],
-        }  # fmt: skip
-
-    return describe
-
-
-# How each rule is described; layouts and others are described by what they choose.
-DESCRIBED: dict[Callable[[EnvConfig], Any], Callable[[EnvConfig], Card]] = {
-    sorting.EventRule: _describe_event,
-    local.ThresholdRule: _describe_local("threshold"),
-    local.PidRule: _describe_local("pid"),
-    steering.SlidingMode: _describe_sliding,
-    steering.TurningRule: _describe_turning,
-    braking.SlowingRule: _describe_braking("slowing", braking.SLOW_GENTLY),
-    braking.StoppingRule: _describe_braking("stopping", braking.STOP_GENTLY),
-}
+def write(file: Path, content: bytes) -> None:
+    """Write a file, whole or not at all."""
+    with replacing(file) as part:
+        part.write_bytes(content)

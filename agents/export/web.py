@@ -12,46 +12,37 @@ import argparse
 import json
 import shutil
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 
 from surface_gym.cli import typed
 from surface_gym.compiler.wasm import compile_module
-from surface_gym.compiler.wasm_image import make_image, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
-from surface_gym.files import replacing
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
-from surface_gym.flow.task import COLUMN
-from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
-from surface_gym.sensors import Camera
-from surface_gym.web.build import AGENTS, SITE, make_config
-from surface_gym.web.starts import SEEDS
+from surface_gym.flow.task import COLUMN, StreamTask
+from surface_gym.registration import FLOW_TASK, TASKS
+from surface_gym.tasks import Task
+from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
 
 from .. import library, local_policy, module_policy, parcel_policy
-from ..base import Singles, find_axes, mirrored_orientations
+from ..base import Singles, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
-from ..rules import RULES
-from ..rules.base import FixedRule
-from ..rules.sequencing import PassAndPark
-from ..rules.singulation import HoldAndRelease, TimeSlots
-from ..rules.slopes import PRIORS, SlopeRule, forget, make_memory
-from ..rules.sorting import FixedLayout
-from ..rules.streams import OWN
+from ..rules import find_rules
+from ..rules.slopes import PRIORS
+from ..rules.streams import OWN, SortEach
 from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
-from .rules import describe_rules
+from .rules import Card, configure, find_layouts, write, write_machine, write_rule, write_rules
 
 ALGOS = {  # what each chooses for
     "ppo": ("halves", "quadrants"), "dqn": ("halves", "quadrants"), "modules": ("modules",),
@@ -68,14 +59,6 @@ OBEYING_READS = (
 )
 RUN = "run"  # in place of a run's name, which an address might not hold
 CONTROL_PERIOD = EnvConfig("sort").control_period  # [s] of all tasks in the page
-SINGLE: dict[str, type[SlopeRule]] = {"time slots": TimeSlots, "hold and release": HoldAndRelease}
-RULES_ON_SLOPES: dict[str, dict[str, type[SlopeRule]]] = {
-    "singulate": SINGLE,
-    "merge": SINGLE,
-    "sequence": {"pass and park": PassAndPark},
-}
-Card = dict[str, Any]  # as `page/agents.js` reads it
-Runs = list[list[int]]  # a choice, and how many modules in a row have it
 
 
 class Weights:
@@ -178,7 +161,7 @@ def write_policies(
         described = describe_source(shipped(name), own)
         if card.observe:
             described["weights"] = f"agent-{name}.bin"
-            _write(folder / described["weights"], own.to_bytes())
+            write(folder / described["weights"], own.to_bytes())
         found.setdefault(card.task, {})[name] = described
     return found
 
@@ -212,23 +195,53 @@ def write_run(
     if own is None and name not in (None, policy.card.task):
         raise ValueError(f"task must be that of the run, {policy.card.task!r}, got {task!r}")
     of_task, agent = name or policy.card.task, run.resolve().name
-    weights, agents = Weights(), {}
-    if (package / AGENTS[1]).is_file():
-        weights.add(np.frombuffer((package / AGENTS[0]).read_bytes(), dtype="<f4"))
-        agents = json.loads((package / AGENTS[1]).read_text())
+    weights, agents = read_agents(package)
     there = agents.setdefault(of_task, {})
     if isinstance(policy, ParcelPolicy | LocalPolicy):
         for module in package.glob("agent-*.wasm"):  # not to compile them again
             shutil.copyfile(module, folder / module.name)
         there["obeying"] = write_obeying(of_task, folder)
         described = write_slope_policy(RUN, policy, first, folder)
-        there.setdefault("slopes", {})[agent] = described
+        there.setdefault("streams", {})[agent] = described
     else:
         described = describe_source(of_run(run, task=own), weights)
         there.setdefault("policies", {})[agent] = described
+    _write_beside(agents, weights, folder, package)
+    return of_task, agent
+
+
+def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
+    """Write the rules that are registered for a user's task, among the agents of the package.
+
+    Args:
+        task: of the user's; only one that is registered has rules.
+        name: of the task's files.
+        folder: where to write.
+        package: that has agents, unless they are yet to be written.
+    """
+    rules = write_rules(task.name, folder) if task.name in TASKS else {}
+    if not rules:
+        return
+    weights, agents = read_agents(package)
+    kind = "streams" if task.is_stream else "rules"
+    agents[name] = {kind: rules}
+    if task.is_stream:
+        agents[name]["obeying"] = write_obeying(task.name, folder)
+    _write_beside(agents, weights, folder, package)
+
+
+def read_agents(package: Path) -> tuple[Weights, dict[str, Any]]:
+    """Read the weights and the agents of a folder; none are there before they are written."""
+    weights = Weights()
+    if not (package / AGENTS[1]).is_file():
+        return weights, {}
+    weights.add(np.frombuffer((package / AGENTS[0]).read_bytes(), dtype="<f4"))
+    return weights, json.loads((package / AGENTS[1]).read_text())
+
+
+def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, package: Path) -> None:
     site = folder if (folder / SITE).is_file() else package
     _write_all(json.loads((site / SITE).read_text()), agents, weights, folder)
-    return of_task, agent
 
 
 def _check_run(card: library.PolicyCard) -> None:
@@ -246,34 +259,16 @@ def _check_run(card: library.PolicyCard) -> None:
         )
 
 
-def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Collect, by the rule's name, the layouts that rules choose for the starts of the seeds."""
-    env, config = gym.make(env_id(task)), EnvConfig(task)
-    starts = np.stack([env.reset(seed=seed)[0] for seed in range(seeds)])
-    found = {}
-    for rule in RULES:
-        if rule.task != task or rule.actions != "modules" or rule.searches:
-            continue
-        made = rule.make(config)
-        if isinstance(made, (FixedRule, FixedLayout)):
-            layouts = np.asarray(made.predict(starts)[0])
-            found[rule.name] = [_packed(layout.tolist()) for layout in layouts]
-    return found
+def describe_each(rule: SortEach) -> Card:
+    """Describe a policy of single parcels that acts for each parcel of a stream.
 
-
-def _packed(choices: list[int]) -> Runs:
-    return [[choice, len(list(run))] for choice, run in groupby(choices)]
-
-
-def describe_parcel_rules(policy: Card) -> dict[str, Card]:
-    """Describe, by name, rules of Flow that decide for each parcel, one of them by a policy."""
-    axes = find_axes(EnvConfig(FLOW_TASK))
-    card = {
-        "present": COLUMN.present.place, "waits": COLUMN.waits.place,
-        "past": COLUMN.past_the_exit_s_start.place, "side": COLUMN.side.place, "own": OWN,
-        "axes": {"roll": axes.roll, "left": axes.left, "right": axes.right},
+    Its weights are those of its own task.
+    """
+    return {
+        "kind": "each", "present": COLUMN.present.place, "waits": COLUMN.waits.place,
+        "side": COLUMN.side.place, "own": OWN, "roll": int(rule.choices[0]),
+        "policy": {"task": rule.policy.card.task, "name": rule.name},
     }  # fmt: skip
-    return {"event rule": {**card, "policy": None}, "sort-ppo": {**card, "policy": policy}}
 
 
 def write_obeying(task: str, folder: Path) -> Card:
@@ -284,44 +279,6 @@ def write_obeying(task: str, folder: Path) -> Card:
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
     module = compile_module(kernel, batch.arguments, folder / f"{name}.wasm")
     return {"code": name, "signature": module.signature, "reads": OBEYING_READS}
-
-
-def write_machine(name: str, task: str, kernel: Any, arguments: Any, folder: Path) -> Card:
-    """Write a compiled function, and its memory for a task, as `page/machine.js` loads them."""
-    code, machine = f"agent-{name}", f"agent-{task}-{name}"
-    compile_module(kernel, arguments, folder / f"{code}.wasm")
-    image = make_image(kernel, arguments)
-    _write(folder / f"{machine}.bin", image.block)
-    _write(folder / f"{machine}.json", image.to_json().encode())
-    return {"code": code, "machine": machine}
-
-
-def write_rule(name: str, make: type[SlopeRule], config: EnvConfig, folder: Path) -> Card:
-    """Write a rule on a slope as it begins an episode."""
-    rule = make(config)
-    machine = write_machine(
-        name.replace(" ", "-"), config.task_name, rule.kernel, begin_rule(rule, config), folder
-    )
-    return {"kind": "rule", **machine, "choices": rule.choices.tolist()}
-
-
-def begin_rule(rule: SlopeRule, config: EnvConfig) -> tuple[Any, ...]:
-    """Return a rule's arguments as it begins an episode."""
-    tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
-    memory = make_memory(1, config.rows)
-    forget(memory, np.ones(1, dtype=np.bool_))
-    halves = np.zeros((1, config.rows, 2), dtype=np.int64)
-    return rule.arguments(tables, memory, halves)
-
-
-def find_camera_numbers(make: type[SlopeRule], config: EnvConfig) -> dict[str, float]:
-    """Find, by name, the numbers of a rule that are others where a camera senses the parcels."""
-    exact, camera = (
-        name_arguments(made.kernel, begin_rule(made, each))
-        for each in (config, EnvConfig(config.task, actions=config.actions, sensors=Camera()))
-        for made in (make(each),)
-    )
-    return {name: camera[name] for name in exact if np.any(exact[name] != camera[name])}
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
@@ -350,16 +307,12 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
     }  # fmt: skip
 
 
-def write_slope_agents(task: str, folder: Path) -> dict[str, Card]:
-    """Write the rules and the shipped agents of a task on a slope; describe them by name."""
-    config = EnvConfig(task, actions="parcels")
-    found = {
-        name: {
-            **write_rule(name, make, config, folder),
-            "camera": find_camera_numbers(make, config),
-        }
-        for name, make in RULES_ON_SLOPES[task].items()
-    }
+def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
+    """Write the rules and the shipped agents of a task on a stream; describe them by name."""
+    found = write_rules(task, folder)
+    for rule in find_rules(task):
+        if issubclass(rule.make, SortEach):
+            found[rule.name] = describe_each(rule.make(configure(rule)))
     for name in library.names():
         policy = library.load(name)
         if policy.card.task == task and isinstance(policy, ParcelPolicy | LocalPolicy):
@@ -383,17 +336,17 @@ def write_slope_policy(
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
     if isinstance(policy, ParcelPolicy):
-        corrected = PRIORS[task]
-        (called,) = (name for name, rule in RULES_ON_SLOPES[task].items() if rule is corrected)
-        rule = write_rule(called, RULES_ON_SLOPES[task][called], config, folder)
+        (prior,) = (each for each in find_rules(task) if each.make is PRIORS[task])
+        rule = write_rule(prior, folder)
         card = describe_parcel_network(tensors, rule, weights)
     else:
         tables = np.zeros((1, config.rows, len(config.features)), dtype=np.float32)
         view = write_machine(
-            "module-view", task, view_modules, ModuleView(config).arguments(tables), folder
-        )
+            "module-view", f"{task}-module-view", view_modules,
+            ModuleView(config).arguments(tables), folder,
+        )  # fmt: skip
         card = {**view, **describe_module_network(tensors, config, weights)}
-    _write(folder / f"agent-{name}.bin", weights.to_bytes())
+    write(folder / f"agent-{name}.bin", weights.to_bytes())
     return {**card, "weights": f"agent-{name}.bin"}
 
 
@@ -404,18 +357,17 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
     policies = write_policies(site["tasks"], weights, folder)
     agents: dict[str, dict[str, Any]] = {}
     for task in site["tasks"]:
-        if task in policies:
+        if task.endswith(CAMERA):
+            continue
+        if isinstance(make_config(task).task, StreamTask):
+            found = write_stream_agents(task, folder)
+            agents[task] = {"obeying": write_obeying(task, folder), "streams": found}
+        else:
             agents[task] = {
-                "policies": policies[task],
-                "rules": describe_rules(task),
+                "policies": policies.get(task, {}),
+                "rules": write_rules(task, folder),
                 "layouts": find_layouts(task),
             }
-        elif task == FLOW_TASK:
-            described = describe_parcel_rules(policies["sort"]["sort-ppo"])
-            agents[task] = {"obeying": write_obeying(task, folder), "parcels": described}
-        elif task in ON_SLOPES:
-            found = write_slope_agents(task, folder)
-            agents[task] = {"obeying": write_obeying(task, folder), "slopes": found}
     _write_all(site, agents, weights, folder)
     return agents
 
@@ -424,14 +376,9 @@ def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
     """Write the agents, and that a site has them."""
-    _write(folder / AGENTS[0], weights.to_bytes())
-    _write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
-    _write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())
-
-
-def _write(file: Path, content: bytes) -> None:
-    with replacing(file) as part:
-        part.write_bytes(content)
+    write(folder / AGENTS[0], weights.to_bytes())
+    write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
+    write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

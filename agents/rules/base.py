@@ -1,16 +1,18 @@
 """Base classes of rules, which decide for many environments at once, by the sensors alone."""
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.registry import Registry
 from surface_gym.tasks import Task
 
 from .. import base as shared
@@ -18,7 +20,7 @@ from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
 
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
-Memory = NDArray[Any] | None  # what a rule remembers, by environment; None: nothing
+Memory = Any  # what a rule remembers, by environment; None: nothing
 Observations = NDArray[np.float32]
 Decision = tuple[Commands, Memory]
 
@@ -28,7 +30,7 @@ LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 de
 
 @dataclass(frozen=True)
 class Rule:
-    """A controller that does not learn, as the registry lists it."""
+    """A controller that does not learn, for a task."""
 
     name: str
     task: str  # its name
@@ -39,6 +41,45 @@ class Rule:
     orientations: str | None = None  # "any": axes at any angle; None: those of the line
     # the task of the package whose observation shows it more; None: the task itself
     observed_task: Callable[[Task], Task] | None = None
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether it acts in an environment of its own."""
+        return self.orientations is not None or self.observed_task is not None
+
+
+# By task and name, as "sort: event rule"; in the order in which tables list them.
+RULES: Registry[Rule] = Registry(
+    "rule",
+    *(
+        f"surface_gym.agents.rules.{name}"
+        for name in (
+            "sorting", "layouts", "local", "steering", "braking", "streams", "singulation",
+            "sequencing",
+        )
+    ),
+)  # fmt: skip
+Maker = TypeVar("Maker", bound=Callable[..., Any])
+
+
+def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker], Maker]:
+    """Register a class or a function that makes a rule of a configuration.
+
+    A rule that is registered is compared with the others and acts in the playground.
+
+    Args:
+        name: of the rule, once a task.
+        tasks: names of the tasks that it is for.
+        actions: the kind of action it is for.
+        more: other fields of `Rule`.
+    """
+
+    def register(make: Maker) -> Maker:
+        for task in tasks:
+            RULES.register(f"{task}: {name}", Rule(name, task, actions, make, **more))
+        return make
+
+    return register
 
 
 class BaseRule(BatchController):
@@ -85,6 +126,57 @@ class UniformRule(BaseRule):
         return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
 
+class Compiled(ABC):
+    """A controller whose decision is a compiled function, which a page calls as well.
+
+    Of one parcel the function reads `observations` and writes `commands`; of a stream it reads
+    `tables` and writes `halves`, each of which stands for one of `choices`.
+    """
+
+    kernel: Any  # the compiled function
+
+    @abstractmethod
+    def begin(self) -> tuple[Any, ...]:
+        """List what the function takes in an environment that begins an episode."""
+
+
+class CompiledRule(BaseRule, Compiled):
+    """A rule of one parcel that is a compiled function."""
+
+    def __init__(
+        self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__(config, tasks, actions)
+        axes = find_axes(config)
+        self._axes = np.array([axes.roll, axes.brake, axes.left, axes.right])
+
+    def make_memory(self, num_envs: int) -> tuple[NDArray[Any], ...]:
+        """Make what is remembered of environments that have just begun, in a named tuple."""
+        del num_envs
+        return ()
+
+    @abstractmethod
+    def arguments(
+        self, observations: Observations, memory: Any, commands: Commands
+    ) -> tuple[Any, ...]:
+        """List what the kernel takes, to write commands (num_envs, size)."""
+
+    def begin(self) -> tuple[Any, ...]:
+        commands = np.zeros((1, self._kind.size), dtype=np.int64)
+        observations = np.zeros((1, *self._shape), dtype=np.float32)
+        return self.arguments(observations, self.make_memory(1), commands)
+
+    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
+        num_envs = len(observations)
+        begun = self.make_memory(num_envs)
+        if memory is not None:
+            for new, old in zip(begun, checks.alike("state", memory, begun), strict=True):
+                new[~fresh] = old[~fresh]
+        commands = np.empty((num_envs, self._kind.size), dtype=np.int64)
+        self.kernel(*self.arguments(observations, begun, commands))
+        return commands, begun or None
+
+
 class UniformLayout(UniformRule):
     """Any task with every axis at one angle, whatever the parcel does."""
 
@@ -94,6 +186,13 @@ class UniformLayout(UniformRule):
 
     def _choose(self, observations: Observations) -> Commands:
         return np.full(len(observations), self._choice)
+
+
+# On a field every axis at 90 deg: a parcel rolls straight downhill. A field arranged along a path
+# would have to know the path, of which observations show the next 0.35 m.
+ROLLING = rule("fixed layout", "track", actions="window")(
+    partial(UniformLayout, angle=math.pi / 2.0, tasks=("track",))
+)
 
 
 class FixedRule(BaseRule):

@@ -1,217 +1,32 @@
 """Slow and Stop by choosing, every period, the braking that ends nearest to the goal."""
 
 import math
-from abc import abstractmethod
-from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import surface_gym as sg
-from surface_gym import checks
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
-from surface_gym.tasks.planning import LineObservation
 
-from ..base import Booleans, Numbers
+from ..base import Booleans, Integers, Numbers, Singles
 from . import base
-from .base import BaseRule, ColumnAxes, Decision, Levels, Memory, Observations
+from .base import ColumnAxes, Commands, CompiledRule, Observations, rule
+from .decoding import Line, Sight, add, look_at_line, see_line
 
+# Groups of features: how wide a base is, how round; what sensors learn of friction and of the load.
+SHOWN = ("parcel", "load")
 MOST_AFTER = 24  # steps that axes are followed for after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
 SUPPORT_LOSS = 0.005 * GRAVITY  # [m/s^2] mu_support g of Table 1
+NEAR = 128  # columns that a parcel may cover, at most
 ON_EDGE = 1e-6  # [m] an element so near the outline bears: observations are single precision
 RECTANGLE = 0.999  # [-] of its rectangle that a base fills at least which is one
 # Exponents of the ovals |x / a|^p + |y / b|^p = 1 that others are taken for; how much they fill.
 POWERS = np.geomspace(1.2, 60.0, 200)
 FILLS = np.array([math.gamma(1.0 + 1.0 / p) ** 2 / math.gamma(1.0 + 2.0 / p) for p in POWERS])
-
-
-@dataclass(frozen=True, eq=False)
-class ContactSpan:
-    """Rows of elements under a parcel, rotors or supports, each as far as the base covers it."""
-
-    place: Numbers  # (num_envs,) [m] x of the base's centroid past the zone's first edge
-    middle: Numbers  # (num_envs,) [m] from the centroid to the middle of the base's length
-    load: Numbers  # (num_envs,) [m] from the centroid to the load, along x
-    half_length: Numbers  # (num_envs,) [m]
-    row_reach: Numbers  # (num_envs, rows) [m] covered of a row to either side of `middle`; -1: none
-    rotor: Booleans  # (num_envs, rows) the row is of rotors
-
-    @property
-    def rotor_share(self) -> Numbers:
-        """(num_envs,) [-] of the elements under the parcel that are rotors, on average."""
-        covered = np.maximum(0.0, self.row_reach)
-        return (covered * self.rotor).sum(axis=1) / np.maximum(covered.sum(axis=1), ON_EDGE)
-
-
-def contact_span(config: EnvConfig, seen: LineObservation) -> ContactSpan:
-    """Estimate the contact span of parcels on a line; a base that is no rectangle is taken for an
-    oval that fills as much.
-    """
-    line = config.chosen_line
-    end = line.pitch_x * config.action_kind.columns
-    rear = end - seen.rear_to_go
-    # The size shown is the way from the rear to the centroid, straight on.
-    place = rear + seen.reach
-    half_length = np.maximum(0.5 * (seen.front_in_zone - rear), 0.5 * line.pitch_x)
-    rows = config.action_kind.rows + 2
-    y = line.pitch_y * (np.arange(rows) - (rows - 1) / 2.0) - seen.offset[:, np.newaxis]
-    aside = np.abs(y) / (seen.half_width[:, np.newaxis] + ON_EDGE)
-    power = np.interp(seen.fill, FILLS, POWERS)[:, np.newaxis]
-    part = np.maximum(0.0, 1.0 - np.minimum(aside, 1.0) ** power) ** (1.0 / power)
-    part = np.where(seen.fill[:, np.newaxis] > RECTANGLE, 1.0, part)
-    row_reach = np.where(aside <= 1.0, part * half_length[:, np.newaxis] + ON_EDGE, -1.0)
-    # Of a line, as many rows are of rotors as lie under the width.
-    half_rows = np.full(len(y), config.action_kind.rows // 2)
-    if isinstance(line, sg.lines.Line):
-        under = np.floor((seen.half_width + ON_EDGE) / line.pitch_y).astype(np.int64)
-        half_rows = np.clip(under, 1, half_rows)
-    from_middle = np.abs(np.arange(rows) - (rows - 1) / 2.0)
-    return ContactSpan(
-        place=place,
-        middle=0.5 * (rear + seen.front_in_zone) - place,
-        load=seen.load_ahead,
-        half_length=half_length,
-        row_reach=row_reach,
-        rotor=from_middle < half_rows[:, np.newaxis],
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Braked:
-    """State after a period and what its axes bring after it, and what took the speed in it; all
-    (num_envs, options).
-    """
-
-    place: Numbers  # [m] of the centroid past the zone's first edge, once all axes have turned
-    speed: Numbers  # [m/s] then
-    braking: Numbers  # [m/s] that friction along the axes takes where it is nominal
-    rolling: Numbers  # [m/s] that friction across them and on supports takes where it is nominal
-
-
-@dataclass(frozen=True, eq=False)
-class Frictions:
-    """Friction as estimated, in parts of the nominal; (num_envs,) each."""
-
-    braking: Numbers  # [-] along axes
-    rolling: Numbers  # [-] across them, and on supports
-    doubt: Numbers  # [-] standard deviation of `rolling`
-
-
-class BrakeModel:
-    """Predicts braking: the parcel's weight is shared by what is under it.
-
-    Args:
-        then: [rad] off 90 deg, to which all axes turn after the period: half braking at most.
-    """
-
-    def __init__(self, config: EnvConfig, then: float) -> None:
-        self._then = then
-        self._timing = config.timing
-        self._columns = config.action_kind.columns
-        self._pitch = config.chosen_line.pitch_x
-        self._turn = config.actuators.axis_speed * config.timing.dt  # [rad] a step
-        self._tail = 0  # steps in which axes turn after the period
-        if self._turn != math.inf:
-            self._tail = min(MOST_AFTER, math.ceil(0.25 * math.pi / self._turn))
-
-    def predict(
-        self,
-        span: ContactSpan,
-        speed: Numbers,
-        frictions: Frictions,
-        lean: Numbers,
-        target: Numbers,
-    ) -> Braked:
-        """Predict the state a control period on.
-
-        Args:
-            lean: (num_envs, columns) [rad] of each column's axes off 90 deg now.
-            target: (num_envs, options, columns) [rad] to which they turn.
-        """
-        dt, steps = self._timing.dt, self._timing.steps
-        place, half_length = span.place, span.half_length
-        longest = 2.0 * half_length.max() + max(0.0, speed.max()) * dt * (steps + self._tail)
-        first = np.floor((place + span.middle - half_length) / self._pitch).astype(np.int64)
-        near = first[:, np.newaxis] + np.arange(math.ceil(longest / self._pitch) + 2)
-        inside = (near >= 0) & (near < self._columns)
-        column = np.clip(near, 0, self._columns - 1)
-        start = np.where(inside, np.take_along_axis(lean, column, 1), 0.0)[:, np.newaxis, :]
-        wide = np.broadcast_to(column[:, np.newaxis, :], (*target.shape[:2], near.shape[1]))
-        to_turn = np.where(inside[:, np.newaxis], np.take_along_axis(target, wide, 2), 0.0) - start
-        centre = self._pitch * (near + 0.5)[:, np.newaxis, :]
-        middle, load = span.middle[:, np.newaxis], span.load[:, np.newaxis, np.newaxis]
-        along, across = (part[:, np.newaxis] for part in (frictions.braking, frictions.rolling))
-        x = np.repeat(place[:, np.newaxis], target.shape[1], axis=1)
-        v = np.repeat(speed[:, np.newaxis], target.shape[1], axis=1)
-        braking, rolling, loss = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
-        leant = start + to_turn
-        turned = 0.0
-        sine, cosine = np.sin(leant), np.cos(leant)
-        for step in range(steps + self._tail):
-            if step == steps:
-                start, turned = leant, 0.0
-                to_turn = np.where(inside[:, np.newaxis], self._then, 0.0) - start
-            if self._tail:
-                turned += self._turn
-                leant = start + np.clip(to_turn, -turned, turned)
-                sine, cosine = np.sin(leant), np.cos(leant)
-            arm = centre - (x + 0.5 * dt * v)[:, :, np.newaxis]
-            elements, rotors = _count_under(span, arm - middle[..., np.newaxis])
-            per_rotor = _share_load(arm - load, elements, loss)
-            per_element = per_rotor * elements
-            per_rotor = per_rotor * rotors
-            brake = BRAKING * (per_rotor * sine).sum(axis=-1)
-            roll = ROLLING_LOSS * (per_rotor * cosine).sum(axis=-1)
-            roll += SUPPORT_LOSS * (per_element - per_rotor).sum(axis=-1)
-            loss = along * brake + across * roll
-            slower = np.maximum(0.0, v - dt * loss)
-            x += 0.5 * dt * (v + slower)
-            v = slower
-            if step < steps:
-                braking += dt * brake
-                rolling += dt * roll
-        return Braked(x, v, braking, rolling)
-
-    def lean_after(self, lean: Numbers, target: Numbers) -> Numbers:
-        """Predict (num_envs, columns) [rad] off 90 deg a period on, turning to `target`."""
-        most = self._turn * self._timing.steps
-        return lean + np.clip(target - lean, -most, most)
-
-
-def _count_under(span: ContactSpan, arm: Numbers) -> tuple[Numbers, Numbers]:
-    """Count (num_envs, options, columns) the elements and the rotors of each column that bear."""
-    far = np.abs(arm)
-    elements, rotors = np.zeros_like(arm), np.zeros_like(arm)
-    reach, rotor = span.row_reach, span.rotor
-    for row in range(reach.shape[1]):
-        covered = far <= reach[:, row, np.newaxis, np.newaxis]
-        elements += covered
-        rotors += covered & rotor[:, row, np.newaxis, np.newaxis]
-    return elements, rotors
-
-
-def _share_load(arm: Numbers, elements: Numbers, before: Numbers) -> Numbers:
-    """Share the weight among the elements of each column (num_envs, options, columns) [-], as
-    Eq. (1) does, cut off at nothing.
-
-    Args:
-        arm: (num_envs, options, columns) [m] of each column from the load.
-        elements: (num_envs, options, columns) of each column that bear.
-        before: (num_envs, options) [m/s^2] the deceleration of the last step, by which the load
-            leans.
-    """
-    count = np.maximum(1.0, elements.sum(axis=-1))
-    mean = (elements * arm).sum(axis=-1) / count
-    apart = arm - mean[..., np.newaxis]
-    spread = np.maximum((elements * apart**2).sum(axis=-1), 1e-9)
-    slope = (before * COM_HEIGHT / GRAVITY - mean) / spread
-    load = np.maximum(0.0, 1.0 / count[..., np.newaxis] + apart * slope[..., np.newaxis])
-    load = np.where(elements > 0.0, load, 0.0)
-    weight = np.maximum((load * elements).sum(axis=-1), 1e-9)
-    return load / weight[..., np.newaxis]
-
 
 # Found by trying, on other starts than any reported. What is not as predicted (friction, loads, a
 # parcel that drifts onto supports) is made good where braking begins early and gently.
@@ -221,76 +36,442 @@ SHORT = 3.0  # [-] an m/s short, which nothing gives back, is as bad as so many 
 CAUTION = 3.0  # [-] standard deviations by which rolling may take more than is estimated
 TRIM_TIME = 1.2  # [s] to go at the asked speed when half braking should be over
 
-ESTIMATE_SIZE = 5  # numbers of an estimate: two frictions, their variances and covariance
-UNSURE = np.array([0.12, 0.12])  # [-] of braking and of rolling, before anything is seen
+# Of an estimate: friction along axes and across them, their variances and covariance.
+ALONG, ACROSS, VAR_ALONG, VAR_ACROSS, BOTH = range(5)
+UNSURE = 0.12  # [-] of braking and of rolling, before anything is seen
 LEAST, MOST = 0.4, 1.7  # [-] that an estimate is kept to
 # What a period's loss of speed may be seen or predicted wrong by.
 SEEN_EXACTLY, SEEN = 2e-4, 0.01  # [m/s] where sensors are exact, and else
 PREDICTED = 0.16  # [-] of what braking takes: columns come and go, loads lie off centre
+HALF_SINE, HALF_COSINE = math.sin(base.LEANS[base.HALF]), math.cos(base.LEANS[base.HALF])
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionEstimate:
-    """A Kalman filter of two states, friction along axes and across them, in each environment."""
+class Model(NamedTuple):
+    """What braking is predicted by."""
 
-    noise: float  # [m/s] of a loss that is seen
-
-    @classmethod
-    def for_sensors(cls, config: EnvConfig) -> "FrictionEstimate":
-        return cls(SEEN_EXACTLY if isinstance(config.sensors, sg.sensors.Exact) else SEEN)
-
-    @staticmethod
-    def unknown(num_envs: int) -> Numbers:
-        """(num_envs, ESTIMATE_SIZE) nominal frictions, of which nothing is known yet."""
-        return np.tile([1.0, 1.0, *UNSURE**2, 0.0], (num_envs, 1))
-
-    @staticmethod
-    def frictions(estimate: Numbers) -> Frictions:
-        braking, rolling = np.clip(estimate[:, :2], LEAST, MOST).T
-        return Frictions(braking, rolling, np.sqrt(np.maximum(0.0, estimate[:, 3])))
-
-    def update(
-        self, estimate: Numbers, lost: Numbers, braking: Numbers, rolling: Numbers
-    ) -> Numbers:
-        """Update (num_envs, ESTIMATE_SIZE) by what a period took.
-
-        Args:
-            lost: (num_envs,) [m/s] of speed in the period, as seen.
-            braking: (num_envs,) [m/s] of it by nominal friction along axes.
-            rolling: (num_envs,) [m/s] of it by nominal friction across them.
-        """
-        along, across, var_along, var_across, both = estimate.T
-        with_along = var_along * braking + both * rolling
-        with_across = both * braking + var_across * rolling
-        doubt = self.noise**2 + (PREDICTED * braking) ** 2
-        variance = with_along * braking + with_across * rolling + doubt
-        surprise = (lost - along * braking - across * rolling) / variance
-        return np.stack(
-            [
-                along + with_along * surprise,
-                across + with_across * surprise,
-                var_along - with_along**2 / variance,
-                var_across - with_across**2 / variance,
-                both - with_along * with_across / variance,
-            ],
-            axis=-1,
-        )
+    columns: int
+    rows: int
+    is_line: int  # 1: as many rows are of rotors as lie under a parcel's width
+    dt: float  # [s]
+    steps: int  # of a period
+    turn: float  # [rad] of an axis in a step; infinite: it turns at once
+    tail: int  # steps in which axes turn after the period,
+    then: float  # [rad] off 90 deg to which: half braking at most
+    period: float  # [s]
+    noise: float  # [m/s] of a loss of speed that is seen
 
 
-def braking_options(columns: int) -> Levels:
-    """List (options, columns) the level of each column, the rearmost first; rolling is the first.
+def make_model(config: EnvConfig, then: float) -> Model:
+    """Make the model of an environment, where axes turn to `then` [rad] after a period."""
+    rows, columns = config.action_kind.shape
+    turn = config.actuators.axis_speed * config.timing.dt
+    exact = isinstance(config.sensors, sg.sensors.Exact)
+    return Model(
+        columns=columns, rows=rows, is_line=int(isinstance(config.chosen_line, sg.lines.Line)),
+        dt=config.timing.dt, steps=config.timing.steps, turn=turn,
+        tail=0 if turn == math.inf else min(MOST_AFTER, math.ceil(0.25 * math.pi / turn)),
+        then=then, period=config.control_period, noise=SEEN_EXACTLY if exact else SEEN,
+    )  # fmt: skip
+
+
+class Span(NamedTuple):
+    """Elements under a parcel, each row as far as the base covers it."""
+
+    place: float  # [m] x of the base's centroid past the zone's first edge
+    middle: float  # [m] from the centroid to the middle of the base's length
+    load: float  # [m] from the centroid to the load, along x
+    half_length: float  # [m]
+    first: int  # column that it covers
+    half_rows: int  # of rotors, to either side of the middle
+    rotor_share: float  # [-] of the elements under the parcel that are rotors, on average
+
+
+class Frictions(NamedTuple):
+    """Friction as estimated, in parts of the nominal."""
+
+    braking: float  # [-] along axes
+    rolling: float  # [-] across them, and on supports
+    doubt: float  # [-] standard deviation of `rolling`
+
+
+class Result(NamedTuple):
+    """State after a period and what its axes bring after it, and what took the speed in it."""
+
+    place: float  # [m] of the centroid past the zone's first edge, once all axes have turned
+    speed: float  # [m/s] then
+    braking: float  # [m/s] that friction along the axes takes where it is nominal
+    rolling: float  # [m/s] that friction across them and on supports takes where it is nominal
+
+
+class Scratch(NamedTuple):
+    """Arrays that are written before they are read."""
+
+    reach: Numbers  # (rows + 2,) [m] covered of a row to either side of the middle; -1: none
+    covered: Numbers  # (rows + 2,) [m]
+    target: Numbers  # (columns,) [rad] off 90 deg to which the zone's axes turn
+    start: Numbers  # (near,) [rad] off 90 deg; near are the columns that a parcel may cover
+    turned: Numbers  # (near,) [rad] that each is to turn
+    sine: Numbers  # (near,) of their angles off 90 deg now
+    cosine: Numbers  # (near,)
+    arm: Numbers  # (near,) [m] from the load
+    elements: Numbers  # (near,) that bear
+    rotors: Numbers  # (near,) of these
+    load: Numbers  # (near,) [-] of each element
+    terms: Numbers  # (near,) of sums
+
+
+def make_scratch(model: Model) -> Scratch:
+    """Make room for the columns that a parcel may cover."""
+    rows = np.zeros((2, model.rows + 2))
+    return Scratch(*rows, np.zeros(model.columns), *np.zeros((9, NEAR)))
+
+
+@linked
+def find_power(fill: float) -> float:
+    """Find the exponent of the oval that fills as much of its rectangle, as `np.interp` does."""
+    last = FILLS.shape[0] - 1
+    if fill >= FILLS[last]:
+        return POWERS[last]
+    if fill <= FILLS[0]:
+        return POWERS[0]
+    k = 0
+    while FILLS[k + 1] <= fill:
+        k += 1
+    slope = (POWERS[k + 1] - POWERS[k]) / (FILLS[k + 1] - FILLS[k])
+    return slope * (fill - FILLS[k]) + POWERS[k]
+
+
+@linked
+def find_span(seen: Line, sight: Sight, model: Model, scratch: Scratch) -> Span:
+    """Estimate the elements under a parcel; a base that is no rectangle is taken for an oval that
+    fills as much.
+    """
+    rear = sight.pitch_x * model.columns - seen.rear_to_go
+    # The size shown is the way from the rear to the centroid, straight on.
+    place = rear + seen.reach
+    half_length = max(0.5 * (seen.front_in_zone - rear), 0.5 * sight.pitch_x)
+    rows = model.rows + 2
+    half_rows = model.rows // 2
+    if model.is_line != 0:
+        under = math.floor((seen.half_width + ON_EDGE) / sight.pitch_y)
+        half_rows = min(half_rows, max(1, under))
+    power = find_power(seen.fill)
+    for row in range(rows):
+        y = sight.pitch_y * (row - (rows - 1) / 2.0) - seen.y
+        aside = abs(y) / (seen.half_width + ON_EDGE)
+        part = 1.0
+        if seen.fill <= RECTANGLE:
+            part = max(0.0, 1.0 - min(aside, 1.0) ** power) ** (1.0 / power)
+        scratch.reach[row] = part * half_length + ON_EDGE if aside <= 1.0 else -1.0
+        scratch.covered[row] = max(0.0, scratch.reach[row])
+    every = add(scratch.covered, rows)
+    for row in range(rows):
+        if abs(row - (rows - 1) / 2.0) >= half_rows:
+            scratch.covered[row] = 0.0
+    middle = 0.5 * (rear + seen.front_in_zone) - place
+    return Span(
+        place,
+        middle,
+        seen.load_ahead,
+        half_length,
+        math.floor((place + middle - half_length) / sight.pitch_x),
+        half_rows,
+        add(scratch.covered, rows) / max(every, ON_EDGE),
+    )
+
+
+@inlined
+def find_frictions(estimate: Numbers) -> Frictions:
+    """Read an estimate."""
+    return Frictions(
+        min(MOST, max(LEAST, estimate[ALONG])),
+        min(MOST, max(LEAST, estimate[ACROSS])),
+        math.sqrt(max(0.0, estimate[VAR_ACROSS])),
+    )
+
+
+@linked
+def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise: float) -> None:
+    """Update an estimate: a Kalman filter of friction along axes and across them.
+
+    Args:
+        lost: [m/s] of speed in a period, as seen.
+        braking: [m/s] of it by nominal friction along axes.
+        rolling: [m/s] of it by nominal friction across them.
+        noise: [m/s] of what is seen.
+    """
+    along, across, var_along, var_across, both = (
+        estimate[0], estimate[1], estimate[2], estimate[3], estimate[4]
+    )  # fmt: skip
+    with_along = var_along * braking + both * rolling
+    with_across = both * braking + var_across * rolling
+    share = PREDICTED * braking
+    doubt = noise * noise + share * share
+    variance = with_along * braking + with_across * rolling + doubt
+    surprise = (lost - along * braking - across * rolling) / variance
+    estimate[ALONG] = along + with_along * surprise
+    estimate[ACROSS] = across + with_across * surprise
+    estimate[VAR_ALONG] = var_along - with_along * with_along / variance
+    estimate[VAR_ACROSS] = var_across - with_across * with_across / variance
+    estimate[BOTH] = both - with_along * with_across / variance
+
+
+@inlined
+def _bear(span: Span, model: Model, arm: float, scratch: Scratch, k: int) -> None:
+    """Count the elements and the rotors of a near column that bear; `arm` [m] from the centroid."""
+    far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
+    rows = model.rows + 2
+    for row in range(rows):
+        if far <= scratch.reach[row]:
+            elements += 1.0
+            if abs(row - (rows - 1) / 2.0) < span.half_rows:
+                rotors += 1.0
+    scratch.elements[k], scratch.rotors[k] = elements, rotors
+    scratch.arm[k] = arm - span.load
+
+
+@inlined
+def _share_load(scratch: Scratch, near: int, before: float) -> None:
+    """Share the weight among the elements of each column [-], as Eq. (1) does, cut off at nothing.
+
+    Args:
+        before: [m/s^2] the deceleration of the last step, by which the load leans.
+    """
+    elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
+    count = max(1.0, add(elements, near))
+    for k in range(near):
+        terms[k] = elements[k] * arm[k]
+    mean = add(terms, near) / count
+    for k in range(near):
+        apart = arm[k] - mean
+        terms[k] = elements[k] * (apart * apart)
+    spread = max(add(terms, near), 1e-9)
+    slope = (before * COM_HEIGHT / GRAVITY - mean) / spread
+    for k in range(near):
+        load[k] = max(0.0, 1.0 / count + (arm[k] - mean) * slope) if elements[k] > 0.0 else 0.0
+        terms[k] = load[k] * elements[k]
+    weight = max(add(terms, near), 1e-9)
+    for k in range(near):
+        load[k] /= weight
+
+
+@inlined
+def _set_out(span: Span, model: Model, lean: Numbers, scratch: Scratch, near: int) -> None:
+    """Write where the axes of the near columns stand, and by how much they are to turn."""
+    for k in range(near):
+        column = span.first + k
+        inside = 0 <= column < model.columns
+        start = lean[column] if inside else 0.0
+        scratch.start[k] = start
+        scratch.turned[k] = (scratch.target[column] if inside else 0.0) - start
+        scratch.sine[k] = math.sin(start + scratch.turned[k])
+        scratch.cosine[k] = math.cos(start + scratch.turned[k])
+
+
+@linked
+def predict(
+    span: Span, model: Model, pitch: float, speed: float, frictions: Frictions, lean: Numbers,
+    scratch: Scratch,
+) -> Result:  # fmt: skip
+    """Predict the state a control period on: the weight is shared by what is under the parcel.
+
+    Args:
+        lean: (columns,) [rad] of each column's axes off 90 deg now; they turn to `scratch.target`.
+    """
+    dt, steps = model.dt, model.steps
+    longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
+    near = min(scratch.arm.shape[0], math.ceil(longest / pitch) + 2)
+    _set_out(span, model, lean, scratch, near)
+    x, v, braking, rolling, loss, turned = span.place, speed, 0.0, 0.0, 0.0, 0.0
+    terms = scratch.terms
+    for step in range(steps + model.tail):
+        if step == steps:
+            for k in range(near):
+                inside = 0 <= span.first + k < model.columns
+                scratch.start[k] += min(turned, max(-turned, scratch.turned[k]))
+                scratch.turned[k] = (model.then if inside else 0.0) - scratch.start[k]
+            turned = 0.0
+        if model.tail > 0:
+            turned += model.turn
+            for k in range(near):
+                leant = scratch.start[k] + min(turned, max(-turned, scratch.turned[k]))
+                scratch.sine[k], scratch.cosine[k] = math.sin(leant), math.cos(leant)
+        for k in range(near):
+            centre = pitch * (span.first + k + 0.5)
+            _bear(span, model, centre - (x + 0.5 * dt * v), scratch, k)
+        _share_load(scratch, near, loss)
+        for k in range(near):
+            terms[k] = scratch.load[k] * scratch.rotors[k] * scratch.sine[k]
+        brake = BRAKING * add(terms, near)
+        for k in range(near):
+            terms[k] = scratch.load[k] * scratch.rotors[k] * scratch.cosine[k]
+        roll = ROLLING_LOSS * add(terms, near)
+        for k in range(near):
+            load = scratch.load[k]
+            terms[k] = load * scratch.elements[k] - load * scratch.rotors[k]
+        roll += SUPPORT_LOSS * add(terms, near)
+        loss = frictions.braking * brake + frictions.rolling * roll
+        slower = max(0.0, v - dt * loss)
+        x += 0.5 * dt * (v + slower)
+        v = slower
+        if step < steps:
+            braking += dt * brake
+            rolling += dt * roll
+    return Result(x, v, braking, rolling)
+
+
+@inlined
+def _choose_level(option: int, place: int, reached: int) -> int:
+    """Return the level of a column in an option of braking, of those that a parcel reaches.
 
     The front or the rear of them brakes, fully or half, and the others roll: a column that is
-    about to come under the parcel or to leave it brakes for a part of the period.
+    about to come under the parcel or to leave it brakes for a part of the period. Option 0 rolls.
+
+    Args:
+        place: of the column behind the first that the parcel covers.
+        reached: columns.
     """
-    first = np.arange(columns)[:, np.newaxis]
-    place = np.arange(columns)
-    parts = np.concatenate([place >= first, place <= first[:-1]])
-    levels = np.concatenate([base.HALF * parts, base.FULL * parts])
-    return np.concatenate([np.zeros((1, columns), dtype=np.int64), levels])
+    if option == 0 or place < 0 or place >= reached:
+        return base.ROLL
+    parts = 2 * reached - 1
+    part = (option - 1) % parts
+    brakes = place >= part if part < reached else place <= part - reached
+    if not brakes:
+        return base.ROLL
+    return base.HALF if option <= parts else base.FULL
 
 
-class BrakingRule(BaseRule):
+@inlined
+def _soften(level: int, lean: float, model: Model) -> int:
+    """Return the level that a column whose axes take time may turn to.
+
+    On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column
+    brakes half before it brakes fully, and before it rolls again.
+    """
+    half = base.LEANS[base.HALF]
+    gently = model.then == 0.0  # after full braking, axes would take too long to roll
+    if level == base.FULL and (lean < half - 1e-6 or gently):
+        return base.HALF
+    return base.HALF if level == base.ROLL and lean > half + 1e-6 else level
+
+
+@inlined
+def _set_target(
+    option: int, reached: int, span: Span, model: Model, lean: Numbers, levels: Integers,
+    scratch: Scratch,
+) -> None:  # fmt: skip
+    """Write the level of each of the zone's columns in an option, and its angle."""
+    for column in range(model.columns):
+        level = _choose_level(option, column - span.first, reached)
+        if model.tail > 0:
+            level = _soften(level, lean[column], model)
+        levels[column] = level
+        scratch.target[column] = base.LEANS[level]
+
+
+class Deceleration(NamedTuple):
+    """Deceleration [m/s^2] that is expected after the period."""
+
+    held: float  # where every column brakes half
+    rolled: float  # where all roll
+
+
+@inlined
+def decelerate(share: float, frictions: Frictions) -> Deceleration:
+    """Compute decelerations; `share` [-] of the elements under the parcel are rotors."""
+    supports = SUPPORT_LOSS * (1.0 - share)
+    rolled = frictions.rolling * (ROLLING_LOSS * share + supports)
+    slope = ROLLING_LOSS * HALF_COSINE * share + supports
+    held = frictions.braking * BRAKING * HALF_SINE * share + frictions.rolling * slope
+    return Deceleration(held, rolled)
+
+
+@inlined
+def regret_speed(seen: Line, span: Span, frictions: Frictions, after: Result, rolls: bool) -> float:
+    """Compute how far from the asked ratio an option leads; the option that rolls is the best
+    where there is time to trim the speed.
+    """
+    expected = decelerate(span.rotor_share, frictions)
+    rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
+    to_go = max(0.0, (span.place + seen.rear_to_go) - after.place)
+    asked = seen.ratio * seen.entry_speed
+    if rolls:
+        braked = 2.0 * SLOW_GENTLY * expected.held
+        over = to_go - (after.speed * after.speed - asked * asked) / braked
+        if over > TRIM_TIME * asked:
+            return 0.0
+    excess = after.speed - math.sqrt(asked * asked + 2.0 * rolled * to_go)
+    return -SHORT * excess if excess < 0.0 else excess
+
+
+@inlined
+def regret_place(
+    seen: Line, span: Span, frictions: Frictions, after: Result, _rolls: bool
+) -> float:
+    """Compute how far from the asked x an option leads."""
+    held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
+    asked = span.place + seen.to_go
+    return abs(after.place + after.speed * after.speed / (2.0 * held) - asked)
+
+
+class BrakingMemory(NamedTuple):
+    """What a braking rule remembers."""
+
+    lean: Numbers  # (num_envs, columns) [rad] of each column's axes off 90 deg
+    estimate: Numbers  # (num_envs, 5) of friction
+    taken: Numbers  # (num_envs, 3) [m/s] speed, and what braking and rolling would take of it
+    begins: Booleans  # (num_envs,) nothing is remembered yet
+
+
+def _make_kernel(regret: Any) -> Any:
+    def choose_braking(
+        observations: Singles, sight: Sight, model: Model, choices: Integers, lean: Numbers,
+        estimate: Numbers, taken: Numbers, begins: Booleans, levels: Integers, scratch: Scratch,
+        commands: Integers,
+    ) -> None:  # fmt: skip
+        """Choose the option of braking with the least regret.
+
+        Args:
+            choices: (levels, rows) orientation of a column's modules at each level.
+            levels: (columns,) that is written to.
+        """
+        for i in range(observations.shape[0]):
+            seen = see_line(observations[i], sight)
+            if not begins[i]:
+                lost = taken[i, 0] - seen.vx
+                update(estimate[i], lost, taken[i, 1], taken[i, 2], model.noise)
+            begins[i] = False
+            estimated = find_frictions(estimate[i])
+            frictions = Frictions(
+                estimated.braking * seen.friction, estimated.rolling, estimated.doubt
+            )
+            span = find_span(seen, sight, model, scratch)
+            ahead = max(0.0, seen.vx) * model.period
+            reached = math.ceil((2.0 * span.half_length + ahead) / sight.pitch_x) + 1
+            reached = min(scratch.arm.shape[0], max(1, reached))
+            best, least, braking, rolling = 0, math.inf, 0.0, 0.0
+            for option in range(4 * reached - 1):
+                _set_target(option, reached, span, model, lean[i], levels, scratch)
+                after = predict(
+                    span, model, sight.pitch_x, seen.vx, frictions, lean[i], scratch
+                )  # fmt: skip
+                off = regret(seen, span, frictions, after, option == 0)
+                if off < least:
+                    best, least = option, off
+                    braking, rolling = seen.friction * after.braking, after.rolling
+            _set_target(best, reached, span, model, lean[i], levels, scratch)
+            taken[i, 0], taken[i, 1], taken[i, 2] = seen.vx, braking, rolling
+            most = model.turn * model.steps
+            for k in range(commands.shape[1]):
+                commands[i, k] = choices[levels[k % model.columns], k // model.columns]
+            for column in range(model.columns):
+                to_turn = scratch.target[column] - lean[i, column]
+                lean[i, column] += min(most, max(-most, to_turn))
+
+    return compiled(choose_braking)
+
+
+class BrakingRule(CompiledRule):
     """Predicts each option of braking for a period and takes the one that ends nearest to the goal.
 
     It remembers how far each column's axes have turned, and estimates how much friction acts,
@@ -299,75 +480,29 @@ class BrakingRule(BaseRule):
 
     def __init__(self, config: EnvConfig, task: str, then: int) -> None:
         super().__init__(config, (task,), ("modules",))
-        self._model = BrakeModel(config, base.LEANS[then])
-        self._estimate = FrictionEstimate.for_sensors(config)
-        self._commands = ColumnAxes(config)
-        self._columns = self._kind.columns
-        self._gently = then == base.ROLL  # after full braking, axes would take too long to roll
-        self._at_once = config.actuators.axis_speed == math.inf
+        self._sight = look_at_line(config)
+        self._model = make_model(config, base.LEANS[then])
+        levels = np.arange(len(base.LEANS))[:, np.newaxis]
+        self._choices = ColumnAxes(config)(levels).reshape(len(levels), self._model.rows)
+        self._levels = np.zeros(self._model.columns, dtype=np.int64)
+        self._scratch = make_scratch(self._model)
 
-    @abstractmethod
-    def _regret(
-        self, seen: LineObservation, span: ContactSpan, frictions: Frictions, after: Braked
-    ) -> Numbers:
-        """Compute (num_envs, options) how far from the goal each option leads."""
+    def make_memory(self, num_envs: int) -> BrakingMemory:
+        estimate = np.tile([1.0, 1.0, UNSURE**2, UNSURE**2, 0.0], (num_envs, 1))
+        lean = np.zeros((num_envs, self._model.columns))
+        begins = np.ones(num_envs, dtype=np.bool_)
+        return BrakingMemory(lean, estimate, np.zeros((num_envs, 3)), begins)
 
-    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
-        seen = self._config.decode(observations)
-        lean, estimate = self._recall(seen, memory, fresh)
-        estimated = self._estimate.frictions(estimate)
-        frictions = replace(estimated, braking=estimated.braking * seen.friction)
-        span = contact_span(self._config, seen)
-        levels = self._levels(seen, span, lean)
-        after = self._model.predict(span, seen.vx, frictions, lean, base.LEANS[levels])
-        best = self._regret(seen, span, frictions, after).argmin(axis=1)
-        each = np.arange(len(best))
-        chosen = levels[each, best]
-        parts = (seen.vx, seen.friction * after.braking[each, best], after.rolling[each, best])
-        memory = np.column_stack(
-            [self._model.lean_after(lean, base.LEANS[chosen]), estimate, *parts]
-        )
-        return self._commands(chosen), memory
-
-    def _recall(
-        self, seen: LineObservation, memory: Memory, fresh: Booleans
-    ) -> tuple[Numbers, Numbers]:
-        """Recall (num_envs, columns) [rad] each column's axes off 90 deg, and the estimate of
-        friction, updated.
-        """
-        num_envs = len(seen.vx)
-        lean, estimate = np.zeros((num_envs, self._columns)), self._estimate.unknown(num_envs)
-        if memory is not None:
-            checks.alike("state", memory, np.column_stack([lean, estimate, lean[:, :3]]))
-            on = ~fresh
-            lean[on] = memory[on, : self._columns]
-            estimate[on] = memory[on, self._columns : -3]
-            speed, braking, rolling = memory[on, -3:].T
-            lost = speed - seen.vx[on]
-            estimate[on] = self._estimate.update(estimate[on], lost, braking, rolling)
-        return lean, estimate
-
-    def _levels(self, seen: LineObservation, span: ContactSpan, lean: Numbers) -> Levels:
-        """List (num_envs, options, columns) the zone's columns, in each option of braking."""
-        ahead = np.maximum(0.0, seen.vx) * self._config.control_period
-        pitch = seen.pitch[0]
-        reached = np.ceil((2.0 * span.half_length + ahead) / pitch).astype(np.int64) + 1
-        options = braking_options(int(reached.max()))
-        rear = span.place + span.middle - span.half_length
-        place = np.arange(self._columns) - np.floor(rear / pitch).astype(np.int64)[:, np.newaxis]
-        near = (place >= 0) & (place < reached[:, np.newaxis])
-        levels = options[:, np.where(near, place, 0)].swapaxes(0, 1)
-        levels = np.where(near[:, np.newaxis, :], levels, base.ROLL)
-        if self._at_once:
-            return levels
-        # On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column
-        # brakes half before it brakes fully, and so does it before it rolls again.
-        between = ((lean < base.LEANS[base.HALF] - 1e-6) | self._gently)[:, np.newaxis]
-        levels = np.where(between & (levels == base.FULL), base.HALF, levels)
-        steep = (lean > base.LEANS[base.HALF] + 1e-6)[:, np.newaxis]
-        return np.where(steep & (levels == base.ROLL), base.HALF, levels)
+    def arguments(
+        self, observations: Observations, memory: Any, commands: Commands
+    ) -> tuple[Any, ...]:
+        return (
+            observations, self._sight, self._model, self._choices, *memory, self._levels,
+            self._scratch, commands,
+        )  # fmt: skip
 
 
+@rule("braking rule", "slow", actions="modules", observe=SHOWN)
 class SlowingRule(BrakingRule):
     """Slow: roll, then brake as much as leaves no speed short of the asked ratio.
 
@@ -375,53 +510,20 @@ class SlowingRule(BrakingRule):
     speed it should leave with: that is when the last hundredths are taken.
     """
 
+    kernel = staticmethod(_make_kernel(regret_speed))
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, "slow", base.ROLL)
 
-    def _regret(
-        self, seen: LineObservation, span: ContactSpan, frictions: Frictions, after: Braked
-    ) -> Numbers:
-        held, rolled = decelerations(span.rotor_share, frictions)
-        rolled = rolled * (1.0 + CAUTION * frictions.doubt)
-        end = (span.place + seen.rear_to_go)[:, np.newaxis]
-        to_go = np.maximum(0.0, end - after.place)
-        asked = (seen.ratio * seen.entry_speed)[:, np.newaxis]
-        excess = after.speed - np.sqrt(asked**2 + 2.0 * rolled[:, np.newaxis] * to_go)
-        regret = np.where(excess < 0.0, -SHORT * excess, excess)
-        # Rolling comes first among the options.
-        braked = 2.0 * SLOW_GENTLY * held
-        over = to_go[:, 0] - (after.speed[:, 0] ** 2 - asked[:, 0] ** 2) / braked
-        regret[over > TRIM_TIME * asked[:, 0], 0] = 0.0
-        return regret
 
-
+@rule("braking rule", "stop", actions="modules", observe=SHOWN)
 class StoppingRule(BrakingRule):
     """Stop: brake so that going on at a part of half braking comes to rest at the asked x.
 
     That leaves room to correct to either side, most of it where braking turns out weak.
     """
 
+    kernel = staticmethod(_make_kernel(regret_place))
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, "stop", base.HALF)
-
-    def _regret(
-        self, seen: LineObservation, span: ContactSpan, frictions: Frictions, after: Braked
-    ) -> Numbers:
-        held = STOP_GENTLY * decelerations(span.rotor_share, frictions)[0]
-        asked = (span.place + seen.to_go)[:, np.newaxis]
-        return np.abs(after.place + after.speed**2 / (2.0 * held[:, np.newaxis]) - asked)
-
-
-def decelerations(share: Numbers, frictions: Frictions) -> tuple[Numbers, Numbers]:
-    """Compute the deceleration (num_envs,) [m/s^2] where every column brakes half, and where all
-    roll.
-
-    Args:
-        share: (num_envs,) [-] of the elements under the parcel that are rotors.
-    """
-    supports = SUPPORT_LOSS * (1.0 - share)
-    lean = base.LEANS[base.HALF]
-    rolling = frictions.rolling * (ROLLING_LOSS * share + supports)
-    slope = ROLLING_LOSS * math.cos(lean) * share + supports
-    held = frictions.braking * BRAKING * math.sin(lean) * share + frictions.rolling * slope
-    return held, rolling

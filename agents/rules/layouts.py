@@ -20,7 +20,8 @@ from surface_gym.tasks.start import Start
 
 from ..base import Numbers, find_axes
 from ..planning import layouts as search
-from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Observations
+from ..planning.layouts import ShownPath
+from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Observations, rule
 
 SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
 SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
@@ -116,6 +117,7 @@ class FixedBraking(FixedRule):
         )
 
 
+@rule("fixed layout", "slow", actions="modules")
 class FixedSlowing(FixedBraking):
     """Figure 6b and 6c: the zone's first columns at 0 deg, or at 45 and -45 deg in turn; so many
     that the parcel should leave nearest to the asked ratio.
@@ -139,6 +141,7 @@ class FixedSlowing(FixedBraking):
         return np.where(leaves, np.abs(ratio - seen.ratio[:, np.newaxis]), np.inf)
 
 
+@rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
     """The zone rolls up to a column and brakes from there on, at 0 deg or at 45 and -45 deg in
     turn; the column is the one with which the parcel should rest nearest to the asked x.
@@ -184,6 +187,7 @@ def angle_at_exit(
     return float(theta[gone.argmax()]) if gone.any() else math.inf
 
 
+@rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
     """The zone's first columns at 45 deg in the half of the rows that is on the asked side, all
     others at 90 deg: as many as by the simulator leave the parcel nearest to the asked angle.
@@ -260,18 +264,21 @@ def _stop_cost(nodes: Nodes) -> Numbers:
     return np.where(parcels.outcome == sg.tasks.stop.OVERSHOT, passed, graded)
 
 
+@rule("best fixed layout", "slow", actions="modules", searches=True)
 class BestSlowing(_Searched, FixedSlowing):
     """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
 
     _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
 
 
+@rule("best fixed layout", "stop", actions="modules", searches=True)
 class BestStopping(_Searched, FixedStopping):
     """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
 
+@rule("best fixed layout", "orient", actions="modules", searches=True)
 class BestTurning(_Searched, FixedTurning):
     """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
 
@@ -286,6 +293,7 @@ class BestTurning(_Searched, FixedTurning):
         return self._turns.mirrored(super()._search(image._replace(goal=(-np.asarray(angle),))))
 
 
+@rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(FixedRule):
     """Two axes a column of the field, one left and one right of the path, so that the parcel should
     follow it at the asked speed.

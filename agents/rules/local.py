@@ -3,24 +3,36 @@
 Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
 Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",
 Applied Sciences 15(14), 7628, 2025. They tried thresholds on a real surface, for sorting and
-orienting, and simulated a PID for each module on two paths. What is here is written anew, with
-values of our own.
+orienting, and simulated a PID for each module on two paths. This is written anew, with values of
+our own.
 """
 
-from abc import abstractmethod
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.config import EnvConfig
-from surface_gym.tasks import base, planning, track
+from surface_gym.tasks import base
 
-from ..base import Booleans, Numbers, find_axes
-from .base import BaseRule, Commands, Decision, Memory, Observations
-from .steering import ModulePositions, Motion, line_positions, window_positions
+from ..base import Booleans, Integers, Numbers, Singles, find_axes
+from .base import Commands, CompiledRule, Observations, rule
+from .decoding import (
+    Line,
+    Motion,
+    Path,
+    Sight,
+    find_directions,
+    is_under,
+    look_at_line,
+    look_at_path,
+    see_line,
+    see_path,
+)
 
 # Found by trying, on other starts than any reported.
 ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is
@@ -35,87 +47,73 @@ CLOSE_ENOUGH = 0.025  # [rad] off the asked angle, where 0.035 is allowed: nothi
 MOST_SUMMED = 0.1  # [m] of each component of the error: beyond, a PID winds up no more
 
 
-@dataclass(frozen=True)
-class LocalTask:
-    """The part of a task that local rules need."""
-
-    actions: str  # kind of action
-    positions: Callable[[Any, Any], ModulePositions]
-    motion: Callable[[Any], Motion]  # that the parcel has
-    wanted: Callable[[Any], Motion]  # that it should have
-    # [m/s] too little speed to one side, where a module leads; too much along x, where it brakes
-    thresholds: tuple[float, float]
-    gains: tuple[float, float, float]  # [-], [1/s], [s] of a PID
-
-
-def _line_motion(seen: planning.LineObservation) -> Motion:
-    return Motion(seen.vx, seen.vy, seen.omega)
-
-
-def _path_motion(path: track.PathObservation) -> Motion:
-    return Motion(*path.velocity, path.omega)
-
-
-def _off_the_line(seen: planning.LineObservation) -> Motion:
+@inlined
+def _off_the_line(seen: Line) -> Motion:
     """Want a parcel straight on until it is wholly in the zone, then off to the asked side."""
-    side = np.where(seen.wholly_in_zone, seen.side, 0.0)
-    vy = np.where(side != 0.0, ASIDE * side, -CENTRING * seen.offset)
+    side = seen.side if seen.wholly_in_zone else 0.0
+    vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
 
 
-def _turned(seen: planning.LineObservation) -> Motion:
+@inlined
+def _turned(seen: Line) -> Motion:
     """Want a parcel straight on until it is wholly in the zone, then turning to the asked angle.
 
     Nothing is asked across: modules at 90 deg keep the parcel from drifting anyway.
     """
-    left = seen.angle - seen.theta
-    size = np.where(np.abs(left) > CLOSE_ENOUGH, np.abs(left), 0.0)
-    fastest = np.sqrt(2.0 * END_OF_TURN / seen.half_length * size)
-    omega = np.sign(left) * np.minimum(TURNING * size, fastest)
-    return Motion(seen.vx, seen.vy, np.where(seen.wholly_in_zone, omega, 0.0))
+    remaining = seen.angle - seen.theta
+    if not seen.wholly_in_zone or abs(remaining) <= CLOSE_ENOUGH:
+        return Motion(seen.vx, seen.vy, 0.0)
+    fastest = math.sqrt(2.0 * END_OF_TURN / seen.half_length * abs(remaining))
+    return Motion(
+        seen.vx, seen.vy, math.copysign(min(TURNING * abs(remaining), fastest), remaining)
+    )
 
 
-def _along_path(path: track.PathObservation) -> Motion:
+@inlined
+def _along_path(path: Path) -> Motion:
     """Want a parcel along the path at the asked speed, back to the path, and not turned."""
     # The slope 0.1 m ahead, which the parcel reaches while its velocity is being turned.
-    cosine = 1.0 / np.sqrt(1.0 + path.slope[:, 1] ** 2)
-    sine = path.slope[:, 1] * cosine
+    cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
+    sine = path.slope_ahead * cosine
     across = -CROSSING * path.cross_error
     vx = path.asked_speed * cosine - across * sine
     vy = path.asked_speed * sine + across * cosine
     return Motion(vx, vy, -STRAIGHTENING * path.theta)
 
 
+@dataclass(frozen=True)
+class LocalTask:
+    """The part of a task that local rules need."""
+
+    actions: str  # kind of action
+    look: Callable[[EnvConfig], Sight]
+    see: Any  # compiled: decodes an observation
+    wanted: Any  # compiled: the motion that a parcel should have
+    # [m/s] too little speed to one side, where a module leads; too much along x, where it brakes
+    thresholds: tuple[float, float]
+    gains: tuple[float, float, float]  # [-], [1/s], [s] of a PID
+
+
 # Thresholds and gains were found by trying, on other starts than any reported. Sort asks for more
 # speed than there is: any thresholds do. Orient ends turning: nothing may wind up.
 LOCAL_TASKS = {
     "sort": LocalTask(
-        "modules", line_positions, _line_motion, _off_the_line,
-        (0.05, 0.05), (1.0, 1.0, 0.01),
+        "modules", look_at_line, see_line, _off_the_line, (0.05, 0.05), (1.0, 1.0, 0.01)
     ),
     "orient": LocalTask(
-        "modules", line_positions, _line_motion, _turned,
-        (0.03, 0.2), (4.0, 0.0, 0.01),
+        "modules", look_at_line, see_line, _turned, (0.03, 0.2), (4.0, 0.0, 0.01)
     ),
     "track": LocalTask(
-        "window", window_positions, _path_motion, _along_path,
-        (0.12, 0.02), (1.0, 4.0, 0.01),
+        "window", look_at_path, see_path, _along_path, (0.12, 0.02), (1.0, 4.0, 0.01)
     ),
 }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Above:
-    """The parcel's point above each module, or where it would be if the parcel were larger."""
-
-    velocity: Numbers  # (num_envs, modules, 2) [m/s] x and y
-    error: Numbers  # (num_envs, modules, 2) [m/s] the velocity that it should have, less that
-    under: Booleans  # (num_envs, modules) there is such a point
-
-
-class LocalRule(BaseRule):
+class LocalRule(CompiledRule):
     """Every module, by the same rule and without its neighbours, from the error above it alone.
 
+    The error is the velocity that the parcel's point above a module should have, less its velocity.
     Made for Sort and Orient with "modules", and for Track with "window".
     """
 
@@ -123,70 +121,136 @@ class LocalRule(BaseRule):
         super().__init__(config, tuple(LOCAL_TASKS))
         self._task = LOCAL_TASKS[config.task_name]
         checks.one_of("actions", config.actions, (self._task.actions,))
-        self._axes = find_axes(config)
-
-    @abstractmethod
-    def _turn(self, above: Above, memory: Memory, fresh: Booleans) -> Decision:
-        """Choose for each module (num_envs, modules), and what to remember (num_envs, ...)."""
-
-    def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
-        seen, task = self._config.decode(observations), self._task
-        modules = task.positions(seen, self._kind)
-        velocity = task.motion(seen).above(modules)
-        above = Above(velocity, task.wanted(seen).above(modules) - velocity, modules.under)
-        return self._turn(above, memory, fresh)
+        find_axes(config)
+        self._sight = self._task.look(config)
 
 
+def _make_threshold(see: Any, wanted: Any) -> Any:
+    def choose_by_thresholds(
+        observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
+        commands: Integers,
+    ) -> None:  # fmt: skip
+        """Choose for each module by the error above it."""
+        columns = sight.x.shape[0]
+        roll, brake, left, right = axes
+        for i in range(observations.shape[0]):
+            seen = see(observations[i], sight)
+            asked = wanted(seen)
+            for k in range(commands.shape[1]):
+                x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
+                along = (asked.vx - asked.omega * y) - (seen.vx - seen.omega * y)
+                across = (asked.vy + asked.omega * x) - (seen.vy + seen.omega * x)
+                choice = brake if along < -thresholds[1] else roll
+                if across > thresholds[0]:
+                    choice = left
+                elif across < -thresholds[0]:
+                    choice = right
+                commands[i, k] = choice
+
+    return compiled(choose_by_thresholds)
+
+
+@rule("threshold logic", "sort", "orient", actions="modules")
+@rule("threshold logic", "track", actions="window")
 class ThresholdRule(LocalRule):
     """-45 or 45 deg where the parcel should go more to the one or the other side, else 0 deg where
     it is too fast, else 90 deg. After Bianchi et al. (2025), as cited above.
     """
 
-    def _turn(self, above: Above, *_: Any) -> Decision:
-        along, across = above.error[..., 0], above.error[..., 1]
-        (aside, ahead), axes = self._task.thresholds, self._axes
-        return np.select(
-            [across > aside, across < -aside, along < -ahead],
-            [axes.left, axes.right, axes.brake],
-            axes.roll,
-        ), None
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self.kernel = THRESHOLDS[config.task_name]
+
+    def arguments(self, observations: Observations, _: Any, commands: Commands) -> tuple[Any, ...]:
+        thresholds = np.array(self._task.thresholds)
+        return observations, self._sight, thresholds, self._axes, commands
 
 
+class PidMemory(NamedTuple):
+    """What is remembered of each module."""
+
+    summed: Numbers  # (num_envs, modules, 2) [m] the errors so far
+    last: Numbers  # (num_envs, modules, 2) [m/s]
+    begins: Booleans  # (num_envs,) nothing is remembered yet
+
+
+def _make_pid(see: Any, wanted: Any) -> Any:
+    def choose_by_pid(
+        observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
+        summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
+    ) -> None:  # fmt: skip
+        """Choose for each module the orientation whose friction changes its velocity best."""
+        columns, most = sight.x.shape[0], base.BRAKING * period
+        for i in range(observations.shape[0]):
+            seen = see(observations[i], sight)
+            asked = wanted(seen)
+            for k in range(commands.shape[1]):
+                x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
+                vx, vy = seen.vx - seen.omega * y, seen.vy + seen.omega * x
+                error_x = (asked.vx - asked.omega * y) - vx
+                error_y = (asked.vy + asked.omega * x) - vy
+                is_there = is_under(seen, x, y)
+                change_x = _correct(error_x, k, 0, gains, period, is_there, begins[i], summed[i],
+                                    last[i])  # fmt: skip
+                change_y = _correct(error_y, k, 1, gains, period, is_there, begins[i], summed[i],
+                                    last[i])  # fmt: skip
+                best, least = 0, math.inf
+                for choice in range(directions.shape[0]):
+                    # Friction brakes along the axis, and at most to rest.
+                    cosine, sine = directions[choice, 0], directions[choice, 1]
+                    along = min(most, max(-most, vx * cosine + vy * sine))
+                    miss_x, miss_y = change_x + along * cosine, change_y + along * sine
+                    miss = miss_x * miss_x + miss_y * miss_y
+                    if miss < least:
+                        best, least = choice, miss
+                commands[i, k] = best
+            begins[i] = False
+
+    return compiled(choose_by_pid)
+
+
+@inlined
+def _correct(
+    error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
+    summed: Numbers, last: Numbers,
+) -> float:  # fmt: skip
+    """Compute by how much [m/s] a component of the velocity above a module should change."""
+    before = 0.0 if begins else summed[k, axis]
+    change = 0.0 if begins else error - last[k, axis]
+    total = min(MOST_SUMMED, max(-MOST_SUMMED, before + period * error))
+    summed[k, axis] = total if is_there else 0.0
+    last[k, axis] = error
+    return gains[0] * error + gains[1] * summed[k, axis] + gains[2] * change / period
+
+
+@rule("PID per module", "sort", "orient", actions="modules")
+@rule("PID per module", "track", actions="window")
 class PidRule(LocalRule):
     """Each module's PID says by how much the velocity above it should change; it takes the
     orientation whose friction, in a period, comes nearest to that. A PID for each module is the
     idea of Bianchi et al. (2025), as cited above.
 
     A module with nothing above it yet is ready for the parcel as it would be there, but sums
-    nothing up. The summed and the last error are remembered: (num_envs, 2, modules, 2).
+    nothing up.
     """
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        angles = np.array(config.chosen_orientations)
-        self._direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)  # (choices, 2)
-        self._period = config.control_period
+        self.kernel = PIDS[config.task_name]
+        self._directions = find_directions(config)
 
-    def _turn(self, above: Above, memory: Memory, fresh: Booleans) -> Decision:
-        error = above.error
-        none = np.zeros((len(error), 2, *error.shape[1:]))
-        memory = none if memory is None else checks.alike("state", memory, none)
-        began = fresh[:, np.newaxis, np.newaxis]
-        summed = np.where(began, 0.0, memory[:, 0]) + self._period * error
-        summed = np.clip(summed, -MOST_SUMMED, MOST_SUMMED)
-        summed = np.where(above.under[..., np.newaxis], summed, 0.0)
-        last = np.where(began, error, memory[:, 1])
-        proportional, integral, derivative = self._task.gains
-        change = derivative * (error - last) / self._period
-        wanted = proportional * error + integral * summed + change
-        miss = wanted[:, :, np.newaxis] - self._changes(above.velocity)
-        choice: Commands = (miss**2).sum(axis=-1).argmin(axis=-1)
-        return choice, np.stack([summed, error], axis=1)
+    def make_memory(self, num_envs: int) -> PidMemory:
+        errors = np.zeros((2, num_envs, self._kind.size, 2))
+        return PidMemory(*errors, begins=np.ones(num_envs, dtype=np.bool_))
 
-    def _changes(self, velocity: Numbers) -> Numbers:
-        """Compute by how much (num_envs, modules, choices, 2) [m/s] each orientation would change a
-        velocity. Friction brakes along the axis, and at most to rest.
-        """
-        most = base.BRAKING * self._period
-        along = np.clip(velocity @ self._direction.T, -most, most)
-        return -along[..., np.newaxis] * self._direction
+    def arguments(
+        self, observations: Observations, memory: Any, commands: Commands
+    ) -> tuple[Any, ...]:
+        return (
+            observations, self._sight, np.array(self._task.gains), self._directions,
+            self._config.control_period, *memory, commands,
+        )  # fmt: skip
+
+
+THRESHOLDS = {name: _make_threshold(task.see, task.wanted) for name, task in LOCAL_TASKS.items()}
+PIDS = {name: _make_pid(task.see, task.wanted) for name, task in LOCAL_TASKS.items()}

@@ -15,6 +15,7 @@ from surface_gym.flow.sequence import PLACE, Sequence
 from surface_gym.tasks.features import read
 
 from ..base import Integers, Numbers, Singles
+from .base import rule
 from .slopes import (
     NOBODY,
     PRIORS,
@@ -243,6 +244,7 @@ def _lead_out(parking: Parking, parcels: Parcels, order: Integers, count: int, p
             break
 
 
+@rule("pass and park", "sequence", actions="parcels")
 class PassAndPark(SlopeRule):
     """Let parcels leave in their order: who must wait is parked beside a passage."""
 

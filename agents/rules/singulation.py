@@ -13,6 +13,7 @@ from surface_gym.flow import take_away as ta
 from surface_gym.tasks.features import read
 
 from ..base import Integers, Numbers, Singles
+from .base import rule
 from .slopes import (
     HELD,
     NOBODY,
@@ -238,12 +239,14 @@ def choose_by_release(
             move(slope, tuning, parcels, order[i], count, place, speed, brakes, i, halves)
 
 
+@rule("time slots", "singulate", "merge", actions="parcels")
 class TimeSlots(SlopeRule):
     """Give each parcel a time slot at the end, and brake those that would be early."""
 
     kernel = staticmethod(choose_by_slots)
 
 
+@rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
     """Hold parcels before the end, and let them go one by one: zero-pressure accumulation.
 

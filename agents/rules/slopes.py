@@ -22,6 +22,7 @@ from surface_gym.sensors import Exact
 from surface_gym.tasks.features import read
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
+from .base import Compiled
 
 # Rules by `actions="parcels"` that learned policies of parcels start from, by the task's name.
 PRIORS: Registry[Callable[[EnvConfig], BatchController]] = Registry(
@@ -347,7 +348,7 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
     memory.brakes.halves[fresh] = memory.brakes.since[fresh] = memory.brakes.stood[fresh] = 0
 
 
-class SlopeRule(BatchController):
+class SlopeRule(BatchController, Compiled):
     """A rule for tasks on a slope with a take-away, by `actions="parcels"`."""
 
     # Compiled; by `arguments` it writes halves (num_envs, rows, 2), of which those of free rows
@@ -363,13 +364,21 @@ class SlopeRule(BatchController):
         self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
         self._slope = read_slope(config)
         self._tuning = find_tuning(config) if tuning is None else tuning
-        self._shape = (None, len(config.features))  # rows of another environment serve as well
-        self._parcels = make_parcels(config.rows)
+        # Rows of another environment serve as well.
+        self._shape: tuple[int | None, int] = (None, len(config.features))
+        self._rows = config.rows
+        self._parcels = make_parcels(self._rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         """List what the kernel takes, to decide by tables (num_envs, rows, features)."""
         return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
+
+    def begin(self) -> tuple[Any, ...]:
+        rows, memory = self._rows, make_memory(1, self._rows)
+        forget(memory, np.ones(1, dtype=np.bool_))
+        tables = np.zeros((1, rows, self._shape[1]), dtype=np.float32)
+        return self.arguments(tables, memory, np.zeros((1, rows, 2), dtype=np.int64))
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool

@@ -6,39 +6,48 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
-from ..base import SAME, BatchController, Numbers, axes_apart, find_axes
-from .base import Commands, FixedRule, Observations, UniformRule
+from ..base import SAME, BatchController, Integers, Numbers, Singles, axes_apart, find_axes
+from .base import Commands, CompiledRule, FixedRule, Observations, rule
+from .decoding import Sight, look_at_line, see_line
 
 
-class FixedLayout(UniformRule):
+@compiled
+def choose_by_side(
+    observations: Singles, sight: Sight, axes: Integers, waits: int, commands: Integers
+) -> None:
+    """Choose 45 deg towards the asked side, and first 90 deg if it `waits` for the zone."""
+    roll, _, left, right = axes
+    for i in range(observations.shape[0]):
+        seen = see_line(observations[i], sight)
+        choice = roll
+        if seen.side != 0.0 and (seen.wholly_in_zone or waits == 0):
+            choice = left if seen.side > 0.0 else right
+        for k in range(commands.shape[1]):
+            commands[i, k] = choice
+
+
+@rule("fixed layout", "sort", actions="modules")
+class FixedLayout(CompiledRule):
     """Figure 6a: axes at -45 deg sort to y > 0, at +45 deg to y < 0, whatever the parcel does.
 
     Straight through, the axes stay at 90 deg.
     """
 
+    kernel = staticmethod(choose_by_side)
+    waits = 0  # or 1: until the parcel is wholly in the zone
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("sort",))
-        self._axes = find_axes(config)
+        self._sight = look_at_line(config)
 
-    def _choose(self, observations: Observations) -> Commands:
-        return self._axes.towards(self._config.decode(observations).side)
-
-
-class EventRule(FixedLayout):
-    """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
-
-    A lead-in module under the rear pins it while those of the zone push the front aside: what the
-    fixed layout loses to that, this rule does not. Straight through, the axes stay at 90 deg.
-    """
-
-    def _choose(self, observations: Observations) -> Commands:
-        seen = self._config.decode(observations)
-        return self._axes.towards(np.where(seen.wholly_in_zone, seen.side, 0.0))
+    def arguments(self, observations: Observations, _: Any, commands: Commands) -> tuple[Any, ...]:
+        return observations, self._sight, self._axes, self.waits, commands
 
 
 class BoxLayouts:
@@ -65,6 +74,7 @@ class BoxLayouts:
         return axes.reshape(len(box), -1)
 
 
+@rule("best fixed layout", "sort", actions="modules")
 class BestSorting(FixedRule):
     """One layout for all entry speeds: the one that `surface_gym.design` found for the study's box
     that is nearer in size, among the orientations on offer. It sorts to y < 0; mirrored, to y > 0.
@@ -84,6 +94,18 @@ class BestSorting(FixedRule):
         return axes_apart(axes[..., np.newaxis], self._angles).argmin(axis=-1)
 
 
+@rule("event rule", "sort", actions="halves")
+class EventRule(FixedLayout):
+    """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
+
+    A lead-in module under the rear pins it while those of the zone push the front aside: the fixed
+    layout loses to that. Straight through, the axes stay at 90 deg.
+    """
+
+    waits = 1
+
+
+@rule("fixed layout, any angle", "sort", actions="modules", orientations=ANY)
 class GradedLayout(BatchController):
     """One layout for all entry speeds, whose axes turn little by little from column to column: the
     one that `surface_gym.design` found for the study's box that is nearer in size.

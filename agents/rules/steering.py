@@ -1,125 +1,30 @@
-"""Rules that predict the motion of a period: sliding mode along a path, and turning.
+"""Rules that predict the motion of a period: sliding mode along a path, and turning."""
 
-The prediction is that of a square that slides on single modules, with Coulomb friction along axes.
-"""
-
-from dataclasses import dataclass
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ActionKind
 from surface_gym.physics.types import GRAVITY
-from surface_gym.tasks import base, planning, track
+from surface_gym.tasks import base, track
 
-from ..base import Booleans, Numbers, find_axes
-from .base import BaseRule, Commands, Decision, Observations
-
-MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
-
-
-@dataclass(frozen=True, eq=False)
-class ModulePositions:
-    """Modules of an action, seen from the parcel's centre; all (num_envs, modules)."""
-
-    x: Numbers  # [m]
-    y: Numbers  # [m]
-    under: Booleans  # a module lies under the parcel, taken as a square
-
-
-def _positions(x: Numbers, y: Numbers, theta: Numbers, half_length: Numbers) -> ModulePositions:
-    """Combine the positions of columns (num_envs, columns) and of rows (num_envs, rows)."""
-    num_envs, shape = len(x), (len(x), y.shape[1], x.shape[1])
-    x = np.broadcast_to(x[:, np.newaxis, :], shape).reshape(num_envs, -1)
-    y = np.broadcast_to(y[:, :, np.newaxis], shape).reshape(num_envs, -1)
-    cosine, sine = np.cos(theta)[:, np.newaxis], np.sin(theta)[:, np.newaxis]
-    along, across = cosine * x + sine * y, cosine * y - sine * x
-    under = np.maximum(np.abs(along), np.abs(across)) <= half_length[:, np.newaxis]
-    return ModulePositions(x, y, under)
-
-
-def line_positions(seen: planning.LineObservation, kind: ActionKind) -> ModulePositions:
-    """Locate the zone's modules, in the order of "modules"."""
-    pitch_x, pitch_y = seen.pitch
-    column = pitch_x * (np.arange(kind.columns) + 0.5)
-    row = pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
-    return _positions(
-        column - seen.into_zone[:, np.newaxis],
-        row - seen.offset[:, np.newaxis],
-        seen.theta,
-        seen.half_length,
-    )
-
-
-def window_positions(path: track.PathObservation, kind: ActionKind) -> ModulePositions:
-    """Locate the modules around the parcel, in the order of "window"."""
-    rows, columns = kind.shape
-    pitch_x, pitch_y = path.pitch
-    return _positions(
-        pitch_x * (np.arange(columns) - columns // 2) - _past(path.x_in_pitch, pitch_x),
-        pitch_y * (np.arange(rows) - rows // 2) - _past(path.y_in_pitch, pitch_y),
-        path.theta,
-        path.half_length,
-    )
-
-
-def _past(in_pitch: Numbers, pitch: float) -> Numbers:
-    """(num_envs, 1) [m] past the window's middle: midway, that is the module ahead or left."""
-    midway = in_pitch > pitch / 2.0 - MIDWAY
-    return np.where(midway, in_pitch - pitch, in_pitch)[:, np.newaxis]
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """A plane motion of the parcel; all (num_envs,)."""
-
-    vx: Numbers  # [m/s]
-    vy: Numbers  # [m/s]
-    omega: Numbers  # [rad/s]
-
-    def above(self, modules: ModulePositions) -> Numbers:
-        """Compute (num_envs, modules, 2) [m/s] of the parcel's point above each module."""
-        omega = self.omega[:, np.newaxis]
-        vx = self.vx[:, np.newaxis] - omega * modules.y
-        vy = self.vy[:, np.newaxis] + omega * modules.x
-        return np.stack([vx, vy], axis=-1)
-
-
-class SquareModel:
-    """Evenly loaded squares on modules."""
-
-    def __init__(self, modules: ModulePositions, half_length: Numbers, tilt: Numbers) -> None:
-        self._x, self._y = modules.x[:, np.newaxis], modules.y[:, np.newaxis]
-        self._gyration = (2.0 / 3.0 * half_length**2)[:, np.newaxis]  # [m^2] of a square
-        share = modules.under / np.maximum(1, modules.under.sum(axis=1))[:, np.newaxis]
-        self._braking = base.BRAKING * share[:, np.newaxis]  # [m/s^2] of each module
-        self._pull = (GRAVITY * np.sin(tilt))[:, np.newaxis]
-
-    def predict(self, motion: Motion, angles: Numbers, period: float, steps: int) -> Motion:
-        """Predict the motion a period on, in (num_envs, options).
-
-        Args:
-            angles: (options, modules) or (num_envs, options, modules) [rad] axes to predict for.
-        """
-        dt = period / steps
-        cosine, sine = np.cos(angles), np.sin(angles)
-        arm = self._x * sine - self._y * cosine  # [m] of each axis about the centre
-        # Friction grows to its most over the speed that a step of it takes: it overshoots none.
-        soft = base.BRAKING * dt * (1.0 + arm**2 / self._gyration[..., np.newaxis])
-        vx, vy, omega = (v[:, np.newaxis] for v in (motion.vx, motion.vy, motion.omega))
-        for _ in range(steps):
-            slip = (
-                vx[..., np.newaxis] * cosine
-                + vy[..., np.newaxis] * sine
-                + omega[..., np.newaxis] * arm
-            )
-            taken = dt * self._braking * np.clip(slip / soft, -1.0, 1.0)
-            vx = vx + dt * self._pull - (taken * cosine).sum(axis=-1)
-            vy = vy - (taken * sine).sum(axis=-1)
-            omega = omega - (taken * arm).sum(axis=-1) / self._gyration
-        return Motion(vx, vy, omega)
-
+from ..base import Integers, Numbers, Singles, find_axes
+from .base import Commands, CompiledRule, Observations, rule
+from .decoding import (
+    Line,
+    Motion,
+    Path,
+    Sight,
+    add,
+    find_directions,
+    is_under,
+    look_at_line,
+    look_at_path,
+    see_line,
+    see_path,
+)
 
 STEPS = 4  # that a period is predicted in
 PARTS = 6  # that the modules are shared in
@@ -141,6 +46,76 @@ CLOSE_ENOUGH = 0.015  # [rad] off the asked angle, where 0.035 is allowed: as go
 WORTH_IT = 0.004  # [rad] by which turning must be better than rolling
 # [-] of the half length ahead of and behind the centre, from where on modules turn the parcel.
 FROM = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+KINDS_OF_TURN = 6  # either way by the modules ahead, by those behind, or by both
+
+
+class Modules(NamedTuple):
+    """Modules of an action, an array (modules,) each; all is written before it is read."""
+
+    x: Numbers  # [m] from the parcel's centre
+    y: Numbers  # [m]
+    braking: Numbers  # [m/s^2] of each
+    arm: Numbers  # [m] of its axis about the centre
+    soft: Numbers  # [m/s] below which it brakes less
+    by_x: Numbers  # [m/s] that it takes in a step
+    by_y: Numbers  # [m/s]
+    by_arm: Numbers  # [m^2/s]
+    choice: Integers  # orientation of each
+
+
+def make_modules(size: int) -> Modules:
+    """Make room for the modules of an action."""
+    return Modules(*np.zeros((8, size)), choice=np.zeros(size, dtype=np.int64))
+
+
+@linked
+def place_modules(seen: Line | Path, sight: Sight, scratch: Modules) -> None:
+    """Locate the modules from the centre of a parcel, and share its braking among them."""
+    columns, under = sight.x.shape[0], 0
+    for k in range(scratch.x.shape[0]):
+        x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
+        scratch.x[k], scratch.y[k] = x, y
+        is_there = is_under(seen, x, y)
+        scratch.braking[k] = 1.0 if is_there else 0.0
+        under += is_there
+    for k in range(scratch.x.shape[0]):
+        scratch.braking[k] = base.BRAKING * (scratch.braking[k] / max(1, under))
+
+
+@linked
+def predict(
+    scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
+    period: float,
+) -> Motion:  # fmt: skip
+    """Predict the motion of an evenly loaded square a period on, with `scratch.choice`.
+
+    Args:
+        directions: (choices, 2) cosine and sine of each orientation.
+        pull: [m/s^2] along x.
+    """
+    dt = period / STEPS
+    gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] of a square
+    vx, vy, omega = motion
+    count = scratch.x.shape[0]
+    for k in range(count):
+        cosine, sine = directions[scratch.choice[k], 0], directions[scratch.choice[k], 1]
+        arm = scratch.x[k] * sine - scratch.y[k] * cosine
+        scratch.arm[k] = arm
+        # Friction grows to its most over the speed that a step of it takes: it overshoots none.
+        scratch.soft[k] = base.BRAKING * dt * (1.0 + arm * arm / gyration)
+    for _ in range(STEPS):
+        for k in range(count):
+            cosine, sine = directions[scratch.choice[k], 0], directions[scratch.choice[k], 1]
+            slip = vx * cosine + vy * sine + omega * scratch.arm[k]
+            share = min(1.0, max(-1.0, slip / scratch.soft[k]))
+            taken = dt * scratch.braking[k] * share
+            scratch.by_x[k] = taken * cosine
+            scratch.by_y[k] = taken * sine
+            scratch.by_arm[k] = taken * scratch.arm[k]
+        vx = vx + dt * pull - add(scratch.by_x, count)
+        vy = vy - add(scratch.by_y, count)
+        omega = omega - add(scratch.by_arm, count) / gyration
+    return Motion(vx, vy, omega)
 
 
 def mixes(parts: int) -> Commands:
@@ -167,7 +142,48 @@ def leading_options(config: EnvConfig) -> Commands:
     return np.unique(np.concatenate(options), axis=0)
 
 
-class SlidingMode(BaseRule):
+@inlined
+def _slide_regret(path: Path, after: Motion, period: float) -> float:
+    """Sum squared speeds off the surface and the asked speed."""
+    # The path's heading where the parcel will be.
+    ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
+    slope = path.slope + ahead * (path.slope_ahead - path.slope)
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    sine = slope * cosine
+    along = cosine * after.vx + sine * after.vy
+    across = cosine * after.vy - sine * after.vx
+    mean = 0.5 * (path.cross_speed + across)
+    off = across + SLOPE * (path.cross_error + period * mean)
+    late = along - path.asked_speed
+    turn = after.omega + STRAIGHTENING * (path.theta + period * after.omega)
+    edge = path.half_length * turn
+    return off * off + SPEED_WEIGHT * (late * late) + TURN_WEIGHT * (edge * edge)
+
+
+@compiled
+def slide(
+    observations: Singles, sight: Sight, directions: Numbers, options: Integers, period: float,
+    scratch: Modules, commands: Integers,
+) -> None:  # fmt: skip
+    """Choose, of the options (options, modules), the one that ends nearest to the surface."""
+    for i in range(observations.shape[0]):
+        path = see_path(observations[i], sight)
+        place_modules(path, sight, scratch)
+        motion, pull = Motion(path.vx, path.vy, path.omega), GRAVITY * math.sin(path.tilt)
+        best, least = 0, math.inf
+        for option in range(options.shape[0]):
+            for k in range(options.shape[1]):
+                scratch.choice[k] = options[option, k]
+            after = predict(scratch, directions, motion, path.half_length, pull, period)
+            regret = _slide_regret(path, after, period)
+            if regret < least:
+                best, least = option, regret
+        for k in range(options.shape[1]):
+            commands[i, k] = options[best, k]
+
+
+@rule("sliding mode", "track", actions="window")
+class SlidingMode(CompiledRule):
     """Track: sliding along s = speed across the path + SLOPE x error across it = 0.
 
     Every period it takes the mix of axes that should bring the parcel nearest to that surface,
@@ -175,82 +191,91 @@ class SlidingMode(BaseRule):
     a mix, since there is no axis that rolls along it.
     """
 
+    kernel = staticmethod(slide)
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("window",))
+        self._sight = look_at_path(config)
         self._options = leading_options(config)
-        self._angles = np.array(config.chosen_orientations)[self._options]
-        self._period = config.control_period
+        self._directions = find_directions(config)
+        self._scratch = make_modules(self._kind.size)
 
-    def _decide(self, observations: Observations, *_: Any) -> Decision:
-        path: track.PathObservation = self._config.decode(observations)
-        vx, vy = path.velocity
-        model = SquareModel(window_positions(path, self._kind), path.half_length, path.tilt)
-        motion = Motion(vx, vy, path.omega)
-        after = model.predict(motion, self._angles, self._period, STEPS)
-        best = self._regret(path, vx, after).argmin(axis=1)
-        return self._options[best], None
-
-    def _regret(self, path: track.PathObservation, vx: Numbers, after: Motion) -> Numbers:
-        """Sum (num_envs, options) squared speeds off the surface and the asked speed."""
-        # The path's heading where the parcel will be.
-        ahead = np.clip(vx * self._period / track.AHEAD[1], 0.0, 1.0)
-        slope = path.slope[:, 0] + ahead * (path.slope[:, 1] - path.slope[:, 0])
-        cosine = (1.0 / np.sqrt(1.0 + slope**2))[:, np.newaxis]
-        sine = slope[:, np.newaxis] * cosine
-        along = cosine * after.vx + sine * after.vy
-        across = cosine * after.vy - sine * after.vx
-        mean = 0.5 * (path.cross_speed[:, np.newaxis] + across)
-        off = across + SLOPE * (path.cross_error[:, np.newaxis] + self._period * mean)
-        late = along - path.asked_speed[:, np.newaxis]
-        theta = path.theta[:, np.newaxis]
-        turn = after.omega + STRAIGHTENING * (theta + self._period * after.omega)
-        edge = path.half_length[:, np.newaxis] * turn
-        return off**2 + SPEED_WEIGHT * late**2 + TURN_WEIGHT * edge**2
+    def arguments(self, observations: Observations, _: Any, commands: Commands) -> tuple[Any, ...]:
+        return (
+            observations, self._sight, self._directions, self._options,
+            self._config.control_period, self._scratch, commands,
+        )  # fmt: skip
 
 
-class TurningRule(BaseRule):
+@inlined
+def choose_turn(option: int, seen: Line, axes: Integers, scratch: Modules) -> None:
+    """Write the choices of an option: all roll, or modules ahead or behind turn the parcel."""
+    start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
+    roll, _, left, right = axes
+    kind = (option - 1) // FROM.shape[0]  # both, those ahead, those behind; then the other way
+    front, rear = (left, right) if kind < 3 else (right, left)
+    for k in range(scratch.x.shape[0]):
+        scratch.choice[k] = roll
+        if option == 0 or not seen.wholly_in_zone:
+            continue
+        if scratch.x[k] > start and kind % 3 != 2:
+            scratch.choice[k] = front
+        elif scratch.x[k] < -start and kind % 3 != 1:
+            scratch.choice[k] = rear
+
+
+@inlined
+def _turn_regret(seen: Line, after: Motion, period: float) -> float:
+    """Compute how far [rad] off the asked angle a parcel comes to rest, or what is as bad."""
+    turn = 0.5 * period * (seen.omega + after.omega)
+    end = after.omega * abs(after.omega) * seen.half_length
+    remaining = (seen.angle - seen.theta) - turn - end / (2.0 * END_OF_TURN)
+    off = max(0.0, abs(remaining) - CLOSE_ENOUGH)
+    return off - SPEED_WORTH * after.vx + DRIFT_WORTH * abs(after.vy)
+
+
+@compiled
+def turn(
+    observations: Singles, sight: Sight, directions: Numbers, axes: Integers, period: float,
+    scratch: Modules, commands: Integers,
+) -> None:  # fmt: skip
+    """Choose the modules that turn a parcel nearest to the asked angle."""
+    options = 1 + KINDS_OF_TURN * FROM.shape[0]
+    for i in range(observations.shape[0]):
+        seen = see_line(observations[i], sight)
+        place_modules(seen, sight, scratch)
+        motion = Motion(seen.vx, seen.vy, seen.omega)
+        best, least = 0, math.inf
+        for option in range(options):
+            choose_turn(option, seen, axes, scratch)
+            after = predict(scratch, directions, motion, seen.half_length, 0.0, period)
+            regret = _turn_regret(seen, after, period)
+            if option == 0:
+                regret -= WORTH_IT
+            if regret < least:
+                best, least = option, regret
+        choose_turn(best, seen, axes, scratch)
+        for k in range(commands.shape[1]):
+            commands[i, k] = scratch.choice[k]
+
+
+@rule("turning rule", "orient", actions="modules")
+class TurningRule(CompiledRule):
     """Orient: 45 deg one way ahead of the centre and the other way behind it turn the parcel, and
     90 deg everywhere ends that. Each period, those modules turn it that should make it come to
     rest nearest to the asked angle, speed and drift counted in.
     """
 
+    kernel = staticmethod(turn)
+
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("orient",), ("modules",))
-        self._axes = find_axes(config)
-        self._angles = np.array(config.chosen_orientations)
-        self._period = config.control_period
+        self._sight = look_at_line(config)
+        self._directions = find_directions(config)
+        self._scratch = make_modules(self._kind.size)
 
-    def _decide(self, observations: Observations, *_: Any) -> Decision:
-        seen: planning.LineObservation = self._config.decode(observations)
-        modules = line_positions(seen, self._kind)
-        options = self._options(seen, modules)
-        model = SquareModel(modules, seen.half_length, np.zeros_like(seen.theta))
-        motion = Motion(seen.vx, seen.vy, seen.omega)
-        after = model.predict(motion, self._angles[options], self._period, STEPS)
-        best = self._regret(seen, after).argmin(axis=1)
-        return options[np.arange(len(best)), best], None
-
-    def _options(self, seen: planning.LineObservation, modules: ModulePositions) -> Commands:
-        axes = self._axes
-        x = modules.x[:, np.newaxis]
-        inside = seen.wholly_in_zone[:, np.newaxis, np.newaxis]
-        start = (FROM * seen.half_length[:, np.newaxis])[..., np.newaxis]
-        ahead, behind = inside & (x > start), inside & (x < -start)
-        options = [np.full_like(x, axes.roll, dtype=np.int64)]
-        for front, rear in ((axes.left, axes.right), (axes.right, axes.left)):
-            options += [
-                np.select([ahead, behind], [front, rear], axes.roll),
-                np.where(ahead, front, axes.roll),
-                np.where(behind, rear, axes.roll),
-            ]
-        return np.concatenate(options, axis=1)
-
-    def _regret(self, seen: planning.LineObservation, after: Motion) -> Numbers:
-        """Compute (num_envs, options) [rad] off the asked angle at rest, or what is as bad."""
-        turn = 0.5 * self._period * (seen.omega[:, np.newaxis] + after.omega)
-        end = after.omega * np.abs(after.omega) * seen.half_length[:, np.newaxis]
-        left = (seen.angle - seen.theta)[:, np.newaxis] - turn - end / (2.0 * END_OF_TURN)
-        off = np.maximum(0.0, np.abs(left) - CLOSE_ENOUGH)
-        regret = off - SPEED_WORTH * after.vx + DRIFT_WORTH * np.abs(after.vy)
-        regret[:, 0] -= WORTH_IT
-        return regret
+    def arguments(self, observations: Observations, _: Any, commands: Commands) -> tuple[Any, ...]:
+        return (
+            observations, self._sight, self._directions, self._axes,
+            self._config.control_period, self._scratch, commands,
+        )  # fmt: skip

@@ -7,12 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow.task import COLUMN
 from surface_gym.tasks import Sort
+from surface_gym.tasks.features import read
 
 from .. import library
 from ..base import BatchController, find_axes
+from .base import Compiled, rule
+from .slopes import ROLL, TO_LEFT, TO_RIGHT
 
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
@@ -28,7 +32,8 @@ class ParcelRule(BatchController):
         checks.one_of("actions", config.actions, ("parcels",))
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
-        self._axes = find_axes(config)
+        self._axes = axes = find_axes(config)
+        self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
         self._shape = (config.rows, len(config.features))
         self._places = config.stream_task.max_parcels
         self._gated = config.stream_task.gate
@@ -50,16 +55,37 @@ class ParcelRule(BatchController):
         return actions, None
 
 
-class StreamEventRule(ParcelRule):
+@compiled
+def choose_by_exits(tables: Rows, halves: Halves) -> None:
+    """Choose halves (num_envs, rows, 2): to its side where a parcel is past its exit's start."""
+    for i in range(tables.shape[0]):
+        for k in range(tables.shape[1]):
+            row, choice = tables[i, k], ROLL
+            is_there = read(row, COLUMN.present) > 0.5 and read(row, COLUMN.waits) < 0.5
+            side = read(row, COLUMN.side)
+            if is_there and side != 0.0 and read(row, COLUMN.past_the_exit_s_start) > 0.0:
+                choice = TO_LEFT if side > 0.0 else TO_RIGHT
+            halves[i, k, 0] = halves[i, k, 1] = choice
+
+
+@rule("event rule", "flow", actions="parcels")
+class StreamEventRule(ParcelRule, Compiled):
     """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
 
+    kernel = staticmethod(choose_by_exits)
+
     def halves(self, rows: Rows) -> Halves:
-        past = COLUMN.past_the_exit_s_start.of(rows) > 0.0
-        side = np.where(past, COLUMN.side.of(rows).astype(np.float64), 0.0)
-        choice = self._axes.towards(side)
-        return np.stack([choice, choice], axis=-1)
+        found = np.zeros((1, len(rows), 2), dtype=np.int64)
+        self.kernel(rows[np.newaxis], found)
+        return self.choices[found[0]]
+
+    def begin(self) -> tuple[Any, ...]:
+        rows = self._shape[0]
+        tables = np.zeros((1, *self._shape), dtype=np.float32)
+        return tables, np.zeros((1, rows, 2), dtype=np.int64)
 
 
+@rule("sort-ppo", "flow", actions="parcels")
 class SortEach(ParcelRule):
     """A shipped agent of Sort, as it is: a parcel's row begins with what Sort shows of one. Parcels
     that go straight on, which it never met, roll.
@@ -67,13 +93,13 @@ class SortEach(ParcelRule):
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:
         super().__init__(config)
-        self._policy = library.load(name, seed)
+        self.name, self.policy = name, library.load(name, seed)
         self._choices = config.action_kind.choices
 
     def halves(self, rows: Rows) -> Halves:
         choices = np.full((len(rows), 2), self._axes.roll)
         aside = COLUMN.side.of(rows) != 0.0
         if aside.any():
-            actions, _ = self._policy.predict(rows[aside, :OWN])
+            actions, _ = self.policy.predict(rows[aside, :OWN])
             choices[aside] = np.stack(np.divmod(actions, self._choices), axis=-1)
         return choices

@@ -20,8 +20,20 @@ from surface_gym.sensors import Exact
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh
 from .bounds import entrance_bound
 from .features import LEVELS, USUAL, Candidates, Features, Watched
+from .leading import (
+    DEPTH,
+    NOBODY,
+    SHUT,
+    Book,
+    Workspace,
+    enter,
+    find_next,
+    follow,
+    lead,
+    recognise_row,
+)
 from .maneuvers import MARGIN, Library, find_delay, make_library
-from .scheduler import DEPTH, LONGEST_GAP, NOBODY, SHUT, Book, Scheduler, Workspace, renew, search
+from .scheduler import LONGEST_GAP, Scheduler, renew
 
 ABSENT = 1e6  # cost of an option that is none
 
@@ -78,7 +90,7 @@ def find_costs(
         cost[o] = np.inf
         if options[kind, o] >= 0:
             options[last, 0] = options[kind, o]
-            search(gaps, delay, options, queue, booked, entered, now, space)
+            find_next(gaps, delay, options, queue, booked, entered, now, space)
             cost[o] = space.cost[queue.shape[0] - 1, 0]
 
 
@@ -119,11 +131,14 @@ class DecidingScheduler(Scheduler):
             book = Book(*renew(book, state[0], fresh))
             watched = Watched(*renew(watched, state[1], fresh))
             chosen = Chosen(*renew(chosen, state[2], fresh))
-        book = self._follow(batch, book)
+        follow(batch, self._orders, book)
         watched = self._features.watch(batch, book, watched)
         chosen = self._decide(batch, book, watched, chosen)
-        opens, book, chosen = self._let_in(batch, book, chosen)
-        actions, book = self._act(batch, book, opens)
+        opens, chosen = self._let_in(batch, book, chosen)
+        actions = self._rest(num_envs)
+        lead(batch, self._way, book.rows, book.stands, actions)
+        actions[:, -1] = opens
+        book.clock[:] += self._orders.period
         return actions, (book, watched, chosen)
 
     def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
@@ -138,14 +153,15 @@ class DecidingScheduler(Scheduler):
             entry[found.env] = found.entry[each, option, level]
         return Chosen(maneuver, entry)
 
-    def _let_in(self, tables: Singles, book: Book, chosen: Chosen) -> tuple[Integers, Book, Chosen]:
+    def _let_in(self, tables: Singles, book: Book, chosen: Chosen) -> tuple[Integers, Chosen]:
         """Open the gate (num_envs,) for those whose entry is due, and book them."""
         opens = np.full(len(tables), SHUT)
-        step = np.ceil((chosen.entry - book.clock) / self._dt - 1e-6).astype(np.int64).clip(1)
-        now = (chosen.maneuver != NOBODY) & (step <= self._steps)
+        late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
+        step = np.ceil(late).astype(np.int64).clip(1)
+        now = (chosen.maneuver != NOBODY) & (step <= self._orders.steps)
         opens[now] = step[now]
-        book = self._enter(tables, book, chosen.maneuver, opens)
-        return opens, book, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
+        enter(tables, self._orders, book, chosen.maneuver, opens)
+        return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
         """Collect the candidates of those that may enter within the period at the tightest level;
@@ -155,15 +171,16 @@ class DecidingScheduler(Scheduler):
         found = []
         for i in undecided.tolist():
             waiting = tables[i, self._parcels : self._parcels + DEPTH]
-            queue = self._recognise(waiting[COLUMN.present.of(waiting) > 0.5])
+            there = waiting[COLUMN.present.of(waiting) > 0.5]
+            queue = np.array([recognise_row(row, self._orders.signature) for row in there])
             entry, binding = np.empty((most, len(LEVELS))), np.empty((most, len(LEVELS)), np.int64)
-            options, now = self.library.options[queue[0]], book.clock[i] + self._dt
+            options, now = self.library.options[queue[0]], book.clock[i] + self._orders.dt
             find_entries(
                 self.tight, self.wide, LEVELS, options, book.booked[i], book.entered[i], now, entry,
                 binding,
             )  # fmt: skip
-            there = options >= 0
-            if entry[there, 0].min() > book.clock[i] + self._period:
+            is_option = options >= 0
+            if entry[is_option, 0].min() > book.clock[i] + self._orders.period:
                 continue
             cost = np.empty(most)
             find_costs(
@@ -172,7 +189,7 @@ class DecidingScheduler(Scheduler):
             )  # fmt: skip
             whole = np.full(DEPTH, NOBODY)
             whole[: len(queue)] = queue
-            cost = np.where(there, cost - cost.min(), 1.0)
+            cost = np.where(is_option, cost - cost.min(), 1.0)
             found.append(Candidates(np.array(i), whole, entry, binding[:, USUAL], cost))
         return Candidates(*map(np.array, zip(*found, strict=True))) if found else None
 

@@ -24,6 +24,7 @@ from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
 
 from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes
+from .leading import Way, lead
 from .trajectories import (
     DT,
     Asked,
@@ -134,32 +135,25 @@ class Lead:
             before: (num_envs, groups) what groups stood at; None: all at 90 deg.
         """
         num_envs, parcels = booked.shape
-        own = maneuvers.pick(booked.clip(0))
-        tables = tables[:, :parcels]
-        past = COLUMN.past_the_exit_s_start.of(tables).astype(np.float64)
-        turns = (booked >= 0) & (past > own.place)
-        choice = np.where(turns, own.choice, self.axes.roll)
-        if self.groups is None:
-            return np.repeat(choice, 2, axis=1), np.empty((num_envs, 0), dtype=np.int64)
-        rear = past + self.origin[own.kind]
-        length = 2.0 * COLUMN.size.of(tables)
-        soon = rear + length + self.ahead * COLUMN.forward_speed.of(tables)
-        over = (booked >= 0)[..., np.newaxis] & (rear[..., np.newaxis] <= self.last_x)
-        over &= soon[..., np.newaxis] >= self.first_x
-        # Of several, the one that is farthest along decides.
-        nearest = np.where(over, rear[..., np.newaxis], -np.inf).argmax(axis=1)
-        group = np.arange(len(self.spans))
-        env = np.arange(num_envs)[:, np.newaxis]
-        mine = own.groups[env, nearest]
-        inside = (mine[..., 0] <= group) & (group <= mine[..., 1])
-        wanted = np.where(inside, choice[env, nearest], self.axes.roll)
-        if before is None:
-            before = np.full(wanted.shape, self.axes.roll)
-        stands = np.where(over.any(axis=1), wanted, before)
-        columns = np.full((num_envs, self._columns), self.axes.roll)
-        each = np.repeat(stands, self.spans[:, 1] - self.spans[:, 0], axis=1)
-        columns[:, : each.shape[1]] = each
-        return np.tile(columns, (1, self._rows)), stands
+        way = self.describe(maneuvers)
+        shape = (num_envs, len(way.spans))
+        stands = np.full(shape, self.axes.roll) if before is None else before.copy()
+        size = 2 * parcels if self.groups is None else self._rows * self._columns
+        actions = np.empty((num_envs, size), dtype=np.int64)
+        lead(np.ascontiguousarray(tables), way, booked, stands, actions)
+        return actions, stands
+
+    def describe(self, maneuvers: Maneuvers) -> Way:
+        """Describe for compiled functions how parcels are led by maneuvers."""
+        none = self.groups is None
+        kind, place, choice, turned = map(np.ascontiguousarray, maneuvers)
+        return Way(
+            roll=self.axes.roll, kind=kind, place=place, choice=choice, turned=turned,
+            origin=self.origin,
+            first=np.zeros(0) if none else self.first_x, last=np.zeros(0) if none else self.last_x,
+            spans=np.zeros((0, 2), dtype=np.int64) if none else self.spans, ahead=self.ahead,
+            rows=self._rows, columns=self._columns,
+        )  # fmt: skip
 
     def candidates(self, config: EnvConfig, place_count: int) -> Maneuvers:
         """List the maneuvers of every parcel, speed and exit."""

@@ -14,25 +14,17 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, JAM, TOUCHES, WRONG
-from surface_gym.flow.task import COLUMN
 from surface_gym.state import RUNNING
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, is_fresh
 from .bounds import entrance_bound
+from .leading import BOOKED, DEPTH, LONG_AGO, NOBODY, Book, Orders, make_workspace, schedule, search
 from .maneuvers import MARGIN, ColumnGroups, Library, make_library
-from .trajectories import SIGNATURE
 
-BOOKED = 24  # the latest entries that a new one is held against
-WIDTH = 16  # sequences that the search keeps
-DEPTH = 8  # parcels that wait and are looked at, at most
-SHUT = 0
-LONG_AGO = -1e6  # [s]
-NOBODY = -1
 # What is kept clear, tried in turn: the share of a control period, and the margin [m].
 CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
 SLACKS = np.geomspace(0.1, 4.0, 24)  # [-] that may be kept, where some touches are allowed
@@ -44,72 +36,6 @@ TRIAL_SEED = 1_000_003
 
 
 AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
-
-
-class Workspace(NamedTuple):
-    """Sequences of maneuvers that a search keeps, by how many parcels they are for, best first."""
-
-    maneuver: Integers  # (DEPTH, WIDTH) of the last parcel
-    time: Numbers  # (DEPTH, WIDTH) [s] when it enters
-    before: Integers  # (DEPTH, WIDTH) the sequence that is one parcel shorter
-    cost: Numbers  # (DEPTH, WIDTH) [s] when one more behind it is to enter, in the mean
-
-
-def make_workspace() -> Workspace:
-    """Make the arrays of a search."""
-    shape = (DEPTH, WIDTH)
-    return Workspace(
-        np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros(shape, dtype=np.int64),
-        np.zeros(shape),
-    )  # fmt: skip
-
-
-@compiled
-def search(
-    gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
-    entered: Numbers, now: float, space: Workspace,
-) -> tuple[int, float]:  # fmt: skip
-    """Find the maneuver of the next parcel to enter, and when [s] it enters.
-
-    Args:
-        gaps: (maneuvers, maneuvers) [s], `delay` and `options` as `Library` has them.
-        queue: (parcels,) kind of each that waits, the next to enter first.
-        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
-        now: [s] before which none enters.
-    """
-    count = 1
-    for depth in range(queue.shape[0]):
-        maneuver, entry = space.maneuver[depth], space.time[depth]
-        before, cost = space.before[depth], space.cost[depth]
-        kept = 0
-        for sequence in range(count):
-            for column in range(options.shape[1]):
-                option = options[queue[depth], column]
-                if option < 0:
-                    break
-                time = now
-                for k in range(booked.shape[0]):
-                    time = max(time, entered[k] + gaps[booked[k], option])
-                at = sequence
-                for k in range(depth - 1, -1, -1):
-                    time = max(time, space.time[k, at] + gaps[space.maneuver[k, at], option])
-                    at = space.before[k, at]
-                place = kept
-                while place > 0 and time + delay[option] < cost[place - 1]:
-                    place -= 1
-                if place == WIDTH:
-                    continue
-                kept = min(WIDTH, kept + 1)
-                for k in range(kept - 1, place, -1):
-                    maneuver[k], entry[k] = maneuver[k - 1], entry[k - 1]
-                    before[k], cost[k] = before[k - 1], cost[k - 1]
-                maneuver[place], entry[place] = option, time
-                before[place], cost[place] = sequence, time + delay[option]
-        count = kept
-    at = 0
-    for k in range(queue.shape[0] - 1, 0, -1):
-        at = space.before[k, at]
-    return space.maneuver[0, at], space.time[0, at]
 
 
 def predict_rate(
@@ -133,18 +59,6 @@ def predict_rate(
     return HOUR * (parcels - 1) / now
 
 
-class Book(NamedTuple):
-    """What a scheduler remembers, per environment."""
-
-    clock: Numbers  # (num_envs,) [s] since the episode began
-    booked: Integers  # (num_envs, BOOKED) maneuvers of the latest entries, the last first
-    entered: Numbers  # (num_envs, BOOKED) [s]
-    due: Numbers  # (num_envs,) [s] when the one that was let in last had come
-    pending: Booleans  # (num_envs,) whether that one has yet to be seen to have entered
-    rows: Integers  # (num_envs, parcels) maneuver of the parcel in each row, or NOBODY
-    stands: Integers  # (num_envs, groups) orientation of each group
-
-
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
     """Yield arrays (num_envs, ...) of a memory, as at the start where an episode is fresh."""
     for new, old in zip(start, state, strict=True):
@@ -163,9 +77,13 @@ class Scheduler(BatchController):
         self.library = make_library(config) if library is None else library
         self._shape = (config.rows, len(config.features))
         self._parcels = config.stream_task.max_parcels
-        self._period, self._dt = config.control_period, config.timing.dt
-        self._steps = config.timing.steps
-        self._space = make_workspace()
+        self._size = config.action_kind.size
+        self._way = self.library.lead.describe(self.library.maneuvers)
+        self._orders = Orders(
+            self.library.gaps, self.library.delay, self.library.options, self.library.signature,
+            self._parcels, config.timing.dt, config.timing.steps, config.control_period,
+        )  # fmt: skip
+        self._space, self._queue = make_workspace(), np.zeros(DEPTH, dtype=np.int64)
 
     def _start(self, num_envs: int) -> Book:
         groups = 0 if self.library.lead.groups is None else len(self.library.lead.spans)
@@ -182,78 +100,36 @@ class Scheduler(BatchController):
     def _predict(
         self, batch: Singles, state: Book | None, episode_start: Any, **_: bool
     ) -> tuple[Integers, Book]:
-        num_envs = len(batch)
-        fresh = is_fresh(num_envs, state, episode_start)
-        book = self._start(num_envs)
-        if state is not None:
-            book = Book(*renew(book, checks.alike("state", state, book), fresh))
-        book = self._follow(batch, book)
-        opens, book = self._open(batch, book)
-        return self._act(batch, book, opens)
+        book = self._recall(len(batch), state, episode_start)
+        opens, actions = np.zeros(len(batch), dtype=np.int64), self._rest(len(batch))
+        schedule(*self._arguments(batch, book, opens, actions))
+        return actions, book
 
-    def _act(self, tables: Singles, book: Book, opens: Integers) -> tuple[Integers, Book]:
-        """Lead the parcels on the line for a control period, and open the gate (num_envs,)."""
-        actions, stands = self.library.lead.choose(
-            tables, self.library.maneuvers, book.rows, book.stands
-        )
-        book = book._replace(clock=book.clock + self._period, stands=stands)
-        return np.concatenate([actions, opens[:, np.newaxis]], axis=1), book
+    def begin(self) -> tuple[Any, ...]:
+        """List what `schedule` takes in an environment that begins an episode."""
+        tables = np.zeros((1, *self._shape), dtype=np.float32)
+        return self._arguments(
+            tables, self._start(1), np.zeros(1, dtype=np.int64), self._rest(1)
+        )  # fmt: skip
 
-    def _follow(self, tables: Singles, book: Book) -> Book:
-        """Find the row of the parcel that entered, or take back its entry where it still waits."""
-        here = COLUMN.present.of(tables[:, : self._parcels]) > 0.5
-        rows = np.where(here, book.rows, NOBODY)
-        waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
-        due = book.clock + COLUMN.time.of(tables[:, self._parcels]).astype(np.float64)
-        stayed = book.pending & waits & (np.abs(due - book.due) < 1e-3)
-        entered, booked = book.entered.copy(), book.booked.copy()
-        entered[stayed] = np.roll(entered[stayed], -1, axis=1)
-        booked[stayed] = np.roll(booked[stayed], -1, axis=1)
-        entered[stayed, -1] = LONG_AGO
-        new = here & (rows == NOBODY)
-        came = book.pending & ~stayed
-        rows = np.where(new & came[:, np.newaxis], booked[:, :1], rows)
-        unknown = new & ~came[:, np.newaxis]
-        if unknown.any():  # on the line before the scheduler was
-            kinds = self._recognise(tables[:, : self._parcels][unknown])
-            rows[unknown] = self.library.options[kinds, 0]
-        return book._replace(rows=rows, entered=entered, booked=booked)
+    def _arguments(
+        self, tables: Singles, book: Book, opens: Integers, actions: Integers
+    ) -> tuple[Any, ...]:
+        return (
+            tables, self._orders, self._way, book, self._space, self._queue,
+            np.zeros_like(opens), opens, actions,
+        )  # fmt: skip
 
-    def _open(self, tables: Singles, book: Book) -> tuple[Integers, Book]:
-        """Choose when the gate opens (num_envs,), and book it."""
-        opens, maneuver = np.full(len(tables), SHUT), np.full(len(tables), NOBODY)
-        waiting = tables[:, self._parcels :]
-        waits = COLUMN.present.of(waiting[:, :DEPTH]) > 0.5
-        library, space = self.library, self._space
-        for i in np.nonzero(waits[:, 0])[0].tolist():
-            clock = book.clock[i]
-            queue = self._recognise(waiting[i, : waits[i].sum()])
-            chosen, time = search(
-                library.gaps, library.delay, library.options, queue, book.booked[i],
-                book.entered[i], clock + self._dt, space,
-            )  # fmt: skip
-            step = int(np.ceil((time - clock) / self._dt - 1e-6))
-            if step <= self._steps:
-                opens[i], maneuver[i] = step, chosen
-        return opens, self._enter(tables, book, maneuver, opens)
+    def _recall(self, num_envs: int, state: Any, episode_start: Any) -> Book:
+        """Copy what is remembered of episodes that go on."""
+        fresh, book = is_fresh(num_envs, state, episode_start), self._start(num_envs)
+        if state is None:
+            return book
+        return Book(*renew(book, checks.alike("state", state, book), fresh))
 
-    def _enter(self, tables: Singles, book: Book, maneuver: Integers, opens: Integers) -> Book:
-        """Book a maneuver (num_envs,) for those for whom the gate opens."""
-        now = opens != SHUT
-        booked, entered, due = book.booked.copy(), book.entered.copy(), book.due.copy()
-        booked[now] = np.roll(booked[now], 1, axis=1)
-        entered[now] = np.roll(entered[now], 1, axis=1)
-        booked[now, 0] = maneuver[now]
-        entered[now, 0] = book.clock[now] + self._dt * opens[now]
-        waited = COLUMN.time.of(tables[now, self._parcels]).astype(np.float64)
-        due[now] = book.clock[now] + waited
-        return book._replace(booked=booked, entered=entered, due=due, pending=now)
-
-    def _recognise(self, rows: Singles) -> Integers:
-        """Recognise (parcels,) the kind of each parcel, by what is seen of it."""
-        seen = rows[:, SIGNATURE].astype(np.float64)
-        apart = np.abs(seen[:, np.newaxis] - self.library.signature).max(axis=2)
-        return apart.argmin(axis=1)
+    def _rest(self, num_envs: int) -> Integers:
+        """Make actions (num_envs, size)."""
+        return np.full((num_envs, self._size), self.library.lead.axes.roll)
 
 
 def make_scheduler(

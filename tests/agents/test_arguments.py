@@ -10,11 +10,13 @@ import pytest
 
 from surface_gym.agents import library
 from surface_gym.agents.base import Controller
-from surface_gym.agents.rules import MORE_RULES, RULES
+from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.sequencing import PassAndPark
 from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
+from surface_gym.agents.rules.sorting import GradedLayout
 from surface_gym.agents.rules.streams import SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
+from surface_gym.tasks import TASKS
 
 ON_SLOPES = [
     ("singulate", TimeSlots), ("singulate", HoldAndRelease), ("merge", TimeSlots),
@@ -37,11 +39,10 @@ MAKERS: dict[str, Callable[[], tuple[Any, EnvConfig]]] = {
     **{name: partial(_shipped, name) for name in library.names()},
     **{
         f"{rule.task}, {rule.name}": partial(_ruled, rule.make, rule.task, actions=rule.actions)
-        for rule in RULES
+        for task in TASKS
+        for rule in find_rules(task)
     },
-    "any angle": partial(
-        _ruled, MORE_RULES[1].make, "sort", actions="modules", orientations="any"
-    ),
+    "any angle": partial(_ruled, GradedLayout, "sort", actions="modules", orientations="any"),
     **{
         f"{task}, {make.__name__}": partial(_ruled, make, task, actions="parcels")
         for task, make in ON_SLOPES

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.rollout import run_episodes, run_sequentially
-from surface_gym.agents.rules import RULES
+from surface_gym.agents.rules import find_rules
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
+from surface_gym.tasks import TASKS
 from tests.agents.rules.runs import SENSORS
 
-ONE_A_TASK = {rule.task: rule for rule in RULES}
+ONE_A_TASK = {rule.task: rule for task in TASKS for rule in find_rules(task)}
 
 
 @pytest.mark.parametrize("rule", ONE_A_TASK.values(), ids=ONE_A_TASK)

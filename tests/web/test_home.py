@@ -212,7 +212,8 @@ def around(built, tmp_path_factory):
     beside.mkdir()
     needed = (*home.FILES, "flow.wasm", "agent-flow-obeying.wasm")
     for file in built.folder.iterdir():
-        if file.suffix in (".js", ".css", ".html") or file.name in needed:
+        scheduled = file.name.startswith(("agent-home-", "agent-schedule"))
+        if file.suffix in (".js", ".css", ".html") or scheduled or file.name in needed:
             shutil.copy(file, beside)
     shutil.copy(DOCS / "assets" / "live.js", folder)
     (folder / "index.html").write_text(

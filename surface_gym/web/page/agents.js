@@ -3,15 +3,15 @@
 import { get, Machine } from "./machine.js";
 import { ModulesPolicy } from "./modules.js";
 import { Obeying } from "./obeying.js";
-import { ParcelAgent } from "./parcels.js";
+import { EachParcel } from "./parcels.js";
 import { Policy } from "./policy.js";
-import { makeRule } from "./rules.js";
+import { Rule } from "./rule.js";
 import { ParcelPolicy, SlopeRule } from "./slopes.js";
 import { SortingPolicy } from "./sorting.js";
 
 export const YOU = "you";
 /** Kinds of agents of a task in agents.json, in the order in which they are listed. */
-const KINDS = ["slopes", "parcels", "policies", "rules", "layouts"];
+const KINDS = ["streams", "policies", "rules", "layouts"];
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
 
 /** Keeps what the player sets. */
@@ -81,17 +81,21 @@ export class Agents {
     const kind = KINDS.find((each) => Object.hasOwn(there[each] ?? {}, name));
     if (!kind) return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
     const card = there[kind][name];
-    if (kind === "slopes") return this._onSlope(card, there.obeying, machine);
-    if (kind === "parcels")
-      return new ParcelAgent(card, this.weights, await this._obeying(there.obeying, machine));
-    if (kind === "rules") return makeRule(card);
+    if (kind === "streams") return this._ofStream(card, there.obeying, machine);
+    if (kind === "rules")
+      return new Rule(card, await Machine.load(card.machine, this.folder, card.code));
     if (kind === "layouts") return new Layout(card);
     const Kind = card.kind === "modules" ? SortingPolicy : Policy;
     return new Kind(card, await this._weights(card));
   }
 
-  async _onSlope(card, obeying, machine) {
+  async _ofStream(card, obeying, machine) {
     const { folder } = this;
+    if (card.kind === "each") {
+      const { task, name } = card.policy;
+      const policy = new Policy(this.file[task].policies[name], this.weights);
+      return new EachParcel(card, policy, await this._obeying(obeying, machine));
+    }
     const [own, weights, follows] = await Promise.all([
       Machine.load(card.machine, folder, card.code),
       this._weights(card),

@@ -8,7 +8,7 @@ import { Picture } from "./draw.js";
 import { get, Machine, PlainError } from "./machine.js";
 import { Obeying } from "./obeying.js";
 import { paintPage } from "./palette.js";
-import { Scheduler } from "./schedule.js";
+import { CompiledRule } from "./rule.js";
 import { TaskRun } from "./task.js";
 
 const HOUR = 3600; // [s]
@@ -77,6 +77,22 @@ class LineRun extends TaskRun {
     const more = this.count().waiting - shown;
     if (shown && more) frame.parcels.at(-1).label = `+${written(more)}`;
     return frame;
+  }
+}
+
+/** A scheduler of a line: it lets boxes in, and leads those on the line. */
+class Scheduler extends CompiledRule {
+  constructor(card, machine, obeying) {
+    super(card, machine);
+    this.obeying = obeying;
+  }
+
+  /** Write what modules and the gate are to do for a control period. */
+  act(run) {
+    const actions = this.call(run, "tables", "actions");
+    if (this.card.byGroups) run.wanted.set(actions);
+    else this.obeying.act(run, actions);
+    run.wanted[run.wanted.length - 1] = actions.at(-1);
   }
 }
 
@@ -253,7 +269,8 @@ async function loadLines() {
       const machine = await Machine.make("home", layout, block, code, new ArrayBuffer(0));
       const scene = { seed: 0, late: 0, stuck: [], commands: [] };
       const obeying = await Obeying.make(layout.obeying, obeyingCode, machine);
-      const run = new LineRun(machine, scene, new Scheduler(layout.table, card, obeying));
+      const own = await Machine.load(card.machine, "", card.code);
+      const run = new LineRun(machine, scene, new Scheduler(card, own, obeying));
       return new Line(run, figures[k]);
     }),
   );

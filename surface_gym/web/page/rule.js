@@ -1,31 +1,50 @@
-/** What rules of one parcel have in common: they see an observation, and choose for each module. */
+/** Rules: compiled functions, from the same source as on the CPU. */
 
 /**
- * @typedef {import("./decoding.js").Seen & object} Card of a rule; its other numbers are its own
- * @property {string} kind of rule
- * @property {string} actions what it chooses for: "window" is the modules around the parcel
- * @property {{roll: number, brake: number, left: number, right: number}} axes choices
- * @property {number} period [s] between decisions
+ * @typedef {object} Card of a rule
+ * @property {string} code name of its module
+ * @property {string} machine name of its memory
+ * @property {[number, number]} [window] rows and columns around the parcel that it chooses for; by
+ *   default all modules of the zone
+ * @property {Object<string, number>} camera numbers of its memory that are others with a camera
  */
 
-export class Rule {
-  /** @param {Card} card */
-  constructor(card) {
+/** A rule that decides by what `parcels.observation` shows. */
+export class CompiledRule {
+  /** @param {Card} card @param {import("./machine.js").Machine} machine of the rule */
+  constructor(card, machine) {
     this.card = card;
+    this.machine = machine;
   }
 
   /** Forget what was in an episode before. */
-  begin() {}
+  begin(run) {
+    this.machine.reset();
+    if (!run.noise) return;
+    for (const [name, value] of Object.entries(this.card.camera)) this.machine.set(name, value);
+  }
 
+  /** Call the function on what is observed; return what it writes. */
+  call(run, from, to) {
+    const seen = this.machine.view(from);
+    // The page may observe more than a rule, after what the rule observes.
+    seen.set(run.machine.view("parcels.observation").subarray(0, seen.length));
+    this.machine.step();
+    return Array.from(this.machine.view(to), Number);
+  }
+}
+
+/** A rule of one parcel. */
+export class Rule extends CompiledRule {
   /** Write what is chosen for each module. @param {import("./task.js").TaskRun} run */
   act(run) {
-    const choices = this.choose(run.machine.view("parcels.observation"), run);
-    if (this.card.actions !== "window") {
+    const choices = this.call(run, "observations", "commands");
+    if (!this.card.window) {
       run.wanted.set(choices);
       return;
     }
-    const { columns } = this.card;
-    const [corner, first] = this._corner(run);
+    const [rows, columns] = this.card.window;
+    const [corner, first] = this._corner(run, rows, columns);
     choices.forEach((choice, part) => {
       const row = corner + Math.floor(part / columns);
       const column = first + (part % columns);
@@ -35,14 +54,11 @@ export class Rule {
   }
 
   /** Find the row and the column of the window's first module, as the action "window" does. */
-  _corner({ machine, about }) {
-    const { rows, columns, justOver } = this.card;
+  _corner({ machine, about }, rows, columns) {
     const [x, y] = machine.view("parcels.sensed");
     const up = (y - about.origin[1]) / about.pitch[1];
     const along = (x - about.origin[0]) / about.pitch[0];
-    return [
-      Math.floor(up + justOver) - Math.floor(rows / 2),
-      Math.floor(along + 0.5) - Math.floor(columns / 2),
-    ];
+    const middle = [Math.floor(up + 0.5 + 1e-9), Math.floor(along + 0.5)];
+    return [middle[0] - Math.floor(rows / 2), middle[1] - Math.floor(columns / 2)];
   }
 }

@@ -4,38 +4,27 @@
  */
 
 import { linear, perceptron, relu } from "./policy.js";
+import { CompiledRule } from "./rule.js";
 
 /**
- * @typedef {object} RuleCard
- * @property {Object<string, number>} [camera] numbers of its machine that are others with a camera
+ * @typedef {import("./rule.js").Card & object} RuleCard
  * @property {number[]} choices that a half's action stands for: roll, brake, to the left, to the right
  */
 
-export class SlopeRule {
+export class SlopeRule extends CompiledRule {
   /**
    * @param {RuleCard} card
    * @param {import("./machine.js").Machine} machine of the rule, with its memory
    * @param {import("./obeying.js").Obeying} obeying
    */
   constructor(card, machine, obeying) {
-    this.card = card;
-    this.machine = machine;
+    super(card, machine);
     this.obeying = obeying;
-  }
-
-  /** Forget what was in an episode before. */
-  begin(run) {
-    this.machine.reset();
-    if (!run.noise) return;
-    for (const [name, value] of Object.entries(this.card.camera ?? {}))
-      this.machine.set(name, value);
   }
 
   /** Choose for both halves of the parcel in each row, one after the other. */
   choose(run) {
-    this.machine.view("tables").set(run.machine.view("parcels.observation"));
-    this.machine.step();
-    return Array.from(this.machine.view("halves"), (half) => this.card.choices[Number(half)]);
+    return this.call(run, "tables", "halves").map((half) => this.card.choices[half]);
   }
 
   act(run) {

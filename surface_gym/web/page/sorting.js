@@ -3,7 +3,6 @@
  * in `agents/module_policy.py`. The asked side lies at y > 0, in a mirror if need be.
  */
 
-import { reader } from "./decoding.js";
 import { cos, hypot, sin } from "./machine.js";
 import { perceptron } from "./policy.js";
 
@@ -31,6 +30,14 @@ import { perceptron } from "./policy.js";
  * @property {number[]} half length and width of its base, halved [m]
  * @property {number} rows of its line
  */
+
+/** Let an observation be read by the names of its features; one that is absent reads 0. */
+function reader({ features }, observation) {
+  return (name) => {
+    const column = features.indexOf(name);
+    return column < 0 ? 0 : observation[column];
+  };
+}
 
 export class SortingPolicy {
   /** @param {Card} card @param {Float32Array} weights of all policies */

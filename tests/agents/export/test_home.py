@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.export import home
+from surface_gym.agents.scheduling.leading import schedule
 from surface_gym.compiler.wasm_image import BASE, compute_signature, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
@@ -46,16 +47,14 @@ def test_both_lines_have_the_same_boxes_of_all_kinds_for_all_exits(folder, layou
     assert [mark["label"] for mark in layout["starts"]["marks"][0]] == ["left", "right", "straight"]
 
 
-def test_the_tables_are_those_of_the_comparison_s_schedulers(layout):
-    upper, lower = layout["lines"]
-    assert len(upper["groups"]["columns"]) == 1  # one zone
-    assert lower["groups"] is None
+def test_the_memories_are_those_of_the_comparison_s_schedulers(folder, layout):
+    assert [card["byGroups"] for card in layout["lines"]] == [True, False]
     for card, scheduler in zip(layout["lines"], home.make_schedulers(), strict=True):
-        library = scheduler.library
-        np.testing.assert_array_equal(card["gaps"], library.gaps)
-        np.testing.assert_array_equal(card["delay"], library.delay)
-        place = [np.inf if each is None else each for each in card["place"]]
-        np.testing.assert_array_equal(place, library.maneuvers.place)
-        for own, filled in zip(card["options"], library.options, strict=True):
-            assert own == filled[: len(own)].tolist()
-            assert (filled[len(own) :] == -1).all()
+        block = (folder / f"{card['machine']}.bin").read_bytes()
+        fields = json.loads((folder / f"{card['machine']}.json").read_text())["fields"]
+        named = name_arguments(schedule, scheduler.begin())
+        assert list(fields) == list(named)
+        for name in ("orders.gaps", "orders.delay", "orders.options", "way.place", "way.spans"):
+            kind, shape, address = fields[name]
+            values = np.frombuffer(block, kind, np.prod(shape, dtype=int), address - BASE)
+            np.testing.assert_array_equal(values.reshape(shape), named[name])

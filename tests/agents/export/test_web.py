@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from surface_gym.agents import library
-from surface_gym.agents.export import web
+from surface_gym.agents.export import rules, web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.library import save_policy
 from surface_gym.agents.module_policy import SharedNetwork
 from surface_gym.agents.policy import make_network
-from surface_gym.agents.rules.sorting import FixedLayout
+from surface_gym.agents.rules.sorting import BestSorting
 from surface_gym.compiler.wasm import Module
 from surface_gym.compiler.wasm_image import name_arguments
 from surface_gym.config import EnvConfig
@@ -36,7 +36,8 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("site")
     (made / "site.json").write_text('{"tasks": ["sort", "flow", "merge"], "agents": false}')
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(web, "compile_module", write_nothing)
+        for module in (web, rules):
+            patch.setattr(module, "compile_module", write_nothing)
         main([str(made)])
     return made
 
@@ -53,10 +54,10 @@ def test_it_has_the_agents_of_the_site_s_tasks(folder):
     assert json.loads((folder / "site.json").read_text())["agents"]
     agents = json.loads((folder / "agents.json").read_text())
     assert list(agents) == ["sort", "flow", "merge"]
-    assert set(agents["flow"]["parcels"]) == {"event rule", "sort-ppo"}
+    assert set(agents["flow"]["streams"]) == {"event rule", "sort-ppo"}
     of_sort = {name for name in library.names() if library.load(name).card.task == "sort"}
     assert set(agents["sort"]["policies"]) == of_sort
-    assert set(agents["sort"]["layouts"]) == {"fixed layout", "best fixed layout"}
+    assert set(agents["sort"]["layouts"]) == {"best fixed layout"}
     assert json.loads((folder / "home.json").read_text())["obeying"] == agents["flow"]["obeying"]
 
 
@@ -130,15 +131,16 @@ def test_a_run_of_sort_s_modules_has_the_card_of_the_one_that_ships(folder, tmp_
 def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
     folder, tmp_path, monkeypatch, name
 ):
-    monkeypatch.setattr(web, "compile_module", write_nothing)
+    for module in (web, rules):
+        monkeypatch.setattr(module, "compile_module", write_nothing)
     run, beside = tmp_path / "my run #1", tmp_path / "beside"
     shutil.copytree(library.SHELF / name, run)
     beside.mkdir()
     assert web.write_run(run, None, "merge", beside, folder) == ("merge", "my run #1")
     before, after = (json.loads((each / "agents.json").read_text()) for each in (folder, beside))
-    card = after["merge"]["slopes"].pop("my run #1")
+    card = after["merge"]["streams"].pop("my run #1")
     assert after == before
-    shipped_card = before["merge"]["slopes"][name]
+    shipped_card = before["merge"]["streams"][name]
     assert card == {**shipped_card, "weights": "agent-run.bin"}
     weights = (folder / shipped_card["weights"]).read_bytes()
     assert (beside / card["weights"]).read_bytes() == weights
@@ -148,15 +150,16 @@ def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
 
 
 def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(web, "compile_module", write_nothing)
+    for module in (web, rules):
+        monkeypatch.setattr(module, "compile_module", write_nothing)
     package, beside = tmp_path / "package", tmp_path / "beside"
     for each in (package, beside):
         each.mkdir()
     shutil.copy(folder / "site.json", package)
     web.write_run(library.SHELF / "merge-parcels", None, None, beside, package)
     agents = json.loads((beside / "agents.json").read_text())
-    assert set(agents["merge"]) == {"obeying", "slopes"}
-    card = agents["merge"]["slopes"]["merge-parcels"]
+    assert set(agents["merge"]) == {"obeying", "streams"}
+    card = agents["merge"]["streams"]["merge-parcels"]
     for code in (agents["merge"]["obeying"]["code"], card["code"]):
         assert (beside / f"{code}.wasm").is_file()
 
@@ -204,8 +207,10 @@ def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path
 
 
 def test_a_layout_is_what_the_rule_chooses_at_the_seed_s_start(folder):
-    layouts = json.loads((folder / "agents.json").read_text())["sort"]["layouts"]["fixed layout"]
-    env, rule = SmartSurfaceEnv("sort"), FixedLayout(EnvConfig("sort"))
+    layouts = json.loads((folder / "agents.json").read_text())["sort"]["layouts"][
+        "best fixed layout"
+    ]
+    env, rule = SmartSurfaceEnv("sort"), BestSorting(EnvConfig("sort"))
     assert len(layouts) == 20
     for seed in (0, 7):
         wanted, _ = rule.predict(env.reset(seed=seed)[0])
@@ -218,8 +223,8 @@ def test_agents_on_a_slope_are_the_rules_and_those_that_ship_each_with_its_files
     assert (folder / f"{agents['obeying']['code']}.wasm").is_file()
     learned = [each for each in library.names() if each.startswith("merge-")]
     assert "merge-parcels" in learned
-    assert list(agents["slopes"]) == ["time slots", "hold and release", *learned]
-    for name, card in agents["slopes"].items():
+    assert list(agents["streams"]) == ["time slots", "hold and release", *learned]
+    for name, card in agents["streams"].items():
         assert card["kind"] == "rule" or card["weights"] == f"agent-{name}.bin"
         layout = json.loads((folder / f"{card['machine']}.json").read_text())
         assert layout["bytes"] == (folder / f"{card['machine']}.bin").stat().st_size
@@ -257,7 +262,7 @@ def begin_stream(task: str, seed: int) -> StreamBatch:
 
 
 def test_weights_of_an_agent_on_a_slope_are_those_of_its_layers_and_no_more(folder):
-    card = json.loads((folder / "agents.json").read_text())["merge"]["slopes"]["merge-parcels"]
+    card = json.loads((folder / "agents.json").read_text())["merge"]["streams"]["merge-parcels"]
     weights = np.fromfile(folder / card["weights"], "<f4")
     network = library.load("merge-parcels")._network.state_dict()
     layers = [*card["encoder"], *card["actor"], card["attend"], card["pair"]]

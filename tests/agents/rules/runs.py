@@ -26,8 +26,7 @@ SENSORS = {(name.split("/")[1][:-3].lower(), actions): kind for name, actions, k
 
 def rule(task: str, name: str) -> Rule:
     """Find the rule of a task by name."""
-    (found,) = (rule for rule in RULES if (rule.task, rule.name) == (task, name))
-    return found
+    return RULES.find(f"{task}: {name}")
 
 
 def run(controller: Controller, config: EnvConfig, starts: list[dict[str, Any]]) -> Episodes:

@@ -10,9 +10,11 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.rules import braking
+from surface_gym.agents.rules import braking, decoding
 from surface_gym.agents.rules.base import FULL, HALF, LEANS, ROLL, ColumnAxes
+from surface_gym.agents.rules.decoding import look_at_line
 from surface_gym.agents.rules.layouts import FixedSlowing
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import AdaptiveCamera
@@ -21,7 +23,41 @@ from surface_gym.tasks.base import BRAKING
 from tests.agents.rules.runs import Scripted, begun, ends, rule, run, run_rule
 
 COLUMNS = 16
-NOMINAL = braking.FrictionEstimate.frictions(braking.FrictionEstimate.unknown(2))
+# Compiled as Python calls them.
+see_line = compiled(decoding.see_line.py_func)
+find_span, predict = compiled(braking.find_span.py_func), compiled(braking.predict.py_func)
+find_frictions, update = compiled(braking.find_frictions.py_func), compiled(braking.update.py_func)
+regret_speed = compiled(braking.regret_speed.py_func)
+NOMINAL = braking.Frictions(1.0, 1.0, braking.UNSURE)
+
+
+class Predictor:
+    """Predictions for the parcels of several environments.
+
+    Args:
+        config: of the environments.
+        levels: (columns,) at which the zone's columns brake.
+        lean: [rad] off 90 deg of all axes now; None: that of their levels.
+    """
+
+    def __init__(self, config: EnvConfig, levels: np.ndarray, lean: float | None = None) -> None:
+        self.sight = look_at_line(config)
+        self.model = braking.make_model(config, LEANS[ROLL])
+        self.scratch = braking.make_scratch(self.model)
+        self.scratch.target[:] = LEANS[levels]
+        self.lean = np.full(COLUMNS, lean) if lean is not None else LEANS[levels]
+
+    def span(self, seen: Any) -> braking.Span:
+        found: braking.Span = find_span(seen, self.sight, self.model, self.scratch)
+        return found
+
+    def __call__(self, observation: np.ndarray, load: float = 0.0) -> braking.Result:
+        seen = see_line(observation, self.sight)._replace(load_ahead=load)
+        span, pitch = self.span(seen), self.sight.pitch_x
+        found: braking.Result = predict(
+            span, self.model, pitch, seen.vx, NOMINAL, self.lean, self.scratch
+        )
+        return found
 
 
 def square(side: float) -> sg.Parcel:
@@ -49,53 +85,51 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in pair]
     env, observations = begun(Slow(parcels=pair), starts, observe=("parcel",))
     config = env.config
-    levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)[np.newaxis].repeat(2, axis=0)
-    model, actions = braking.BrakeModel(config, LEANS[ROLL]), ColumnAxes(config)(levels)
-    target = LEANS[levels]
+    levels = np.where(np.arange(COLUMNS) % 2, level, ROLL)
+    model, actions = Predictor(config, levels), ColumnAxes(config)(np.stack([levels, levels]))
+    # It does not know how the parcel leant just before: a physics step of braking at most.
+    most = BRAKING * config.timing.dt
     for _ in range(18):
-        see = replace(config.decode(observations), load_ahead=load_ahead)
-        under = braking.contact_span(config, see)
-        after = model.predict(under, see.vx, NOMINAL, target, target[:, np.newaxis])
+        before = config.decode(observations).vx
+        after = [model(each, load) for each, load in zip(observations, load_ahead, strict=True)]
         observations, *_ = env.step(actions)
-        now = config.decode(observations)
-        # It does not know how the parcel leant just before: a physics step of braking at most.
-        most = BRAKING * config.timing.dt
-        np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=most)
-        place = braking.contact_span(config, now).place
-        np.testing.assert_allclose(after.place[:, 0], place, rtol=0, atol=0.04 * most)
-        taken = after.braking + after.rolling
-        np.testing.assert_allclose(taken[:, 0], see.vx - after.speed[:, 0], rtol=0, atol=1e-9)
+        for k, each in enumerate(after):
+            now = see_line(observations[k], model.sight)
+            assert each.speed == pytest.approx(now.vx, abs=most)
+            assert each.place == pytest.approx(model.span(now).place, abs=0.04 * most)
+            assert each.braking + each.rolling == pytest.approx(before[k] - each.speed, abs=1e-9)
 
 
 def test_the_brake_model_follows_axes_that_take_time() -> None:
     """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
     env, _ = begun("slow", starts, actuators=Actuators(axis_speed=0.5 * math.pi / 0.1))
-    config, levels = env.config, np.full((2, COLUMNS), ROLL)
+    config = env.config
     rolling, half = (ColumnAxes(config)(np.full((2, COLUMNS), level)) for level in (ROLL, HALF))
     for _ in range(12):
         observations, *_ = env.step(rolling)
     see = config.decode(observations)
-    model, target = braking.BrakeModel(config, LEANS[ROLL]), LEANS[np.full((2, 1, COLUMNS), HALF)]
-    after = model.predict(braking.contact_span(config, see), see.vx, NOMINAL, LEANS[levels], target)
+    model = Predictor(config, np.full(COLUMNS, HALF), LEANS[ROLL])
+    after = [model(observation) for observation in observations]
+    braking_rule = rule("slow", "braking rule").make(config)
     for actions in (half, rolling, rolling):  # 45 deg take 50 ms
         observations, *_ = env.step(actions)
     now = config.decode(observations)
     assert (see.vx - now.vx > 0.1).all()
-    np.testing.assert_allclose(after.speed[:, 0], now.vx, rtol=0, atol=0.01)
-    lean = model.lean_after(LEANS[levels], target[:, 0])
-    np.testing.assert_allclose(lean, math.pi / 5.0, rtol=1e-9)
+    np.testing.assert_allclose([each.speed for each in after], now.vx, rtol=0, atol=0.01)
+    # What is remembered of axes: on their way to 45 deg they come as far as pi / 5 in a period.
+    _, memory = braking_rule.predict(env.reset(seed=0, options=starts)[0])
+    assert set(memory.lean.ravel().round(9)) <= {0.0, round(math.pi / 5.0, 9)}
 
 
 def test_friction_is_estimated_from_the_speed_it_takes() -> None:
-    estimate = braking.FrictionEstimate.for_sensors(EnvConfig(task="stop"))
-    known = estimate.unknown(1)
+    memory = rule("stop", "braking rule").make(EnvConfig(task="stop")).make_memory(1)
     for drag, rolling in [(0.0, 0.004)] * 5 + [(0.14, 0.002)] * 30:
-        parts = np.array([drag]), np.array([rolling])
-        known = estimate.update(known, 0.85 * parts[0] + 1.3 * parts[1], *parts)
-    estimated = estimate.frictions(known)
-    assert estimated.braking[0] == pytest.approx(0.85, abs=0.02)
-    assert estimated.rolling[0] == pytest.approx(1.3, abs=0.02)
+        lost = 0.85 * drag + 1.3 * rolling
+        update(memory.estimate[0], lost, drag, rolling, braking.SEEN_EXACTLY)
+    estimated = find_frictions(memory.estimate[0])
+    assert estimated.braking == pytest.approx(0.85, abs=0.02)
+    assert estimated.rolling == pytest.approx(1.3, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +208,13 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
     sensors, config, see = see_learned("stop", **learned)
     np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
     np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
-    np.testing.assert_allclose(braking.contact_span(config, see).load, see.load_ahead)
+    shown = np.zeros(len(config.features), dtype=np.float32)
+    for name, (value,) in learned.items():
+        shown[[feature.name for feature in config.features].index(name)] = value
+    model = Predictor(config, np.full(COLUMNS, ROLL))
+    seen = see_line(shown, model.sight)
+    assert model.span(seen).load == see.load_ahead[0]
+    assert seen.friction == see.friction[0]
     # A box that rolled for 0.2 s is to brake harder, the less friction there is.
     lab: dict[str, Any] = {"observe": ("parcel", "load"), "preset": "lab"}
     env, seen = begun("stop", [{"parcel": "S", "speed": 1.6, "position": 1.5}] * 3, **lab)
@@ -197,13 +237,15 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
     """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
     env, observations = begun("slow", [{"parcel": "S", "speed": 2.0, "ratio": 0.5}])
-    config, see, none = env.config, env.config.decode(observations), np.zeros((1, 3))
-    frictions = braking.FrictionEstimate.frictions(braking.FrictionEstimate.unknown(1))
-    after = braking.Braked(np.full((1, 3), 9.0), np.array([[0.9, 1.0, 1.1]]), none, none)
-    span = braking.contact_span(config, see)
-    regret = braking.SlowingRule(config)._regret(see, span, frictions, after)
-    assert regret[0, 0] > regret[0, 2]
-    np.testing.assert_allclose(regret[0, 1:], [0.0, 0.1], atol=1e-5)
+    model = Predictor(env.config, np.full(COLUMNS, ROLL))
+    seen = see_line(observations[0], model.sight)
+    span = model.span(seen)
+    slow, asked, fast = (
+        regret_speed(seen, span, NOMINAL, braking.Result(9.0, speed, 0.0, 0.0), False)
+        for speed in (0.9, 1.0, 1.1)
+    )
+    assert slow > fast
+    assert [asked, fast] == pytest.approx([0.0, 0.1], abs=1e-5)
 
 
 @pytest.mark.parametrize("parcel", ["S", "B"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules import ROLLING, RULES, Rule, find_rules
+from surface_gym.agents.rules import ROLLING, Rule, find_rules
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
@@ -19,7 +19,8 @@ def id_of(rule: Rule) -> str:
     return f"{rule.task}: {rule.name}"
 
 
-every_rule = pytest.mark.parametrize("rule", RULES, ids=id_of)
+EVERY = [rule for task in TASKS for rule in find_rules(task)]
+every_rule = pytest.mark.parametrize("rule", EVERY, ids=id_of)
 
 
 def config_for(rule: Rule, **others: Any) -> EnvConfig:
@@ -27,7 +28,7 @@ def config_for(rule: Rule, **others: Any) -> EnvConfig:
 
 
 def test_no_two_rules_of_a_task_share_a_name() -> None:
-    names = [(rule.task, rule.name) for rule in RULES]
+    names = [(rule.task, rule.name) for rule in EVERY]
     assert len(set(names)) == len(names)
     for task in TASKS:
         assert find_rules(task)[0].name == "fixed layout"
@@ -108,7 +109,7 @@ def test_an_environment_alone_is_as_among_many(rule) -> None:
 
 @pytest.mark.parametrize("task", ["slow", "stop", "orient"])
 def test_a_fixed_layout_stays_as_it_was_arranged(task) -> None:
-    (rule,) = (rule for rule in RULES if (rule.task, rule.name) == (task, "fixed layout"))
+    (rule,) = (rule for rule in EVERY if (rule.task, rule.name) == (task, "fixed layout"))
     controller = rule.make(config_for(rule))
     env = sg.SmartSurfaceVectorEnv(4, task=task)
     observations, _ = env.reset(seed=1)
@@ -121,7 +122,7 @@ def test_a_fixed_layout_stays_as_it_was_arranged(task) -> None:
 
 
 MIRRORED = [
-    rule for rule in RULES
+    rule for rule in EVERY
     if rule.task in ("sort", "orient", "track") and rule.name != "sliding mode"
 ]  # fmt: skip
 

@@ -7,12 +7,21 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.evaluation.methods import FIXED
-from surface_gym.agents.rules import steering
+from surface_gym.agents.rules import decoding, steering
+from surface_gym.agents.rules.decoding import Motion, look_at_line, look_at_path
 from surface_gym.agents.rules.layouts import FixedTurning
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
+from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.paths import Sine
-from tests.agents.rules.runs import Scripted, begun, mirrored_starts, rule, run, run_rule
-from tests.environments import ROLL
+from tests.agents.rules.runs import Scripted, begun, mirrored_starts, run, run_rule
+from tests.environments import MINUS_45, PLUS_45, ROLL
+
+# Compiled as Python calls them.
+see_line, see_path = compiled(decoding.see_line.py_func), compiled(decoding.see_path.py_func)
+place_modules = compiled(steering.place_modules.py_func)
+predict = compiled(steering.predict.py_func)
+choose_turn = compiled(steering.choose_turn.py_func)
 
 WAVES = [
     {"parcel": parcel, "speed": speed, "tilt": math.radians(tilt), "path": Sine(side * 0.15, 2.5)}
@@ -58,10 +67,15 @@ def test_modules_that_turn_a_parcel_drag_its_front_one_way_and_its_rear_the_othe
     env, observations = begun("orient", starts)
     for _ in range(15):
         observations, *_ = env.step(np.full((2, 64), ROLL))
-    line = env.config.decode(observations)
-    modules = steering.line_positions(line, env.config.action_kind)
-    options = rule("orient", "turning rule").make(env.config)._options(line, modules)
-    for x, ways in zip(modules.x, options, strict=True):
+    sight = look_at_line(env.config)
+    axes, scratch = np.array([ROLL, 0, MINUS_45, PLUS_45]), steering.make_modules(64)
+    for observation in observations:
+        seen = see_line(observation, sight)
+        place_modules(seen, sight, scratch)
+        x, ways = scratch.x, []
+        for option in range(1 + steering.KINDS_OF_TURN * len(steering.FROM)):
+            choose_turn(option, seen, axes, scratch)
+            ways.append(scratch.choice.copy())
         turned = [(set(way[x > 0]) - {ROLL}, set(way[x < 0]) - {ROLL}) for way in ways]
         assert turned[0] == (set(), set())
         assert all(len(front) <= 1 >= len(rear) for front, rear in turned)
@@ -91,16 +105,22 @@ def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() 
     env, seen = begun("track", [{}] * 20, seed=5, actions="window")
     rng = np.random.default_rng(0)
     for _ in range(10):
-        modules = steering.window_positions(env.config.decode(seen), env.config.action_kind)
-        np.testing.assert_array_equal(modules.under, seen[:, -25:] > 0.5)
+        sight, scratch = look_at_path(env.config), steering.make_modules(25)
+        for observation in seen:
+            place_modules(see_path(observation, sight), sight, scratch)
+            np.testing.assert_array_equal(scratch.braking > 0.0, observation[-25:] > 0.5)
         seen, *_ = env.step(rng.integers(0, 4, (20, 25)))
     env, seen = begun("orient", [{"parcel": "S"}, {"parcel": "B"}])
-    modules = steering.line_positions(env.config.decode(seen), env.config.action_kind)
+    sight = look_at_line(env.config)
+    modules = [steering.make_modules(64) for _ in "SB"]
+    for observation, scratch in zip(seen, modules, strict=True):
+        place_modules(see_line(observation, sight), sight, scratch)
     # The S-box's lead-in is 3 columns and the B-box's 5; the first rotor after it is at 0.35 m, a
     # box's rear at x = 0.
     first = np.array([0.35, 0.55]) - [0.125, 0.225]
-    np.testing.assert_allclose(modules.x.reshape(2, 4, 16)[:, 2, 0], first, atol=1e-6)
-    across = modules.y.reshape(2, 4, 16)[:, :, 3]
+    found = [scratch.x.reshape(4, 16)[2, 0] for scratch in modules]
+    np.testing.assert_allclose(found, first, atol=1e-6)
+    across = [scratch.y.reshape(4, 16)[:, 3] for scratch in modules]
     np.testing.assert_allclose(across, [[-0.15, -0.05, 0.05, 0.15]] * 2, atol=1e-6)
 
 
@@ -114,12 +134,11 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     truth = sg.simulate(surface, box, (1.0, 1.0, 0.0), velocity, duration=0.04).velocity[-1]
     start = {"parcel": "S", "path": [(1.0, 1.0), (5.0, 1.0)], "tilt": tilt, "speed": 0.8}
     env, seen = begun("track", [start], actions="window")
-    modules = steering.window_positions(env.config.decode(seen), env.config.action_kind)
-    square = steering.SquareModel(modules, np.array([0.125]), np.array([tilt]))
-    motion = steering.Motion(*(np.array([part]) for part in velocity))
-    after = square.predict(motion, np.full((1, 25), angle), period=0.04, steps=4)
-    found = after.vx[0, 0], after.vy[0, 0], after.omega[0, 0]
-    assert (np.abs(found - truth) <= [0.03, 0.03, 0.5]).all()
+    sight, scratch = look_at_path(env.config), steering.make_modules(25)
+    place_modules(see_path(seen[0], sight), sight, scratch)
+    directions, pull = np.array([[math.cos(angle), math.sin(angle)]]), GRAVITY * math.sin(tilt)
+    found = predict(scratch, directions, Motion(*velocity), 0.125, pull, 0.04)
+    assert (np.abs(np.array(found) - truth) <= [0.03, 0.03, 0.5]).all()
 
 
 def test_parts_of_modules_are_mixed_in_every_way():

@@ -8,18 +8,14 @@ import pytest
 
 from surface_gym.agents.scheduling import scheduler as module
 from surface_gym.agents.scheduling.bounds import clairvoyant_bound, entrance_bound
+from surface_gym.agents.scheduling.leading import make_workspace, search
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
-from surface_gym.agents.scheduling.scheduler import (
-    Scheduler,
-    make_scheduler,
-    make_workspace,
-    predict_rate,
-    search,
-)
+from surface_gym.agents.scheduling.scheduler import Scheduler, make_scheduler, predict_rate
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.exits import flow_line
 from surface_gym.flow.stream import Stream
+from surface_gym.flow.task import COLUMN
 from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Camera
 from tests.agents.rules.runs import counts, gated, line, zoned
@@ -139,7 +135,7 @@ class TestMemory:
         controller = Scheduler(config)
         tables = np.random.default_rng(0).normal(size=(4, 2, config.stream_task.rows, 29))
         tables = tables.astype(np.float32)
-        tables[..., module.COLUMN.present.place] = tables[..., module.COLUMN.present.place] > 0.0
+        tables[..., COLUMN.present.place] = tables[..., COLUMN.present.place] > 0.0
         fresh = np.array([[True, True], [False, True], [False, False], [True, False]])
         together, state = [], None
         for table, begins in zip(tables, fresh, strict=True):
@@ -155,7 +151,7 @@ class TestMemory:
         config = gated(CROWD)
         controller = Scheduler(config)
         table = np.zeros((1, config.stream_task.rows, 29), dtype=np.float32)
-        table[0, 3, module.COLUMN.present.place] = 1.0
+        table[0, 3, COLUMN.present.place] = 1.0
         table[0, 3, [3, 13, 14]] = 0.5, 3.0, 1.0
         action, _ = controller.predict(table, None)
         assert action[0, 6] == controller.library.lead.axes.left

@@ -1,0 +1,277 @@
+"""Observations of one parcel in SI units, and the modules around it, for compiled rules.
+
+A rule's compiled function serves Python and the page. So it decodes observations by itself, as the
+tasks' own `decode` does for arrays.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.compiler.jit import inlined
+from surface_gym.config import EnvConfig
+from surface_gym.sensors import AdaptiveCamera
+from surface_gym.tasks import track
+
+from ..base import Integers, Numbers, Singles
+
+MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
+# Quantities of a line, in the order of `LINE`; then the quantities of a path, in that of `PATH`.
+(SIDE, SINE, COSINE, SIZE, INTO_ZONE, FRONT, REAR, OFFSET, FORWARD, LATERAL, TURNING, RATIO, ENTRY,
+ TO_GO, ANGLE, WIDTH, FILL, FRICTION, LOAD_X, LOAD_Y) = range(20)  # fmt: skip
+LINE = (
+    "side", "sine of theta", "cosine of theta", "size", "distance into zone", "front in zone",
+    "rear to go", "lateral offset", "forward speed", "lateral speed", "turning speed",
+    "asked ratio", "entry speed", "to go", "asked angle", "width", "fill", "friction learned",
+    "load learned, x", "load learned, y",
+)  # fmt: skip
+(ERROR, ACROSS, ASKED, SLOPE, SLOPE_AHEAD, TILT, P_SINE, P_COSINE, P_TURNING, P_SIZE, SPEED_ERROR,
+ SINE_X, COSINE_X, SINE_Y, COSINE_Y) = range(15)  # fmt: skip
+PATH = (
+    "cross error", "lateral speed", "asked speed",
+    *(f"slope {ahead:g} m ahead" for ahead in track.AHEAD[:2]),
+    "tilt", "sine of theta", "cosine of theta", "turning speed", "size", "speed error",
+    "sine of phase x", "cosine of phase x", "sine of phase y", "cosine of phase y",
+)  # fmt: skip
+
+
+class Sight(NamedTuple):
+    """How an observation shows quantities, and what a rule knows of its line."""
+
+    place: Integers  # (quantities,) column of each; -1: it is not shown
+    offset: Numbers  # (quantities,) [its unit] value that 0 shows
+    scale: Numbers  # (quantities,) [its unit] value that 1 shows more
+    pitch_x: float  # [m] between modules
+    pitch_y: float  # [m]
+    zone_length: float  # [m] along x of the widest zone
+    friction_spread: float  # [-] scale of the friction learned; 0 where nothing is learned
+    load_spread: float  # [m] scale of the load learned
+    x: Numbers  # (columns,) [m] of the modules from the zone's first edge or the window's middle
+    y: Numbers  # (rows,) [m] from the line's middle or the window's
+
+
+def look_at_line(config: EnvConfig) -> Sight:
+    """Describe how an environment on a line is seen, and its zone."""
+    line, kind = config.chosen_line, config.action_kind
+    rows, columns = kind.shape
+    x = line.pitch_x * (np.arange(columns) + 0.5)
+    return _look(config, LINE, x, line.pitch_y * (np.arange(rows) - (rows - 1) / 2.0))
+
+
+def look_at_path(config: EnvConfig) -> Sight:
+    """Describe how an environment with a path is seen, and the window around the parcel."""
+    line, kind = config.chosen_line, config.action_kind
+    rows, columns = kind.shape
+    x = line.pitch_x * (np.arange(columns) - columns // 2)
+    return _look(config, PATH, x, line.pitch_y * (np.arange(rows) - rows // 2))
+
+
+def _look(config: EnvConfig, names: Iterable[str], x: Numbers, y: Numbers) -> Sight:
+    features = {each.name: (place, each) for place, each in enumerate(config.features)}
+    shown = [features.get(name) for name in names]
+    line, zone, sensors = config.chosen_line, config.zone, config.sensors
+    learns = isinstance(sensors, AdaptiveCamera)
+    columns = line.zone_columns if zone is None else zone[1] - zone[0] + 1
+    return Sight(
+        place=np.array([-1 if each is None else each[0] for each in shown]),
+        offset=np.array([0.0 if each is None else float(each[1].offset) for each in shown]),
+        scale=np.array([0.0 if each is None else float(each[1].scale) for each in shown]),
+        pitch_x=line.pitch_x,
+        pitch_y=line.pitch_y,
+        zone_length=line.pitch_x * columns,
+        friction_spread=sensors.friction_spread if learns else 0.0,
+        load_spread=sensors.load_spread if learns else 0.0,
+        x=x,
+        y=y,
+    )
+
+
+def find_directions(config: EnvConfig) -> Numbers:
+    """Compute (choices, 2) the cosine and the sine of the orientations on offer."""
+    angles = np.array(config.chosen_orientations)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+@inlined
+def _read(row: Singles, sight: Sight, quantity: int) -> float:
+    """Read a quantity; one that is not shown is 0."""
+    place = sight.place[quantity]
+    if place < 0:
+        return 0.0
+    value = sight.scale[quantity] * row[place]
+    if sight.offset[quantity] == 0.0:
+        return value
+    return sight.offset[quantity] + value
+
+
+class Line(NamedTuple):
+    """A parcel on a line; see `tasks.planning.LineObservation`."""
+
+    x: float  # [m] of its centre past the zone's first edge
+    y: float  # [m] of its centre from the line's middle
+    theta: float  # [rad]
+    cosine: float  # of theta
+    sine: float
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+    half_length: float  # [m] of the base, taken as a square
+    reach: float  # [m] of the base along x, from its centre
+    side: float  # asked: +1 for y > 0, -1 for y < 0, 0 for straight through or no side
+    ratio: float  # [-] asked of the entry speed; else 0
+    entry_speed: float  # [m/s] where a ratio is asked; else 0
+    to_go: float  # [m] to the asked x; else 0
+    angle: float  # [rad] asked theta; else 0
+    front_in_zone: float  # [m] foremost point past the zone's first edge
+    rear_to_go: float  # [m] from the rearmost point to the zone's end
+    half_width: float  # [m]
+    fill: float  # [-] share of the base in the rectangle around it
+    friction: float  # [-] factor of mu_max, as learned
+    load_ahead: float  # [m] along x from the base's centre to the load, as learned
+    wholly_in_zone: bool  # no module of the lead-in bears it
+
+
+@inlined
+def see_line(row: Singles, sight: Sight) -> Line:
+    """Decode an observation (features,) of a parcel on a line."""
+    side = _read(row, sight, SIDE)
+    mirror = -1.0 if side < 0.0 else 1.0  # a parcel that is to go to y < 0 is shown in a mirror
+    shown = math.atan2(_read(row, sight, SINE), _read(row, sight, COSINE))
+    theta = mirror * shown
+    half_length = _read(row, sight, SIZE)
+    cosine, sine = math.cos(theta), math.sin(theta)
+    reach = half_length * (abs(cosine) + abs(sine))
+    if sight.place[INTO_ZONE] >= 0:  # no more of the front and the rear than of a square
+        x = _read(row, sight, INTO_ZONE) + reach
+        front_in_zone = x + reach
+        rear_to_go = sight.zone_length - x + reach
+    else:
+        front_in_zone, rear_to_go = _read(row, sight, FRONT), _read(row, sight, REAR)
+        x = front_in_zone - reach
+    ratio = _read(row, sight, RATIO)
+    load_x, load_y = _read(row, sight, LOAD_X), _read(row, sight, LOAD_Y)
+    ahead = math.cos(shown) * load_x - math.sin(shown) * load_y
+    is_shown = sight.place[WIDTH] >= 0
+    return Line(
+        x,
+        mirror * _read(row, sight, OFFSET),
+        theta,
+        cosine,
+        sine,
+        _read(row, sight, FORWARD),
+        mirror * _read(row, sight, LATERAL),
+        mirror * _read(row, sight, TURNING),
+        half_length,
+        reach,
+        side,
+        ratio,
+        _read(row, sight, ENTRY) if ratio > 0.0 else 0.0,
+        _read(row, sight, TO_GO),
+        _read(row, sight, ANGLE),
+        front_in_zone,
+        rear_to_go,
+        _read(row, sight, WIDTH) if is_shown else half_length,
+        _read(row, sight, FILL) if is_shown else 1.0,
+        1.0 + sight.friction_spread * _read(row, sight, FRICTION),
+        sight.load_spread * ahead,
+        x - reach > -sight.pitch_x / 2.0,
+    )
+
+
+class Path(NamedTuple):
+    """A parcel beside its path; see `tasks.track.PathObservation`."""
+
+    x: float  # [m] of its centre past the middle module of the window
+    y: float  # [m]
+    theta: float  # [rad]
+    cosine: float  # of theta
+    sine: float
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+    half_length: float  # [m] of the base, taken as a square
+    cross_error: float  # [m] off the path, positive to its left
+    cross_speed: float  # [m/s] square to the path
+    asked_speed: float  # [m/s]
+    slope: float  # dy/dx of the path at its centre,
+    slope_ahead: float  # and ahead of it
+    tilt: float  # [rad]
+
+
+@inlined
+def see_path(row: Singles, sight: Sight) -> Path:
+    """Decode an observation (features,) of a parcel beside its path."""
+    theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
+    slope = _read(row, sight, SLOPE)
+    cross_speed, asked_speed = _read(row, sight, ACROSS), _read(row, sight, ASKED)
+    along = asked_speed + _read(row, sight, SPEED_ERROR)
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    sine = slope * cosine
+    phase_x = math.atan2(_read(row, sight, SINE_X), _read(row, sight, COSINE_X))
+    phase_y = math.atan2(_read(row, sight, SINE_Y), _read(row, sight, COSINE_Y))
+    return Path(
+        _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
+        _past(sight.pitch_y * phase_y / (2.0 * math.pi), sight.pitch_y),
+        theta,
+        math.cos(theta),
+        math.sin(theta),
+        along * cosine - cross_speed * sine,
+        along * sine + cross_speed * cosine,
+        _read(row, sight, P_TURNING),
+        _read(row, sight, P_SIZE),
+        _read(row, sight, ERROR),
+        cross_speed,
+        asked_speed,
+        slope,
+        _read(row, sight, SLOPE_AHEAD),
+        math.asin(_read(row, sight, TILT)),
+    )
+
+
+@inlined
+def _past(in_pitch: float, pitch: float) -> float:
+    """[m] past the window's middle: midway, that is the module ahead or left."""
+    return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
+
+
+class Motion(NamedTuple):
+    """A plane motion of the parcel."""
+
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+
+
+@inlined
+def is_under(seen: Line | Path, x: float, y: float) -> bool:
+    """Return whether a module x, y [m] from a parcel's centre is under it, taken as a square."""
+    along, across = seen.cosine * x + seen.sine * y, seen.cosine * y - seen.sine * x
+    return max(abs(along), abs(across)) <= seen.half_length
+
+
+@inlined
+def add(values: Numbers, count: int) -> float:
+    """Sum the first numbers, 128 at most, in the order in which NumPy does."""
+    if count < 8:
+        total = -0.0
+        for k in range(count):
+            total += values[k]
+        return total
+    a, b, c, d = values[0], values[1], values[2], values[3]
+    e, f, g, h = values[4], values[5], values[6], values[7]
+    whole = count - count % 8
+    for k in range(8, whole, 8):
+        a += values[k]
+        b += values[k + 1]
+        c += values[k + 2]
+        d += values[k + 3]
+        e += values[k + 4]
+        f += values[k + 5]
+        g += values[k + 6]
+        h += values[k + 7]
+    total = ((a + b) + (c + d)) + ((e + f) + (g + h))
+    for k in range(whole, count):
+        total += values[k]
+    return total

@@ -1,0 +1,320 @@
+"""A schedule at run time, as compiled functions that Python and the site's first page call.
+
+Parcels are followed from the gate on, entries are booked, and parcels on the line are led by their
+maneuvers.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.compiler.jit import compiled, inlined, linked
+from surface_gym.flow.task import COLUMN
+from surface_gym.tasks.features import read
+
+from ..base import Booleans, Integers, Numbers, Singles
+from .trajectories import SIGNATURE
+
+BOOKED = 24  # the latest entries that a new one is held against
+WIDTH = 16  # sequences that the search keeps
+DEPTH = 8  # parcels that wait and are looked at, at most
+SHUT = 0
+LONG_AGO = -1e6  # [s]
+NOBODY = -1
+SEEN = np.array(SIGNATURE)
+
+
+class Way(NamedTuple):
+    """How parcels are led: the maneuvers, and what obeys."""
+
+    roll: int  # orientation of 90 deg
+    kind: Integers  # (maneuvers,), `place`, `choice` and `turned` as `Maneuvers` has them
+    place: Numbers
+    choice: Integers
+    turned: Integers  # (maneuvers, 2) first and last group that it turns
+    origin: Numbers  # (kinds,) [m] x from which a row counts its rear
+    first: Numbers  # (groups,) [m] x of each group's first column, and of its last;
+    last: Numbers  # no groups: every module obeys by itself
+    spans: Integers  # (groups, 2) first column of each and the one after its last
+    ahead: float  # [s] that a group is turned before it is used
+    rows: int  # of modules that obey
+    columns: int
+
+
+class Orders(NamedTuple):
+    """What entries are booked by; see `Library`."""
+
+    gaps: Numbers  # (maneuvers, maneuvers) [s]
+    delay: Numbers  # (maneuvers,) [s]
+    options: Integers  # (kinds, most)
+    signature: Numbers  # (kinds, features)
+    parcels: int  # rows of the table for parcels on the line
+    dt: float  # [s]
+    steps: int  # of a control period
+    period: float  # [s]
+
+
+class Book(NamedTuple):
+    """What a scheduler remembers, per environment."""
+
+    clock: Numbers  # (num_envs,) [s] since the episode began
+    booked: Integers  # (num_envs, BOOKED) maneuvers of the latest entries, the last first
+    entered: Numbers  # (num_envs, BOOKED) [s]
+    due: Numbers  # (num_envs,) [s] when the one that was let in last had come
+    pending: Booleans  # (num_envs,) whether that one has yet to be seen to have entered
+    rows: Integers  # (num_envs, parcels) maneuver of the parcel in each row, or NOBODY
+    stands: Integers  # (num_envs, groups) orientation of each group
+
+
+class Workspace(NamedTuple):
+    """Sequences of maneuvers that a search keeps, by how many parcels they are for, best first."""
+
+    maneuver: Integers  # (DEPTH, WIDTH) of the last parcel
+    time: Numbers  # (DEPTH, WIDTH) [s] when it enters
+    before: Integers  # (DEPTH, WIDTH) the sequence that is one parcel shorter
+    cost: Numbers  # (DEPTH, WIDTH) [s] when one more behind it is to enter, in the mean
+
+
+def make_workspace() -> Workspace:
+    """Make the arrays of a search."""
+    shape = (DEPTH, WIDTH)
+    return Workspace(
+        np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros(shape, dtype=np.int64),
+        np.zeros(shape),
+    )  # fmt: skip
+
+
+@linked
+def find_next(
+    gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
+    entered: Numbers, now: float, space: Workspace,
+) -> tuple[int, float]:  # fmt: skip
+    """Find the maneuver of the next parcel to enter, and when [s] it enters.
+
+    Args:
+        gaps: (maneuvers, maneuvers) [s], `delay` and `options` as `Library` has them.
+        queue: (parcels,) kind of each that waits, the next to enter first.
+        booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
+        now: [s] before which none enters.
+    """
+    count = 1
+    for depth in range(queue.shape[0]):
+        maneuver, entry = space.maneuver[depth], space.time[depth]
+        before, cost = space.before[depth], space.cost[depth]
+        kept = 0
+        for sequence in range(count):
+            for column in range(options.shape[1]):
+                option = options[queue[depth], column]
+                if option < 0:
+                    break
+                time = now
+                for k in range(booked.shape[0]):
+                    time = max(time, entered[k] + gaps[booked[k], option])
+                at = sequence
+                for k in range(depth - 1, -1, -1):
+                    time = max(time, space.time[k, at] + gaps[space.maneuver[k, at], option])
+                    at = space.before[k, at]
+                place = kept
+                while place > 0 and time + delay[option] < cost[place - 1]:
+                    place -= 1
+                if place == WIDTH:
+                    continue
+                kept = min(WIDTH, kept + 1)
+                for k in range(kept - 1, place, -1):
+                    maneuver[k], entry[k] = maneuver[k - 1], entry[k - 1]
+                    before[k], cost[k] = before[k - 1], cost[k - 1]
+                maneuver[place], entry[place] = option, time
+                before[place], cost[place] = sequence, time + delay[option]
+        count = kept
+    at = 0
+    for k in range(queue.shape[0] - 1, 0, -1):
+        at = space.before[k, at]
+    return space.maneuver[0, at], space.time[0, at]
+
+
+search = compiled(find_next.py_func)  # as Python calls it
+
+
+@inlined
+def _is_there(row: Singles) -> bool:
+    """Return whether a row of the table holds a parcel."""
+    return read(row, COLUMN.present) > 0.5
+
+
+@linked
+def recognise(row: Singles, signature: Numbers) -> int:
+    """Recognise the kind of a parcel by its row."""
+    kind, least = 0, math.inf
+    for k in range(signature.shape[0]):
+        apart = 0.0
+        for n in range(SEEN.shape[0]):
+            apart = max(apart, abs(row[SEEN[n]] - signature[k, n]))
+        if apart < least:
+            kind, least = k, apart
+    return kind
+
+
+@inlined
+def _turn(values: Numbers | Integers, back: bool) -> None:
+    """Move all values of a list by one place, the last to the front or the first to the back."""
+    last = values.shape[0] - 1
+    if back:
+        first = values[0]
+        for k in range(last):
+            values[k] = values[k + 1]
+        values[last] = first
+    else:
+        end = values[last]
+        for k in range(last, 0, -1):
+            values[k] = values[k - 1]
+        values[0] = end
+
+
+@linked
+def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
+    """Find the row of the parcel that entered, or take back its entry where it still waits."""
+    for i in range(tables.shape[0]):
+        gate = tables[i, orders.parcels]
+        due = book.clock[i] + read(gate, COLUMN.time)
+        stayed = book.pending[i] and _is_there(gate) and abs(due - book.due[i]) < 1e-3
+        if stayed:
+            _turn(book.booked[i], True)
+            _turn(book.entered[i], True)
+            book.entered[i, BOOKED - 1] = LONG_AGO
+        for row in range(orders.parcels):
+            if not _is_there(tables[i, row]):
+                book.rows[i, row] = NOBODY
+            elif book.rows[i, row] == NOBODY:
+                if book.pending[i] and not stayed:
+                    book.rows[i, row] = book.booked[i, 0]
+                else:  # on the line before the scheduler was
+                    kind = recognise(tables[i, row], orders.signature)
+                    book.rows[i, row] = orders.options[kind, 0]
+
+
+@linked
+def enter_parcels(
+    tables: Singles, orders: Orders, book: Book, maneuver: Integers, opens: Integers
+) -> None:
+    """Book a maneuver (num_envs,) where the gate opens (num_envs,)."""
+    for i in range(tables.shape[0]):
+        book.pending[i] = opens[i] != SHUT
+        if opens[i] != SHUT:
+            _turn(book.booked[i], False)
+            _turn(book.entered[i], False)
+            book.booked[i, 0] = maneuver[i]
+            book.entered[i, 0] = book.clock[i] + orders.dt * opens[i]
+            book.due[i] = book.clock[i] + read(tables[i, orders.parcels], COLUMN.time)
+
+
+@linked
+def open_gates(
+    tables: Singles, orders: Orders, book: Book, space: Workspace, queue: Integers,
+    maneuver: Integers, opens: Integers,
+) -> None:  # fmt: skip
+    """Choose in which step each gate opens, and for which maneuver (num_envs,), and book it.
+
+    Args:
+        queue: (DEPTH,) that is written to.
+    """
+    for i in range(tables.shape[0]):
+        opens[i], maneuver[i] = SHUT, NOBODY
+        count, waiting = 0, tables.shape[1] - orders.parcels
+        if _is_there(tables[i, orders.parcels]):
+            for k in range(min(DEPTH, waiting)):
+                if _is_there(tables[i, orders.parcels + k]):
+                    count += 1
+        for k in range(count):
+            queue[k] = recognise(tables[i, orders.parcels + k], orders.signature)
+        if count > 0:
+            clock = book.clock[i]
+            chosen, time = find_next(
+                orders.gaps, orders.delay, orders.options, queue[:count], book.booked[i],
+                book.entered[i], clock + orders.dt, space,
+            )  # fmt: skip
+            late = (time - clock) / orders.dt - 1e-6  # steps
+            if late <= orders.steps:
+                opens[i], maneuver[i] = math.ceil(late), chosen
+    enter_parcels(tables, orders, book, maneuver, opens)
+
+
+@linked
+def lead_parcels(
+    tables: Singles, way: Way, rows: Integers, stands: Integers, actions: Integers
+) -> None:
+    """Write what all that obeys does for a control period; the gate is left as it is.
+
+    Args:
+        rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
+        stands: (num_envs, groups) what each group stands at.
+        actions: (num_envs, more than `rows` or modules) by parcels' halves, or by modules.
+    """
+    groups = way.spans.shape[0]
+    for i in range(tables.shape[0]):
+        if groups == 0:
+            for row in range(rows.shape[1]):
+                choice = _choose(tables[i, row], way, rows[i, row])
+                actions[i, 2 * row] = actions[i, 2 * row + 1] = choice
+            continue
+        for group in range(groups):
+            row = _find_leader(tables[i], way, rows[i], group)
+            if row >= 0:
+                maneuver = rows[i, row]
+                turns = way.turned[maneuver, 0] <= group <= way.turned[maneuver, 1]
+                stands[i, group] = _choose(tables[i, row], way, maneuver) if turns else way.roll
+        for k in range(way.rows * way.columns):
+            actions[i, k] = way.roll
+        for group in range(groups):
+            for column in range(way.spans[group, 0], way.spans[group, 1]):
+                for row in range(way.rows):
+                    actions[i, row * way.columns + column] = stands[i, group]
+
+
+@inlined
+def _choose(row: Singles, way: Way, maneuver: int) -> int:
+    """Choose what the modules under a parcel do by its maneuver."""
+    if maneuver < 0:
+        return way.roll
+    past = read(row, COLUMN.past_the_exit_s_start)
+    return way.choice[maneuver] if past > way.place[maneuver] else way.roll
+
+
+@inlined
+def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
+    """Find, of the parcels over a group or about to be, the one that is farthest along; -1: none.
+
+    Lengths and ways ahead have single precision.
+    """
+    leader, farthest = -1, -math.inf
+    for row in range(rows.shape[0]):
+        if rows[row] < 0:
+            continue
+        seen = table[row]
+        rear = read(seen, COLUMN.past_the_exit_s_start) + way.origin[way.kind[rows[row]]]
+        size, speed = COLUMN.size, COLUMN.forward_speed
+        half = np.float32(size.offset) + np.float32(size.scale) * seen[size.place]
+        fast = np.float32(speed.offset) + np.float32(speed.scale) * seen[speed.place]
+        soon = rear + np.float32(2.0) * half + np.float32(way.ahead) * fast
+        if rear <= way.last[group] and soon >= way.first[group] and rear > farthest:
+            leader, farthest = row, rear
+    return leader
+
+
+recognise_row = compiled(recognise.py_func)
+follow, enter = compiled(follow_parcels.py_func), compiled(enter_parcels.py_func)
+lead = compiled(lead_parcels.py_func)
+
+
+@compiled
+def schedule(
+    tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
+    maneuver: Integers, opens: Integers, actions: Integers,
+) -> None:  # fmt: skip
+    """Follow parcels, open gates, and write actions (num_envs, size), whose last is the gate."""
+    follow_parcels(tables, orders, book)
+    open_gates(tables, orders, book, scratch, queue, maneuver, opens)
+    lead_parcels(tables, way, book.rows, book.stands, actions)
+    for i in range(tables.shape[0]):
+        actions[i, actions.shape[1] - 1] = opens[i]
+        book.clock[i] += orders.period
