@@ -22,10 +22,10 @@ from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import ContactMaterial
-from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
+from surface_gym.physics.types import HALF_LENGTH, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, ROWS, EnvState, reach_along, zone_start
-from surface_gym.tasks.base import SIZE, WIDTH, Task
+from surface_gym.tasks.base import SIZE, WIDTH, Task, show_on_line
 from surface_gym.tasks.features import Feature, columns, show, show_within
 from surface_gym.tasks.sort import HORIZON, SIDE_FEATURES, lateral_reach
 
@@ -610,29 +610,13 @@ class Flow(StreamTask):
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
         """Show a parcel as it is sensed, mirrored so that its side is y > 0."""
-        sensed = state.sensed
-        mirror = _mirror(state)
-        x, theta = sensed[X], sensed[THETA]
-        offset = mirror * (sensed[Y] - state.elements.line_y)
-        turn_x = 2.0 * math.pi / state.elements.pitch_x
-        turn_y = 2.0 * math.pi / state.elements.pitch_y
+        mirror, side = _mirror(state), state.goal[fs.SIDE]
+        offset = show_on_line(state, COLUMN, mirror)
+        x, theta, see = state.sensed[X], state.sensed[THETA], state.observation
         half_line = 0.5 * state.elements.pitch_y * (state.zone[ROWS] - 1)
         rear = x - reach_along(state, theta, -1.0, 0.0)
-        side = state.goal[fs.SIDE]
-        see = state.observation
-        show_within(see, COLUMN.lateral_offset, offset)
-        show(see, COLUMN.sine_of_theta, mirror * math.sin(theta))
-        show(see, COLUMN.cosine_of_theta, math.cos(theta))
-        show_within(see, COLUMN.forward_speed, sensed[VX])
-        show_within(see, COLUMN.lateral_speed, mirror * sensed[VY])
-        show_within(see, COLUMN.turning_speed, mirror * sensed[OMEGA])
-        show(see, COLUMN.size, state.body[HALF_LENGTH])
         clearance = offset - reach_along(state, theta, 0.0, -mirror) - half_line
         show_within(see, COLUMN.clearance, clearance)
-        show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
-        show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
-        show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
-        show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
         show(see, COLUMN.time, state.clock)
         show_within(see, COLUMN.past_the_exit_s_start, rear - _exit_start(state))
         show(see, COLUMN.side, side)

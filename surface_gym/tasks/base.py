@@ -13,7 +13,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState
 from surface_gym.tasks.benchmark import Benchmark, default_benchmark
-from surface_gym.tasks.features import Feature, columns, show
+from surface_gym.tasks.features import Feature, columns, show, show_within
 from surface_gym.tasks.planning import Observed, PlanCost, decode_line, line_start
 from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_draw
 
@@ -309,25 +309,31 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 
 @kernel_function
+def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
+    """Write what tasks on a line show of a parcel, y times `mirror`; return its offset [m]."""
+    sensed, elements, see = state.sensed, state.elements, state.observation
+    offset = mirror * (sensed[Y] - elements.line_y)
+    x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)
+    y = 2.0 * math.pi / elements.pitch_y * offset
+    show_within(see, column.lateral_offset, offset)
+    show(see, column.sine_of_theta, mirror * math.sin(sensed[THETA]))
+    show(see, column.cosine_of_theta, math.cos(sensed[THETA]))
+    show_within(see, column.forward_speed, sensed[VX])
+    show_within(see, column.lateral_speed, mirror * sensed[VY])
+    show_within(see, column.turning_speed, mirror * sensed[OMEGA])
+    show(see, column.size, state.body[HALF_LENGTH])
+    show(see, column.sine_of_phase_x, math.sin(x))
+    show(see, column.cosine_of_phase_x, math.cos(x))
+    show(see, column.sine_of_phase_y, math.sin(y))
+    show(see, column.cosine_of_phase_y, math.cos(y))
+    return offset
+
+
+@kernel_function
 def see_parcel(state: EnvState) -> None:
     """Write `PARCEL_FEATURES` from the sensor's pose and velocity."""
-    sensed = state.sensed
-    x, theta = sensed[X], sensed[THETA]
-    offset = sensed[Y] - state.elements.line_y
-    turn_x = 2.0 * math.pi / state.elements.pitch_x
-    turn_y = 2.0 * math.pi / state.elements.pitch_y
-    see = state.observation
-    show(see, COLUMN.lateral_offset, offset)
-    show(see, COLUMN.sine_of_theta, math.sin(theta))
-    show(see, COLUMN.cosine_of_theta, math.cos(theta))
-    show(see, COLUMN.forward_speed, sensed[VX])
-    show(see, COLUMN.lateral_speed, sensed[VY])
-    show(see, COLUMN.turning_speed, sensed[OMEGA])
-    show(see, COLUMN.size, state.body[HALF_LENGTH])
-    show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
-    show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
-    show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
-    show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
+    show_on_line(state, COLUMN, 1.0)
+    see, x, theta = state.observation, state.sensed[X], state.sensed[THETA]
     front = x + st.reach_along(state, theta, 1.0, 0.0)
     show(see, COLUMN.front_in_zone, front - st.zone_start(state))
     show(see, COLUMN.rear_to_go, rear_to_go(state, x, theta))

@@ -11,23 +11,10 @@ from surface_gym.compiler.jit import kernel_function
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel
-from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.physics.types import GRAVITY, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
-from surface_gym.tasks import planning
-from surface_gym.tasks.base import (
-    DIRECTION,
-    FORWARD_SPEED,
-    LATERAL_SPEED,
-    OFFSET,
-    PHASE,
-    SIZE,
-    STALL_SPEED,
-    TURNING_SPEED,
-    Task,
-    entry,
-    failures,
-    rising,
-)
+from surface_gym.tasks import base, planning
+from surface_gym.tasks.base import STALL_SPEED, Task, entry, failures, rising
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
 from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.start import Draw, Start, between
@@ -55,12 +42,12 @@ HORIZON = 4.0  # [s] scale of the time observed
 TOWARDS = "towards the asked side"
 # What is shown of a parcel that is to go to a side, y mirrored so that this is y > 0.
 SIDE_FEATURES = (
-    replace(OFFSET, meaning=f"y from the line's middle, {TOWARDS}"),
-    replace(DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), DIRECTION[1],
-    FORWARD_SPEED, replace(LATERAL_SPEED, meaning=f"vy {TOWARDS}"),
-    replace(TURNING_SPEED, meaning=f"omega, positive {TOWARDS}"), SIZE,
+    replace(base.OFFSET, meaning=f"y from the line's middle, {TOWARDS}"),
+    replace(base.DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), base.DIRECTION[1],
+    base.FORWARD_SPEED, replace(base.LATERAL_SPEED, meaning=f"vy {TOWARDS}"),
+    replace(base.TURNING_SPEED, meaning=f"omega, positive {TOWARDS}"), base.SIZE,
     Feature("clearance", -20.0, 20.0, "between the base and the line's rotors", "m", 0.2),
-    *PHASE[:2], replace(PHASE[2], meaning=TOWARDS), PHASE[3],
+    *base.PHASE[:2], replace(base.PHASE[2], meaning=TOWARDS), base.PHASE[3],
 )  # fmt: skip
 FEATURES = (
     *SIDE_FEATURES,
@@ -261,27 +248,12 @@ distance from the line's middle takes its place |
     def observe(state: EnvState) -> None:
         """Write the observation, mirrored so that the goal is y > 0."""
         side = mirror_of(state)
-        sensed = state.sensed
-        x, theta = sensed[X], sensed[THETA]
-        offset = side * (sensed[Y] - state.elements.line_y)
-        turn_x = 2.0 * math.pi / state.elements.pitch_x
-        turn_y = 2.0 * math.pi / state.elements.pitch_y
+        offset = base.show_on_line(state, COLUMN, side)
+        theta, see = state.sensed[THETA], state.observation
         half_line = 0.5 * state.elements.pitch_y * (state.zone[st.ROWS] - 1)
-        rear = x - st.reach_along(state, theta, -1.0, 0.0)
-        see = state.observation
-        show(see, COLUMN.lateral_offset, offset)
-        show(see, COLUMN.sine_of_theta, side * math.sin(theta))
-        show(see, COLUMN.cosine_of_theta, math.cos(theta))
-        show(see, COLUMN.forward_speed, sensed[VX])
-        show(see, COLUMN.lateral_speed, side * sensed[VY])
-        show(see, COLUMN.turning_speed, side * sensed[OMEGA])
-        show(see, COLUMN.size, state.body[HALF_LENGTH])
+        rear = state.sensed[X] - st.reach_along(state, theta, -1.0, 0.0)
         clearance = offset - st.reach_along(state, theta, 0.0, -side) - half_line
         show(see, COLUMN.clearance, clearance)
-        show(see, COLUMN.sine_of_phase_x, math.sin(turn_x * (x - state.elements.x0)))
-        show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
-        show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * offset))
-        show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * offset))
         show(see, COLUMN.time, state.clock)
         show(see, COLUMN.distance_into_zone, rear - st.zone_start(state))
         show(see, COLUMN.side, state.goal[SIDE])
