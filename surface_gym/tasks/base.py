@@ -235,7 +235,7 @@ STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
 LINE_OUTCOMES = ("off the surface", "off the line", "stalled")
 OFF_SURFACE, OFF_LINE, STALLED = failures(LINE_OUTCOMES)
 
-# What `see_parcel` writes. What any task shows of a parcel it shows by these.
+# Features of a parcel, which tasks share.
 OFFSET = Feature("lateral offset", -10.0, 10.0, "y from the line's middle", "m", 0.3)
 DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.0, 1.0))
 FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
@@ -310,7 +310,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write what tasks on a line show of a parcel, y times `mirror`; return its offset [m]."""
+    """Write the features that tasks on a line share, with y times `mirror`; return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)

@@ -1,7 +1,7 @@
 """Features of observations: their scales, their columns, and their values in SI units.
 
-A feature shows (value - offset) / scale. Its `Feature` says so once: kernels show values by it,
-decoders read them by it, and the documentation's tables are made of it.
+A feature is the number (value - offset) / scale. Kernels write values by their `Feature`s, decoders
+read them, and the documentation lists them.
 """
 
 import hashlib
@@ -28,11 +28,11 @@ class Feature:
     unit: str = ""  # of the value, the offset and the scale
     scale: float = 1.0
     offset: float = 0.0
-    bent: bool = False  # the hyperbolic tangent is shown, which cannot be decoded
+    bent: bool = False  # whether the hyperbolic tangent is shown, which cannot be decoded
 
     @property
     def formula(self) -> str:
-        """Describe how a value is shown, for tables."""
+        """Return the formula of the number that is shown, for tables."""
         unit = f" {self.unit}" if self.unit else ""
         text = f"value - {self.offset:g}{unit}" if self.offset else "value"
         if self.scale != 1.0 or self.unit:
@@ -42,7 +42,7 @@ class Feature:
 
 
 class Column(NamedTuple):
-    """The place and the scale of a feature: numbers alone, which are constants in a kernel."""
+    """Place and scale of a feature, as numbers that a kernel compiles in as constants."""
 
     place: int
     offset: float
@@ -68,8 +68,8 @@ def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
 def columns(features: Iterable[Feature]) -> Any:
     """Return the `Column`s of features by their names, as `columns(FEATURES).lateral_offset`.
 
-    A name's letters and digits count; all else is an underscore. A name that is not there is an
-    AttributeError, and in a kernel an error of the compiler, that says which.
+    Letters and digits of a name stay; everything between them becomes an underscore. A missing name
+    raises an AttributeError that contains it; in a kernel the compiler raises an error.
     """
     found = find_columns(features)
     names = [re.sub("[^0-9a-z]+", "_", name.lower()).strip("_") for name in found]
@@ -78,20 +78,20 @@ def columns(features: Iterable[Feature]) -> Any:
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute the digest of features' names and scales, which a policy is made for."""
+    """Compute the digest of the features' names and scales; a policy fits one digest only."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 
 
 @kernel_function
 def encode(column: Column, value: float) -> float:
-    """Return the number that shows a value."""
+    """Return the number that is shown for a value."""
     return (value - column.offset) / column.scale
 
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value that a number, or an array of them, shows."""
+    """Return the value of a shown number, or of an array of them."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
@@ -110,7 +110,7 @@ def show(see: Any, column: Column, value: float) -> None:
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write a value into an observation, the bounds of its feature where it is beyond them."""
+    """Write a value into an observation, clipped to the bounds of its feature."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 

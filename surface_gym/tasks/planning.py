@@ -42,7 +42,7 @@ class Observed:
         return self.columns[name].of(self.shown)
 
     def get(self, name: str, absent: float | Numbers = 0.0) -> Numbers:
-        """Return a feature that not every observation has."""
+        """Return a feature, or `absent` if the observation does not have it."""
         return self[name] if name in self else np.full(len(self.shown), absent)
 
     @property

@@ -40,7 +40,7 @@ ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
 HORIZON = 4.0  # [s] scale of the time observed
 
 TOWARDS = "towards the asked side"
-# What is shown of a parcel that is to go to a side, y mirrored so that this is y > 0.
+# Features of a parcel, mirrored so that the asked side is y > 0.
 SIDE_FEATURES = (
     replace(base.OFFSET, meaning=f"y from the line's middle, {TOWARDS}"),
     replace(base.DIRECTION[0], meaning=f"positive if turned {TOWARDS}"), base.DIRECTION[1],
