@@ -25,6 +25,7 @@ from surface_gym.files import DAMAGE, describe_damage, read_bytes, replacing
 from surface_gym.registration import TASKS, env_id
 from surface_gym.registry import Registry
 from surface_gym.tasks.base import Task
+from surface_gym.tasks.features import compute_digest
 
 from .base import BatchController
 from .yaml_file import YAML, parse_yaml
@@ -172,6 +173,7 @@ class PolicyCard:
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
     observe: tuple[str, ...] = ()  # groups of features in the observation beside the task's
+    features: str = ""  # digest of the features' names and scales; "": an older card
 
     def __post_init__(self) -> None:
         if not str(self.env_id).startswith(OWN):
@@ -209,7 +211,14 @@ class PolicyCard:
                 f"task must be {self.task}, a user's own, which the policy was trained on, "
                 f"got {None if task is None else type(task).__name__}"
             )
-        return EnvConfig(task=task if own and task is not None else self.task, **self.env_kwargs)
+        config = EnvConfig(task=task if own and task is not None else self.task, **self.env_kwargs)
+        shown = compute_digest(config.features)
+        if self.features not in ("", shown):
+            raise ValueError(
+                f"features must be {self.features!r}, by whose names and scales the policy was "
+                f"trained, got {shown!r} of {self.task} as it is now; train the policy again"
+            )
+        return config
 
 
 class TrainedPolicy(BatchController, ABC):

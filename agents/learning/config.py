@@ -13,6 +13,7 @@ from surface_gym.core.actions import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.lines import Line
 from surface_gym.registration import PERIODS, env_id
+from surface_gym.tasks.features import compute_digest
 
 from ..library import PolicyCard, card_algo, card_env_id, find_algorithm, find_task, task_kind
 from ..yaml_file import read_yaml
@@ -152,7 +153,7 @@ def device_of(config: TrainConfig) -> DeviceName:
 
 def make_card(config: TrainConfig) -> PolicyCard:
     """Build the card of a run's policy."""
-    return PolicyCard(
+    card = PolicyCard(
         card_env_id(config.task),
         card_algo(config.algo),
         config.actions,
@@ -160,6 +161,8 @@ def make_card(config: TrainConfig) -> PolicyCard:
         config.hidden,
         getattr(config, "observe", ()),
     )
+    shown = card.env_config(find_task(config.task)).features
+    return replace(card, features=compute_digest(shown))
 
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"

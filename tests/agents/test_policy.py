@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.core.actions import KINDS
 from surface_gym.flow.task import COLUMN
+from surface_gym.tasks import Sort
+from surface_gym.tasks.features import compute_digest
 
 
 def sign(folder: Path) -> None:
@@ -91,6 +94,26 @@ def test_a_round_trip_predicts_what_an_environment_takes(name, tmp_path) -> None
             after.predict(wrong)
     for one, action in zip(random[:5], actions, strict=False):
         np.testing.assert_array_equal(after.predict(one)[0], action)
+
+
+def test_a_policy_of_other_features_or_scales_is_refused_and_an_older_card_is_not(tmp_path) -> None:
+    names = [replace(each, meaning="another text", high=99.0) for each in Sort.features]
+    for features, same in (
+        ("", True),
+        (compute_digest(names), True),
+        (compute_digest([*names[1:], names[0]]), False),
+        (compute_digest([replace(names[0], scale=0.4), *names[1:]]), False),
+    ):
+        card = replace(CARDS["ppo"], features=features)
+        save_policy(policy_of(CARDS["ppo"])._network.state_dict(), card, tmp_path)
+        if same:
+            assert agents.read(tmp_path).card == card
+        else:
+            message = f"features must be '{features}', .* as it is now; train the policy again"
+            with pytest.raises(ValueError, match=message):
+                agents.read(tmp_path)
+    fields = yaml.safe_load((tmp_path / CARD).read_text())
+    assert fields["features"] == features
 
 
 @pytest.mark.parametrize("name", [WEIGHTS, CARD])
