@@ -350,7 +350,6 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "design-columns.png": _design("columns", *OURS),
     "design-speed.png": _design("speed", *OURS),
     "design-friction.png": _design("friction", *OURS),
-    "design-control.png": _design("control", "--parcel", "0.3x0.4", "--speed", "1.2"),
     "design-layout.png": _design("layout", "--parcel", "S", "--any-angle"),
     "robustness.png": FromCommand(("evaluate.py", "--robustness"), "robustness.png"),
     "flow-capacity.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-capacity.png"),

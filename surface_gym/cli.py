@@ -28,7 +28,6 @@ class Command:
 
 COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
-    "tune": Command("search hyper-parameters, as a file says", AGENTS + "tuning.cli"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),

@@ -14,7 +14,6 @@ FIRST = (
     "tests/agents/test_programs.py",
     "tests/parallel/",
     "tests/agents/learning/",
-    "tests/design/test_control.py",
     "tests/agents/evaluation/",
     "tests/docs/test_site.py",
     "tests/cuda/test_kernels.py",

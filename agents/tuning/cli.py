@@ -1,45 +1,18 @@
-"""The command that starts or resumes a search of hyper-parameters: `surface-gym tune sweep.yml`, or
-`train.py --search sweep.yml`.
-"""
+"""Start or resume a search of hyper-parameters, as `train.py --search sweep.yml` does."""
 
-import argparse
-import sys
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surface_gym import files, parallel
-from surface_gym.cli import TRAIN, command_line, typed
+from surface_gym.cli import TRAIN, command_line
 
-from ..library import task_files
 from .sweep import Sweep, differences, read_sweep
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 FILE = "sweep.yml"  # in a search's folder
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Search hyper-parameters; an error ends it with one line."""
-    parser = argparse.ArgumentParser(prog=typed("tune"), description=main.__doc__)
-    parser.add_argument("file", type=Path, help="what to search, as docs/search.md says")
-    parser.add_argument("--task", help="custom task of the search, as path/to/file.py:Class")
-    parser.add_argument("--out", type=Path, default=Path("runs"), help="folder for searches")
-    parser.add_argument("--name", help="folder in there, which is resumed if it holds the search")
-    parser.add_argument("--cluster", help="address of a Ray cluster to share the trials among")
-    given = parser.parse_args(arguments)
-    from rich.console import Console
-
-    folder = given.out / (given.name or f"search-{given.file.stem}")
-    try:
-        workers = parallel.choose_workers(
-            given.cluster, parallel.usable_cores(), task_files(given.task)
-        )
-        search(given.file, folder, workers, Console(), given.task)
-    except (ValueError, parallel.WorkFailed) as error:
-        sys.exit(f"error: {error}")
 
 
 def search(

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from surface_gym.design.case import Case, Purpose, Slow, Sort, Stop, Turn, Unknown
     from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
-    from surface_gym.design.control import ControlGain, control_gain
     from surface_gym.design.fixed_layout import BestLayout, EveryLayout, best_layout, every_layout
     from surface_gym.design.limits import (
         FrictionRange,
@@ -26,12 +25,12 @@ if TYPE_CHECKING:
     from surface_gym.design.runs import DesignLine, line_for
 
 __all__ = [
-    "BestLayout", "Case", "Columns", "ControlGain", "DesignLine", "EveryLayout", "FrictionRange",
+    "BestLayout", "Case", "Columns", "DesignLine", "EveryLayout", "FrictionRange",
     "Limits", "Purpose", "Slow", "Sort", "Span", "Stop", "Turn",
-    "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "control_gain", "every_layout",
+    "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "every_layout",
     "friction_range", "least_columns", "least_speed", "least_tilt", "line_for",
 ]  # fmt: skip
-_MODULES = ("case", "columns", "control", "fixed_layout", "limits", "runs")
+_MODULES = ("case", "columns", "fixed_layout", "limits", "runs")
 
 
 def __getattr__(name: str) -> Any:

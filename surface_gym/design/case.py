@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,15 +28,6 @@ class Layout:
 
     name: str
     axis: Array  # (rows, columns) [rad]
-
-
-class EnvGoal(NamedTuple):
-    """A purpose as a goal of an environment's task."""
-
-    task: str  # key of `surface_gym.tasks.TASKS`
-    option: str  # of `reset`, which sets the goal
-    value: float
-    description: str  # of an episode's success
 
 
 class Purpose(ABC):
@@ -92,11 +83,6 @@ class Purpose(ABC):
         del line
         return []
 
-    def env_goal(self, line: DesignLine) -> EnvGoal:
-        """Return the goal that an environment on the line has for this purpose."""
-        del line
-        raise ValueError(f"purpose must be one that an environment's task has, got {self.name!r}")
-
 
 @dataclass(frozen=True)
 class Sort(Purpose):
@@ -142,11 +128,6 @@ class Sort(Purpose):
                 column = ROLLING + self.side * turned * part
                 starts.append(np.tile(column, (line.rows, 1)))
         return starts
-
-    def env_goal(self, line: DesignLine) -> EnvGoal:
-        del line
-        sign = ">" if self.side > 0 else "<"
-        return EnvGoal("sort", "side", self.side, f"off the line to y {sign} 0")
 
 
 class _Braking(Purpose):
@@ -208,11 +189,6 @@ class Slow(_Braking):
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
 
-    def env_goal(self, line: DesignLine) -> EnvGoal:
-        del line
-        success = f"exit speed {self.ratio:g} of the entry speed, within 0.01"
-        return EnvGoal("slow", "ratio", self.ratio, success)
-
 
 @dataclass(frozen=True)
 class Stop(_Braking):
@@ -261,12 +237,6 @@ class Stop(_Braking):
         passed = np.where(ends.reason == running.PAST, 0.5 + 0.5 * np.clip(faster, 0.0, 1.0), 1.0)
         return np.where(np.isnan(off), passed, np.minimum(0.5, off))
 
-    def env_goal(self, line: DesignLine) -> EnvGoal:
-        first, last = line.zone_x
-        place = 0.5 * (last - first) if self.place is None else self.place
-        success = f"at rest {place:g} m past the zone's start, within 5 mm"
-        return EnvGoal("stop", "position", first + place, success)
-
 
 @dataclass(frozen=True)
 class Turn(Purpose):
@@ -312,11 +282,6 @@ class Turn(Purpose):
         """Return the error of the angle over 180 deg; at rest, half plus half the way to go."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
-
-    def env_goal(self, line: DesignLine) -> EnvGoal:
-        del line
-        success = f"turned by {math.degrees(self.angle):g} deg on leaving the zone, within 2 deg"
-        return EnvGoal("orient", "angle", self.angle, success)
 
 
 def _way_to_go(ends: Ends) -> Array:

@@ -340,28 +340,12 @@ class AskLayout(Question):
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class AskControl(Question):
-    """Compare axes that follow the parcel with fixed layouts; needs the package `agents`."""
-
-    def answer(self, on_progress: "OnProgress") -> "Answer":
-        if self.rows is not None:
-            raise ValueError(f"rows must be those under the parcel for control, got {self.rows!r}")
-        if self.cluster is not None:
-            raise ValueError(
-                f"cluster must not be given for control, which tries one controller after the "
-                f"other, got {self.cluster!r}"
-            )
-        return design.control_gain(self.case(), self.columns, on_progress)
-
-
 QUESTIONS: dict[str, Callable[..., Question | AskFlow]] = {
     "columns": AskColumns,
     "speed": AskSpeed,
     "tilt": AskTilt,
     "friction": AskFriction,
     "layout": AskLayout,
-    "control": AskControl,
     "flow": AskFlow,
 }
 

@@ -119,7 +119,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return line[7:]
 
 
-@pytest.mark.parametrize("question", sorted(set(cli.QUESTIONS) - {"control", "flow"}))
+@pytest.mark.parametrize("question", sorted(set(cli.QUESTIONS) - {"flow"}))
 def test_a_question_is_answered_first_in_a_sentence_then_in_files(question, tmp_path, capsys):
     cli.main([question, *OWN, *QUICK.get(question, ()), "--out", str(tmp_path)])
     first, *rest = capsys.readouterr().out.splitlines()

@@ -26,8 +26,8 @@ from surface_gym.agents.learning.config import defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult, train
 from surface_gym.agents.library import read
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.tuning import study, sweep as sweeps
-from surface_gym.agents.tuning.cli import main, open_folder, search
+from surface_gym.agents.tuning import study
+from surface_gym.agents.tuning.cli import open_folder, search
 from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
@@ -318,7 +318,7 @@ def test_it_leaves_a_configuration_that_learns(file, tmp_path, monkeypatch) -> N
     texts = {name: (folder / name).read_bytes() for name in ("report.md", "best.yml")}
     names = {each.name for each in folder.iterdir()}
     assert names == {*texts, "sweep.yml", "study.db", "history.png", "curves.png"}
-    main([str(file), "--out", str(tmp_path), "--name", "a"])  # which has nothing left to do
+    search(file, folder, 1, QUIET)  # which has nothing left to do
     assert {name: (folder / name).read_bytes() for name in texts} == texts
 
 
@@ -336,7 +336,7 @@ def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None
     with pytest.raises(ValueError, match="workers"):
         search(file, tmp_path / "a", 0, QUIET)
     with monkeypatch.context() as patch:
-        patch.setattr(sweeps, "find_spec", lambda _: None)
+        patch.setattr("surface_gym.agents.tuning.cli.find_spec", lambda _: None)
         with pytest.raises(ValueError, match=r"pip install 'surface_gym\[search\]'"):
             search(file, tmp_path / "b", 1, QUIET)
     assert not (tmp_path / "b").exists()
@@ -344,8 +344,8 @@ def test_what_cannot_be_searched_is_refused(file, tmp_path, monkeypatch) -> None
     assert open_folder(file, tmp_path / "a") == first
     assert (tmp_path / "a" / "sweep.yml").read_text() == SHORT
     file.write_text(SHORT + "seed: 5\n")
-    with pytest.raises(SystemExit, match=r"folder must be of this search.*seed is 0 there, 5"):
-        main([str(file), "--out", str(tmp_path), "--name", "a"])
+    with pytest.raises(ValueError, match=r"folder must be of this search.*seed is 0 there, 5"):
+        search(file, tmp_path / "a", 1, QUIET)
     for folder in (tmp_path, file):
         with pytest.raises(ValueError, match="folder must be new, or a search's"):
             search(file, folder, 1, QUIET)
