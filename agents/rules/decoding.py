@@ -12,11 +12,12 @@ import numpy as np
 
 from surface_gym.compiler.jit import inlined
 from surface_gym.config import EnvConfig
-from surface_gym.sensors import AdaptiveCamera
 from surface_gym.tasks import track
+from surface_gym.tasks.features import Column, read
 
 from ..base import Integers, Numbers, Singles
 
+ABSENT = Column(-1, 0.0, 0.0, 0.0, 0.0)  # of a quantity that is not shown
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
 # Quantities of a line, in the order of `LINE`; then the quantities of a path, in that of `PATH`.
 (SIDE, SINE, COSINE, SIZE, INTO_ZONE, FRONT, REAR, OFFSET, FORWARD, LATERAL, TURNING, RATIO, ENTRY,
@@ -69,20 +70,19 @@ def look_at_path(config: EnvConfig) -> Sight:
 
 
 def _look(config: EnvConfig, names: Iterable[str], x: Numbers, y: Numbers) -> Sight:
-    features = {each.name: (place, each) for place, each in enumerate(config.features)}
-    shown = [features.get(name) for name in names]
-    line, zone, sensors = config.chosen_line, config.zone, config.sensors
-    learns = isinstance(sensors, AdaptiveCamera)
+    shown = [config.columns.get(name, ABSENT) for name in names]
+    line, zone = config.chosen_line, config.zone
+    friction_spread, load_spread = config.sensors.learned_spreads
     columns = line.zone_columns if zone is None else zone[1] - zone[0] + 1
     return Sight(
-        place=np.array([-1 if each is None else each[0] for each in shown]),
-        offset=np.array([0.0 if each is None else float(each[1].offset) for each in shown]),
-        scale=np.array([0.0 if each is None else float(each[1].scale) for each in shown]),
+        place=np.array([each.place for each in shown]),
+        offset=np.array([each.offset for each in shown], dtype=np.float64),
+        scale=np.array([each.scale for each in shown], dtype=np.float64),
         pitch_x=line.pitch_x,
         pitch_y=line.pitch_y,
         zone_length=line.pitch_x * columns,
-        friction_spread=sensors.friction_spread if learns else 0.0,
-        load_spread=sensors.load_spread if learns else 0.0,
+        friction_spread=friction_spread,
+        load_spread=load_spread,
         x=x,
         y=y,
     )
@@ -100,10 +100,7 @@ def _read(row: Singles, sight: Sight, quantity: int) -> float:
     place = sight.place[quantity]
     if place < 0:
         return 0.0
-    value = sight.scale[quantity] * row[place]
-    if sight.offset[quantity] == 0.0:
-        return value
-    return sight.offset[quantity] + value
+    return read(row, Column(place, sight.offset[quantity], sight.scale[quantity], 0.0, 0.0))
 
 
 class Line(NamedTuple):
