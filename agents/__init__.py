@@ -1,4 +1,4 @@
-"""Agents: fixed layouts, rules, a planner and learned policies, their files and their comparison.
+"""Agents: fixed layouts, rules, a planner and learned policies, with files and a comparison.
 
 `names()` lists the shipped agents, `load(name)` loads one, and `read(folder)` reads the policy of a
 training run:
@@ -17,7 +17,7 @@ __all__ = ["load", "names", "read", "seeds"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the functions when they are asked for; commands need only modules of the package."""
+    """Import the functions on first use, since commands need only modules of the package."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from . import library

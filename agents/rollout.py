@@ -19,12 +19,12 @@ class Episodes:
     """Results of one episode from each start."""
 
     success: Booleans  # (starts,)
-    outcome: tuple[str, ...]  # (starts,) why it ended
-    time: Numbers  # (starts,) [s] until then
+    outcome: tuple[str, ...]  # (starts,) outcome of the episode
+    time: Numbers  # (starts,) [s] duration of the episode
     metrics: dict[str, Numbers]  # metrics of the task, each (starts,)
-    pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true; nan after the end
+    pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true poses; NaN after the end
     velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
-    decision_times: Numbers  # [s] of each decision, or of a start's decisions on average
+    decision_times: Numbers  # [s] time of each decision, or mean time of a start's decisions
 
     @property
     def decision_time(self) -> float:
@@ -43,8 +43,8 @@ def run_episodes(
     """Run a controller from every start, each in an environment of one batch.
 
     Args:
-        starts: reset options of each; what they leave open is drawn.
-        seed: environment i draws from `seed` + i.
+        starts: reset options of each start; other values are drawn at random.
+        seed: environment i is seeded by `seed` + i.
     """
     count = len(starts)
     env = SmartSurfaceVectorEnv(
@@ -95,9 +95,9 @@ def run_episodes(
 def run_sequentially(
     controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> Episodes:
-    """Run `run_episodes` from one start after the other, with the same results.
+    """Run one start after the other, with the same results as `run_episodes`.
 
-    For a slow controller, which would decide for environments that have ended too.
+    For slow controllers: `run_episodes` would also decide for finished environments.
     """
     runs = [run_episodes(controller, config, [start], seed + k) for k, start in enumerate(starts)]
     return Episodes(
@@ -109,7 +109,7 @@ def run_sequentially(
         },
         pose=stack_poses([run.pose[:, 0] for run in runs]),
         velocity=np.concatenate([run.velocity for run in runs]),
-        # A planner plans at some decisions only: those of an episode are averaged.
+        # A planner plans at some decisions only, so the times of an episode are averaged.
         decision_times=np.array([run.decision_times.mean() for run in runs]),
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 import tyro
 
 from surface_gym.cli import TRAIN, command_line, typed
-from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
+from surface_gym.parallel import WorkError, choose_workers, usable_cores
 from surface_gym.registration import DEFAULT_TASK
 
 from .learning import config as configs
@@ -25,8 +25,11 @@ class Options:
     """Options of the command that are not part of a run's configuration."""
 
     resume: Path | None = None
-    """Alone: go on with a run or a search that was broken off. A user's task or algorithm must be
-    named by --task or --algo too, since a file must not say what code is run."""
+    """Alone: go on with a run or a search that was broken off.
+
+    A user's task or algorithm must be named by --task or --algo too, since a file must not say what
+    code is run.
+    """
     search: Path | None = None
     """Search hyper-parameters as this file says; with --task, --out and --name only."""
     hyperparams: Path | None = None
@@ -66,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         carry_out(parse_arguments(given), given, Console())
-    except (ValueError, WorkFailed) as error:
+    except (ValueError, WorkError) as error:
         sys.exit(f"error: {error}")
 
 

@@ -75,12 +75,12 @@ class EpisodeRecorder:
 
 
 class BatchVecEnv(VecEnv):
-    """A VecEnv of batches: all environments of a batch share its attributes and methods."""
+    """A VecEnv of batches, whose environments share attributes and methods."""
 
     @property
     @abstractmethod
     def batches(self) -> list[tuple[Any, int]]:
-        """The objects that have them, and the number of environments of each."""
+        """The batches, and the number of environments of each."""
 
     def _each(self, read: Callable[[Any], Any], indices: VecEnvIndices) -> list[Any]:
         every = [value for b, n in self.batches for value in [read(b)] * n]
@@ -100,7 +100,7 @@ class BatchVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of each batch once; its result stands for each of the environments."""
+        """Call a method of each batch once; all its environments get the result."""
         return self._each(lambda batch: getattr(batch, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(
@@ -113,7 +113,7 @@ class BatchVecEnv(VecEnv):
 class SurfaceVecEnv(BatchVecEnv):
     """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
 
-    Infos are those of `EpisodeRecorder.finish`. `seed` and `set_options` act at the next `reset`.
+    Infos come from `EpisodeRecorder.finish`. `seed` and `set_options` act at the next `reset`.
     """
 
     def __init__(self, env: SmartSurfaceVectorEnv) -> None:
@@ -166,7 +166,7 @@ class SurfaceVecEnv(BatchVecEnv):
 
 
 class ConcatVecEnv(BatchVecEnv):
-    """Several VecEnvs with the same spaces as one; their environments in a row."""
+    """Several VecEnvs with the same spaces, concatenated."""
 
     def __init__(self, parts: Sequence[BatchVecEnv]) -> None:
         self._parts = parts
@@ -176,7 +176,7 @@ class ConcatVecEnv(BatchVecEnv):
         super().__init__(sum(counts), first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed environment i with `seed` + i at the next reset, whatever its part."""
+        """Seed environment i with `seed` + i at the next reset."""
         seeds = list(super().seed(seed))
         for part, first in zip(self._parts, [0, *self._cuts], strict=True):
             part.seed(seeds[first])

@@ -1,4 +1,4 @@
-"""YAML files, read within bounds: names and values, with numbers in plain decimal digits."""
+"""Bounded reading of YAML files: names and values, with numbers in plain decimal digits."""
 
 import re
 from collections import Counter
@@ -15,7 +15,7 @@ BRACKETS = 1000
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, with numbers in plain decimal digits and aliases that end."""
+    """PyYAML's safe loader, with plain decimal numbers and limited aliases."""
 
     yaml_implicit_resolvers = {
         first: [each for each in some if not each[0].endswith((":int", ":float"))]
@@ -23,7 +23,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a node, and count what it holds: an alias may stand for billions."""
+        """Compose a node, and count its content, since an alias may expand to billions of nodes."""
         named: Any = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         if named:
@@ -70,9 +70,9 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_real)
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Parse names and values from YAML, or raise a ValueError that says what is wrong.
+    """Parse names and values from YAML, or raise a ValueError that names the problem.
 
-    Nothing in it is run. Numbers are plain decimals; PyYAML alone reads 1_0 as ten, 010 as eight.
+    No code is executed. Numbers are plain decimals; PyYAML would read 1_0 as ten and 010 as eight.
     """
     if len(text) > YAML:
         raise ValueError(f"it must have at most {YAML} characters, got {len(text)}")
@@ -91,11 +91,12 @@ def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
     """Read the names and values of a YAML file; see `parse_yaml`.
 
     Args:
-        by_hand: the last line may lack its break, by which others show that they are whole.
+        by_hand: whether the last line may lack its line break, which marks complete files
+            otherwise.
 
     Raises:
-        ValueError: it holds none; what follows the file's name says why.
-        FileNotFoundError: there is none.
+        ValueError: the file is invalid; the message says why.
+        FileNotFoundError: the file does not exist.
     """
     text = read_text(file, YAML)
     if not by_hand and not text.endswith("\n"):

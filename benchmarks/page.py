@@ -17,7 +17,7 @@ import numpy as np
 from playwright.sync_api import sync_playwright
 
 import surface_gym as sg
-from surface_gym.web.scene import Scene, Thrown
+from surface_gym.web.scene import TableScene, ThrownParcel
 
 CHROMIUM = "/usr/bin/chromium"
 PARCELS = 24
@@ -41,16 +41,16 @@ class Server(SimpleHTTPRequestHandler):
         return super().send_head()
 
 
-def crowd() -> Scene:
+def crowd() -> TableScene:
     """Make parcels that meet in the middle of a table of 800 modules, and slide on for seconds."""
     parcels = []
     for k, parcel in enumerate(sg.parcel.assortment(PARCELS, 0, SIZES)):
         row, column = divmod(k, 6)
         pose = (0.4 + 0.62 * column, 0.3 + 0.45 * row, 0.3 * k)
-        parcels.append(Thrown(parcel, pose, (1.5 - 0.5 * column, 0.6 * (1.5 - row), 1.0)))
+        parcels.append(ThrownParcel(parcel, pose, (1.5 - 0.5 * column, 0.6 * (1.5 - row), 1.0)))
     axis = np.where(np.arange(800).reshape(20, 40) % 2, math.pi / 4, -math.pi / 4)
     surface = sg.Surface(axis, np.ones((20, 40), dtype=bool), mu_max=0.05)
-    return Scene(surface, tuple(parcels), duration=20.0)
+    return TableScene(surface, tuple(parcels), duration=20.0)
 
 
 def main() -> None:

@@ -1,10 +1,10 @@
-"""Checks of arguments, and the bounds that numbers must keep.
+"""Checks of arguments, and bounds of numbers.
 
-Every class and function of the package raises a ValueError that names a wrong argument, what came
-and what is allowed.
+Every class and function of the package raises a ValueError for a wrong argument. The message names
+the argument, its value and the allowed values.
 
-Within these bounds every step stays finite; beyond them squares and quotients overflow, or round
-to nothing. Each bound is generous: beyond one stands a wrong unit or a typing error.
+Within these bounds, every step stays finite. Outside them, squares and quotients overflow or
+underflow. All bounds are generous: a value outside is a wrong unit or a typing error.
 """
 
 import inspect
@@ -64,6 +64,28 @@ PER_CORE = 32  # processes or threads at most: more only wait for each other
 DEGREES = "degrees become radians by np.radians"  # said of an angle beyond its bounds
 
 
+def set_fields(instance: Any, **values: Any) -> None:
+    """Set fields of a frozen dataclass during its construction."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
+
+
+def settle(instance: Any, **allowed: Any) -> None:
+    """Replace fields of a frozen dataclass by their checked values.
+
+    A field keeps the value None if None is its default.
+
+    Args:
+        instance: the dataclass under construction.
+        allowed: a check of this file for each field, or a tuple of a check and its limits.
+    """
+    for name, check in allowed.items():
+        function, *limits = check if isinstance(check, tuple) else (check,)
+        value = getattr(instance, name)
+        if value is not None or getattr(type(instance), name, name) is not None:
+            object.__setattr__(instance, name, function(name, value, *limits))
+
+
 def number(name: str, value: Any) -> float:
     """Return a finite number, or raise an error; booleans and strings are not numbers."""
     try:
@@ -98,7 +120,7 @@ def within(name: str, value: Any, low: float, high: float) -> float:
 
 
 def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> float:
-    """Return an angle [rad] in [low, high], or raise an error that says how degrees are given."""
+    """Return an angle [rad] in [low, high], or raise an error that explains degrees."""
     result = number(name, value)
     if not low <= result <= high:
         raise ValueError(
@@ -119,7 +141,7 @@ def _limited(name: str, value: Any, result: float, low: float, high: float) -> f
 
 
 def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return a whole number of at least `least`, which True and 1.0 are not, or raise an error."""
+    """Return an integer of at least `least`, or raise an error; True and 1.0 are not integers."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     if most is not None and value > most:
@@ -128,7 +150,7 @@ def integer(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def one_of(name: str, value: Any, allowed: Iterable[Any]) -> Any:
-    """Return one of the allowed values, of Python's or NumPy's, or raise an error."""
+    """Return one of the allowed values (Python or NumPy types), or raise an error."""
     choices = tuple(allowed)
     plain = value.item() if isinstance(value, np.generic) else value
     if not any(type(plain) is type(choice) and plain == choice for choice in choices):
@@ -144,7 +166,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an object of a kind, or raise an error; a class in its place is to be called."""
+    """Return an object of a kind, or raise an error; the message for a class says to call it."""
     if isinstance(value, kind):
         return value
     called = ""
@@ -156,7 +178,7 @@ def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
 
 
 def observation(value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float32]:
-    """Return an observation of a shape (None: any length), or several, as single precision."""
+    """Return one or several observations of a shape (None: any length) in single precision."""
     given = _numbers("observation", value)
     _check_finite("observation", given)
     several = given.ndim == len(shape) + 1
@@ -314,7 +336,7 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
 
 
 def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
-    """Raise a ValueError where a rotor would drag more across its axis than along it."""
+    """Raise a ValueError if a rotor drags more across its axis than along it."""
     most, least = np.broadcast_arrays(mu_max, mu_min)
     if (least > most).any():
         place = int(np.argmax(least > most))

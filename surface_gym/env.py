@@ -74,7 +74,7 @@ def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
 
 
 def warn_of_no_render_mode(spec: Any, make: str) -> None:
-    """Warn as Gymnasium's own environments do where `render` has no mode to draw in."""
+    """Warn, like Gymnasium's environments, that `render` has no render mode."""
     made = env_id(DEFAULT_TASK) if spec is None else spec.id
     gym.logger.warn(
         "You are calling render method without specifying any render mode. You can specify the "
@@ -85,14 +85,14 @@ def warn_of_no_render_mode(spec: Any, make: str) -> None:
 class ResetArguments(NamedTuple):
     """Arguments of a reset, checked."""
 
-    mask: Booleans  # (num_envs,) environments that begin
-    chosen: Integers  # (count,) the same by their indices
+    mask: Booleans  # (num_envs,) whether an environment begins
+    chosen: Integers  # (count,) indices of these environments
     seeds: list[int | None]  # of all environments
-    options: list[dict[str, Any]]  # of those that begin; empty: none has any
+    options: list[dict[str, Any]]  # options of these environments; empty: no options
 
 
 class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
-    """A vector environment of any device: its arguments and those of its resets, checked."""
+    """Base class of vector environments on any device, with checks of arguments and resets."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
 
@@ -117,7 +117,7 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._started = False
 
     def _set_spaces(self, observations: gym.Space[Any], actions: gym.Space[Any]) -> None:
-        """Take the spaces of one environment."""
+        """Set the spaces from the spaces of one environment."""
         self.single_observation_space = observations
         self.single_action_space = actions
         self.observation_space = batch_space(observations, self.num_envs)
@@ -129,7 +129,7 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None,
         allowed: tuple[str, ...],
     ) -> ResetArguments:
-        """Check the arguments of a reset, whose options are among the `allowed`."""
+        """Check the arguments of a reset; `allowed` lists the options."""
         mask = np.ones(self.num_envs, dtype=np.bool_)
         if isinstance(options, dict) and "reset_mask" in options:
             mask = self._checked_mask(options["reset_mask"])
@@ -183,19 +183,20 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
 
 class SmartSurfaceEnv(gym.Env[Any, Any]):
-    """A smart surface under a parcel or a stream of parcels: actions turn the rotors' axes.
+    """A smart surface with a parcel or a stream of parcels; actions turn the rotors' axes.
 
-    A surface is a grid of modules with idle rotors. Along its axis a rotor drags (mu 0.5), across
-    it rolls almost free (mu 0.01). Nothing drives a parcel but its own speed or gravity on a tilted
-    surface, so that it can be steered only as long as it moves. SI units and radians; x runs along
-    the line, y across it, theta anti-clockwise. One class serves every task; where streams of
-    parcels differ, the page of Flow says so.
+    A surface is a grid of modules with idle rotors. A rotor drags along its axis (mu 0.5), and
+    rolls almost freely across it (mu 0.01). Only its own speed, or gravity on a tilted surface,
+    moves a parcel. So it can be steered only while it moves. Units are SI and radians; x runs along
+    the line, y across it, theta anti-clockwise. One class serves every task; the page of Flow
+    describes the differences of streams.
 
     ## Actions
 
-    Every control period an action chooses orientations for the modules that obey: the rotors of the
-    zone that are not stuck. Choices count the `orientations`, by default 0, 45, -45 and 90 deg. At
-    a start all axes are at 90 deg, rolling along x as a conveyor would; those outside the zone stay.
+    Every control period, an action chooses orientations for the modules that obey: rotors of the
+    zone that are not stuck. Choices are indices into `orientations`, by default 0, 45, -45 and 90
+    deg. At the start, all axes are at 90 deg and roll along x like a conveyor. Axes outside the
+    zone do not turn.
 
     | `actions` | space | sets |
     | --- | --- | --- |
@@ -204,48 +205,48 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
 
-    "modules" has a number for each place of the widest line (4 rows); on a
-    narrower line the numbers of places without a rotor do nothing. Ahead, behind, left, right and
-    around refer to the sensed pose.
+    "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
+    without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
 
-    With `orientations="any"` each of these is an angle instead, in a Box from -pi/2 to pi/2.
+    With `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     ## Observation
 
-    The task's features, float32, built from the sensors' reports: see the task's page. With
-    "window" 25 more follow, 1 for a module that obeys and is sensed to lie under the parcel. With
-    `observe_axes` two more for each module of the zone, or of the window: cosine and sine of twice
-    its axis angle, which is the same for an axis turned by 180 deg. Axes that take time to turn are
-    hidden otherwise. `observe` adds groups of features: "parcel" its length, width and shape, "rotors"
-    the number and axes of the rotors under each of its quadrants, "load" the friction and the load
-    that a `AdaptiveCamera` has learned.
+    The task's features (float32) are computed from the sensors' reports; see the task's page. With
+    "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
+    `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
+    its axis angle, which are equal for axes that differ by 180 deg. Otherwise, slowly turning axes
+    are hidden. `observe` adds groups of features: "parcel" (length, width and shape), "rotors"
+    (number and axes of the rotors under each quadrant of the parcel), and "load" (friction and load
+    estimated by an `AdaptiveCamera`).
 
     ## Info
 
-    `is_success`, `outcome` (why the episode ended, or "running": a number that prints as its name and
-    equals it; the env's `outcomes` has the names by the numbers), `time` [s], the true `pose`
-    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m],
-    mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
-    `reward_` and its name, and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
-    angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
+    `is_success`, `outcome` (why the episode ended, or "running": a number that prints as its name
+    and equals it; the env's `outcomes` has the names by the numbers), `time` [s], the true `pose`
+    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width
+    [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
+    `reward_` and its name, and the task's own metrics. On request, by `info=("axes",
+    "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and the normal force
+    [N] of the parcel on each.
 
     ## End
 
-    Success and failure terminate an episode; running out of time truncates it.
+    Success and failure terminate an episode; the time limit truncates it.
 
     ## Arguments
 
-    Keywords of `gym.make`, `gym.make_vec` and the classes are the fields of
-    `surface_gym.config.EnvConfig` and any field of the task, as `stream` of Flow. `preset`, a name
-    of `surface_gym.config` such as "lab", sets sensors, actuators and randomisation, and the
-    parcels of a task that draws the study's boxes. `render_mode` is None, "rgb_array", without a
-    display, or "human".
+    Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
+    `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
+    "lab", sets sensors, actuators and randomisation, and the parcels of a task with the study's
+    boxes. `render_mode` is None, "rgb_array" (without a display) or "human".
 
-    `reset(options=...)` fixes a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's own
-    goal. An unknown option or a bad value is a ValueError that names it; the episode can go on.
+    `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
+    goal. An unknown option or an invalid value raises a ValueError that names it; the running
+    episode is not changed.
 
-    `gym.make_vec` gives the native vector env, whose environment i seeded s + i equals this one
-    seeded s + i to the bit.
+    `gym.make_vec` returns the native vector env. Its environment i seeded s + i equals this
+    environment seeded s + i to the bit.
 
     >>> import gymnasium as gym, surface_gym
     >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")
@@ -284,12 +285,12 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode: draw where the parcel comes in, how fast, and its goal.
+        """Begin an episode: draw the parcel's entry, its speed and its goal.
 
         Args:
-            seed: of this and later episodes; None: go on with the generator there is.
-            options: fix what would be drawn, by name, as `{"speed": 1.5, "parcel": "S"}`; the
-                task's page lists the names.
+            seed: seed of this and later episodes; None: continue with the current generator.
+            options: values that replace random draws, e.g. `{"speed": 1.5, "parcel": "S"}`; see the
+                task's page.
 
         Returns:
             The first observation, and `info`.
@@ -310,18 +311,18 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return batch.observation[0].copy(), self._info(batch.outcome.item(0))
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Step by one control period: turn the axes, let the parcel move on, and observe.
+        """Step by one control period: turn the axes, move the parcel, and observe.
 
         Args:
-            action: of `action_space`; it holds for the whole period.
+            action: element of `action_space`, applied for the whole period.
 
         Returns:
-            The observation, the reward, whether the task has ended (terminated) or its time is up
-            (truncated), and `info`.
+            The observation, the reward, whether the task has ended (terminated), whether the time
+            limit is reached (truncated), and `info`.
 
         Raises:
-            ResetNeeded: before the first `reset`, or after the end of an episode.
-            ValueError: an action that is not of the space.
+            ResetNeeded: `reset` was not called, or the episode has ended.
+            ValueError: the action is not in the space.
         """
         batch = self.batch
         if not self._started:
@@ -341,7 +342,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the picture (height, width, 3) in "rgb_array" mode; give None in any other."""
+        """Return the picture (height, width, 3) in "rgb_array" mode, else None."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make")
         if self.render_mode != "rgb_array":
@@ -364,7 +365,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Keep the past that a picture shows, as an episode begins or goes on."""
+        """Record the history that pictures show."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

@@ -1,6 +1,7 @@
-"""Files: written whole or not at all; read within bounds, or refused by what is wrong with them.
+"""Files: atomic writing, and bounded reading with errors that name the problem.
 
-A reader's error says what is wrong in words that follow a file's name; its caller puts that before.
+Error messages of readers continue a sentence that begins with the file's name; callers add the
+name.
 """
 
 import itertools
@@ -20,14 +21,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-SUFFIX = ".part"  # of a file that is being written
-LINE = 2**20  # [bytes] of a text's line
+SUFFIX = ".part"  # suffix of an unfinished file
+LINE = 2**20  # [bytes] maximum line of a text
 TABLE = ARCHIVE = 4 * 2**30  # [bytes] on the disk
-MEMBERS = 1000  # of an archive: the largest here has some fifty
+MEMBERS = 1000  # maximum members of an archive; the largest here has about fifty
 SMALL = 2**24  # [bytes] that any file may unpack to
 RATIO = 200  # [-] of the bytes that a larger one unpacks to, over its own
-REASON = 300  # characters that tell what is wrong
-# What libraries raise where a file is damaged: text, YAML, JSON, zip, arrays, tensors.
+REASON = 300  # maximum characters of a description
+# Errors of libraries for damaged files: text, YAML, JSON, zip, arrays, tensors.
 DAMAGE = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError,
     NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, UnpicklingError, ValueError,
@@ -40,7 +41,7 @@ _HEADERS = {
 
 @contextmanager
 def replacing(file: Path) -> Iterator[Path]:
-    """Yield a path to write, which takes the place of `file` at the end.
+    """Yield a path to write, which replaces `file` at the end.
 
     If the block raises an error, `file` stays as it was.
     """
@@ -51,7 +52,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def describe_damage(error: Exception) -> str:
-    """Describe what is wrong with a file in one short line, without a library's advice."""
+    """Describe a file's problem in one short line, without a library's advice."""
     if isinstance(error, UnpicklingError):
         return "it holds more than tensors and plain values"
     if isinstance(error, KeyError) and len(error.args) == 1:
@@ -63,13 +64,13 @@ def describe_damage(error: Exception) -> str:
 
 
 def describe_at_line(error: Exception, number: int) -> str:
-    """Describe what is wrong with a text, after the number of a line unless that is named."""
+    """Describe a text's problem, with a line number unless the error has one."""
     reason = describe_damage(error)
     return reason if reason.startswith("line ") else f"line {number}: {reason}"
 
 
 def check_plain(file: Path, most: int) -> None:
-    """Raise a ValueError unless a file is one on a disk and of bounded size [bytes].
+    """Raise a ValueError unless a file is a regular file of at most `most` bytes.
 
     Pipes and devices never end.
 
@@ -95,22 +96,22 @@ def most_unpacked(packed: int) -> int:
 
 
 def read_bytes(file: Path, most: int) -> bytes:
-    """Read a file of at most so many bytes; see `read_lines`."""
+    """Read a file of at most `most` bytes; see `read_lines`."""
     with _opened(file, most) as stream:
         return stream.read(most)
 
 
 def read_text(file: Path, most: int) -> str:
-    """Read text (UTF-8, without NULs) of at most so many bytes; see `read_lines`."""
+    """Read text (UTF-8, without NULs) of at most `most` bytes; see `read_lines`."""
     return _decode(read_bytes(file, most))
 
 
 def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
-    """Yield the lines of a text (UTF-8), their breaks too; an error names the line.
+    """Yield the lines of a text (UTF-8) with their line breaks; an error names the line.
 
     Args:
-        cut: what a last line without its line break may look like, for which a writer that was
-            killed is to blame: it is left out. Any other is an error.
+        cut: pattern of an incomplete last line from a killed writer, which is left out. Any other
+            last line without a line break is an error.
 
     Raises:
         ValueError: it is no text; what follows the file's name says why.
@@ -158,11 +159,11 @@ def _decode(content: bytes, where: str = "") -> str:
 
 
 def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFile:
-    """Open a zip archive, or raise an error for one that this package never writes.
+    """Open a zip archive, or raise an error if this package cannot have written it.
 
     Args:
-        stored: nothing in it may be compressed, all of it is compared with its checksums, and the
-            plain values beside its tensors have so many bytes at most.
+        stored: maximum bytes of plain values beside tensors. If given, nothing may be compressed,
+            and all checksums are verified.
     """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(0)
@@ -197,11 +198,10 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
 
 
 class ArrayFile:
-    """The arrays of an .npz, none of which is unpacked before its header was checked.
+    """The arrays of an .npz file; each header is checked before unpacking.
 
     Raises:
-        ValueError: it is no such file, or one that NumPy does not write; what follows the file's
-            name says why.
+        ValueError: the file is invalid; the message continues after the file's name.
         FileNotFoundError: there is none.
     """
 
@@ -227,7 +227,7 @@ class ArrayFile:
         return f"{name}.npy" in self._sizes
 
     def read(self, name: str, most: int) -> NDArray[Any]:
-        """Read an array of at most so many bytes."""
+        """Read an array of at most `most` bytes."""
         member = f"{name}.npy"
         with self._naming(name), self._archive.open(member) as stream:
             shape, _, kind = _HEADERS[np.lib.format.read_magic(stream)](stream)
@@ -256,7 +256,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 def parse_number(name: str, text: str) -> float:
-    """Return the finite number that text writes in decimal digits 0 to 9, or raise an error."""
+    """Parse a finite number in decimal digits 0 to 9, or raise an error."""
     plain = text.strip()
     found = float(plain) if _NUMBER.fullmatch(plain) else math.nan
     if not math.isfinite(found):
@@ -265,7 +265,7 @@ def parse_number(name: str, text: str) -> float:
 
 
 def parse_integer(name: str, text: str) -> int:
-    """Return the whole number that text writes in decimal digits 0 to 9, or raise an error."""
+    """Parse an integer in decimal digits 0 to 9, or raise an error."""
     if not re.fullmatch(r"[+-]?[0-9]{1,300}", text):
         raise ValueError(f"{name} must be a whole number, got {text!r:.60}")
     return int(text)

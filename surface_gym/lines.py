@@ -1,4 +1,4 @@
-"""Lines: the surface an environment runs on, its rotors, and the modules that obey."""
+"""Lines: the surfaces of environments, with their rotors and obeying modules."""
 
 import math
 from abc import abstractmethod
@@ -28,9 +28,9 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BaseLine(Elements):
-    """Elements on a grid, their friction, and the axes on offer; subclasses place the rotors.
+    """Elements on a grid, their friction, and the available axes; subclasses place the rotors.
 
-    A friction coefficient is one number, or an array (rows, columns) with one for each element.
+    A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
 
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
@@ -38,7 +38,7 @@ class BaseLine(Elements):
     mu_max: Any = 0.5  # [-] friction along a rotor's axis
     mu_min: Any = 0.01  # [-] across it
     mu_support: Any = 0.005  # [-] of a support
-    orientations: tuple[float, ...] = ORIENTATIONS  # [rad] axis angles on offer
+    orientations: tuple[float, ...] = ORIENTATIONS  # [rad] available axis angles
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -63,7 +63,7 @@ class BaseLine(Elements):
     @property
     @abstractmethod
     def zone_columns(self) -> int:
-        """Return the columns of the zone where none is given."""
+        """Return the default number of zone columns."""
 
     @abstractmethod
     def site(self, base: Base, zone: tuple[int, int] | None = None) -> Site:
@@ -71,7 +71,7 @@ class BaseLine(Elements):
 
     @property
     def line_y(self) -> float:
-        """Return y [m] that parcels enter at."""
+        """Return y [m] of the entry."""
         return self.origin[1] + 0.5 * self.pitch_y * (self.rows - 1)
 
     @property
@@ -92,7 +92,7 @@ class BaseLine(Elements):
 
     @property
     def geometry(self) -> Geometry:
-        """Return the positions of the elements as compiled code reads them."""
+        """Return the positions of the elements for compiled code."""
         return Geometry(*self.origin, self.pitch_x, self.pitch_y, self.line_y)
 
     def surface(self, axis: Array, rotor: Booleans) -> Surface:
@@ -107,17 +107,17 @@ class BaseLine(Elements):
 
 @dataclass(frozen=True)
 class Line(BaseLine):
-    """A line of rotors amid supports, as in the paper's Figure 6.
+    """A line of rotors among supports, as in the paper's Figure 6.
 
-    How many rows it has and how long its lead-in is, which stays at 90 deg as a conveyor would,
-    follow the paper's for the S-box (2 rows, 3 columns) and the B-box (4 rows, 5 columns).
+    The numbers of rows and lead-in columns depend on the parcel, as in the paper: 2 and 3 for the
+    S-box, 4 and 5 for the B-box. The lead-in stays at 90 deg, like a conveyor.
     """
 
     rows: int = 20
     columns: int = 30
     zone_rows: int = 4  # of the widest line, an even number
     zone_columns: int = 16
-    line_y: float = LINE_Y  # [m] its middle, halfway between two rows
+    line_y: float = LINE_Y  # [m] middle of the line, halfway between two rows
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns", "zone_rows", "zone_columns"):
@@ -183,14 +183,13 @@ class Field(BaseLine):
 
 @dataclass(frozen=True)
 class Pattern(BaseLine):
-    """A line of rotors and supports in any pattern. All rotors obey but those of the lead-in.
+    """A line of rotors and supports in any pattern. All rotors obey except in the lead-in.
 
-    The rows of the zone are those from the first with a rotor to the last. Parcels enter at the
-    middle of these.
+    The zone extends from the first row with a rotor to the last one. Parcels enter at its middle.
     """
 
     rotor: ArrayLike  # (rows, columns) of booleans: a rotor, else a support
-    lead_in: int = 0  # columns that stay at 90 deg, as a conveyor would
+    lead_in: int = 0  # columns that stay at 90 deg, like a conveyor
 
     def __post_init__(self) -> None:
         rotor = checks.booleans("rotor", self.rotor)

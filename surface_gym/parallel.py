@@ -1,4 +1,4 @@
-"""Independent jobs carried out in parallel: by processes of this machine, or by a Ray cluster.
+"""Independent jobs in parallel, on processes of this machine or on a Ray cluster.
 
 `map_jobs` submits jobs to an executor, passes on their reports, and submits a job again if its
 process or node dies. Results do not depend on the number of workers.
@@ -37,16 +37,16 @@ GRACE = 60.0  # [s] for interrupted jobs to write their files and to report
 _SPAWN = get_context("spawn")
 
 
-class WorkFailed(Exception):
-    """Work that could not be carried out, whatever the job is."""
+class WorkError(Exception):
+    """Work that could not be done, independent of the job."""
 
 
 @dataclass(frozen=True)
 class Cluster:
     """A Ray cluster that this machine has joined."""
 
-    address: str  # host:port of its head, or "auto" for the one this machine has joined
-    files: tuple[Path, ...] = ()  # below the working folder, which the nodes need: custom tasks
+    address: str  # host:port of its head, or "auto" for the joined cluster
+    files: tuple[Path, ...] = ()  # files below the working folder that nodes need: custom tasks
 
     def __post_init__(self) -> None:
         if not self.address or self.address.startswith("ray://"):
@@ -56,22 +56,22 @@ class Cluster:
             )
 
 
-Workers = int | Cluster  # processes of this machine, or a cluster
+Workers = int | Cluster  # number of processes on this machine, or a cluster
 
 
 class Job(Protocol[Result_co]):
-    """A function of a module, or a `functools.partial` of one, so that other processes find it."""
+    """A module's function or a `functools.partial` of it, which other processes can import."""
 
     def __call__(self, report: Report, /) -> Result_co:
-        """Do the work; call `report` with its progress now and then."""
+        """Do the work; call `report` with progress from time to time."""
 
 
 def map_jobs(
     jobs: Iterable[Job[Result]], workers: Workers, on_report: OnReport = lambda *_: None
 ) -> Iterator[tuple[int, Result]]:
-    """Carry jobs out, and yield the index and the result of each as it is done, in any order.
+    """Run jobs, and yield index and result of each when it is finished, in any order.
 
-    A job whose process or node dies is started again, from its beginning or from its files. An
+    A job whose process or node dies is restarted, from the beginning or from its files. An
     interrupt, or any other end of this iteration, interrupts the running jobs and waits for their
     last reports.
 
@@ -139,7 +139,7 @@ def _map(
             elif kind == LOST:
                 losses[index] += 1
                 if losses[index] == MAX_LOSSES:
-                    raise WorkFailed(f"a job has cost {MAX_LOSSES} processes; the last: {value}")
+                    raise WorkError(f"a job has cost {MAX_LOSSES} processes; the last: {value}")
                 lost.append(index)
             else:
                 error, where = value
@@ -147,18 +147,18 @@ def _map(
 
 
 def without_report(job: Callable[[], Result], report: Report) -> Result:
-    """Run a job that reports nothing, called as `map_jobs` does."""
+    """Run a job without reports, with the signature for `map_jobs`."""
     del report
     return job()
 
 
 def check_workers(workers: Workers) -> Workers:
-    """Return a cluster, or a number of processes that this machine may share its cores among."""
+    """Check workers: a cluster, or an allowed number of processes."""
     return workers if isinstance(workers, Cluster) else check_count("workers", workers)
 
 
 def check_count(name: str, value: Any) -> int:
-    """Return a number of processes or threads, from one to `checks.PER_CORE` for each core."""
+    """Check a number of processes or threads: 1 to `checks.PER_CORE` per core."""
     count, cores = checks.integer(name, value, least=1), usable_cores()
     if count > checks.PER_CORE * cores:
         raise ValueError(
@@ -169,27 +169,27 @@ def check_count(name: str, value: Any) -> int:
 
 
 def choose_workers(cluster: str | None, processes: int, files: tuple[Path, ...] = ()) -> Workers:
-    """Return the workers of a command's options: a cluster with an address, else processes."""
+    """Return the workers for a command's options: a cluster (with an address) or processes."""
     checked = check_workers(processes)
     return checked if cluster is None else Cluster(cluster, files)
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may run on, as far as the system says."""
+    """Return the number of usable cores reported by the system."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class RemoteTraceback(Exception):
-    """The traceback of an error that was raised in another process."""
+    """The traceback of an error from another process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
 
 
 def run_packed(packed: bytes, report: Report) -> Message:
-    """Run a job in the process that it was sent to, and return its last message."""
+    """Run a received job in this process, and return its last message."""
     try:
         return DONE, pickle.loads(packed)(report)
     except BaseException as error:
@@ -258,7 +258,7 @@ class Processes:
 
 
 def _start_process() -> tuple[Any, Any]:
-    """Start a process that listens to interrupts from its first job on."""
+    """Start a process that handles interrupts from its first job on."""
     ours, theirs = _SPAWN.Pipe()
     process = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
     if os.name == "posix":
@@ -271,7 +271,7 @@ def _start_process() -> tuple[Any, Any]:
 
 
 def _work(pipe: "Connection[Any, Any]") -> None:
-    """Do jobs until the process that submits them closes the pipe or ends."""
+    """Run jobs until the submitting process closes the pipe or ends."""
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         if os.name == "posix":
             os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once

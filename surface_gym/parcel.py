@@ -32,9 +32,7 @@ class Base(Protocol):
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """Return outward normals and distances [m] from the centroid (edges, 3); discs have
-        none.
-        """
+        """Return outward normals and distances [m] of edges (edges, 3); a disc has none."""
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -97,8 +95,8 @@ class Rectangle:
     width: float  # [m] h, along its y
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "length", checks.positive("length", self.length, *checks.LENGTH))
-        object.__setattr__(self, "width", checks.positive("width", self.width, *checks.LENGTH))
+        length = (checks.positive, *checks.LENGTH)
+        checks.settle(self, length=length, width=length)
 
     @cached_property
     def centroid(self) -> tuple[float, float]:
@@ -136,7 +134,7 @@ class Disc:
     radius: float  # [m]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", checks.positive("radius", self.radius, *checks.LENGTH))
+        checks.settle(self, radius=(checks.positive, *checks.LENGTH))
 
     @cached_property
     def centroid(self) -> tuple[float, float]:
@@ -196,7 +194,7 @@ class Polygon:
             raise ValueError(
                 f"vertices must enclose at least {checks.LENGTH[0] ** 2:g} m^2, got {area:g} m^2"
             )
-        object.__setattr__(self, "vertices", vertices)
+        checks.set_fields(self, vertices=vertices)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by the constructor, so that the array is read-only again."""
@@ -269,17 +267,16 @@ class Parcel:
 
     def __post_init__(self) -> None:
         check_base(self.base)
-        set_field = object.__setattr__
-        set_field(self, "mass", checks.positive("mass", self.mass, *checks.MASS))
-        height = checks.not_negative("com_height", self.com_height, checks.COM_HEIGHT)
-        set_field(self, "com_height", height)
+        height = (checks.not_negative, checks.COM_HEIGHT)
+        checks.settle(self, mass=(checks.positive, *checks.MASS), com_height=height)
         if self.inertia is not None:
             least, most = (self.mass * (part * self.base.reach) ** 2 for part in checks.GYRATION)
-            set_field(self, "inertia", checks.positive("inertia", self.inertia, least, most))
-        x, y = checks.place("com_offset", self.com_offset)
-        set_field(self, "com_offset", (x, y))
+            checks.settle(self, inertia=(checks.positive, least, most))
+        checks.settle(self, com_offset=checks.place)
         if self.base.functions(*self.centre_of_mass).max() > 0.0:
-            raise ValueError(f"com_offset must keep the centre of mass over the base, got {(x, y)}")
+            raise ValueError(
+                f"com_offset must keep the centre of mass over the base, got {self.com_offset}"
+            )
 
     @cached_property
     def centre_of_mass(self) -> tuple[float, float]:

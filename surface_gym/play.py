@@ -1,9 +1,9 @@
-"""A surface to play with: `surface-gym play`.
+"""The playground: `surface-gym play`.
 
-It serves the playground to the browser on this machine and opens it: parcels to throw, tasks to
-play, agents to watch, your own too, all by the package's own physics. Ctrl-C ends it. Where the
-package came without the compiled modules that pages need, each is made when a page first asks for
-it, which takes up to a minute, once.
+It serves the playground to a browser on this machine and opens it. Throw parcels, play tasks, and
+watch agents, also your own, with the package's physics. Ctrl-C ends it. If the package has no
+compiled modules for pages, each module is compiled at its first use, which takes up to a minute
+once.
 """
 
 import argparse
@@ -25,7 +25,7 @@ PORT = 8642
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Play in a browser."""
+    """Run the command."""
     parser = argparse.ArgumentParser(
         prog=typed("play"),
         description=__doc__,
@@ -52,11 +52,11 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
     """Serve the playground until Ctrl-C.
 
     Args:
-        task: shown at first, or an own one as path/to/file.py:Class; None: an empty table, or that
-            of the run.
-        run: folder of a training run, whose policy acts at first.
-        port: to listen at; 0: any that is free.
-        opens: whether a browser is opened.
+        task: initial task, or a custom task as path/to/file.py:Class; None: the run's task, or an
+            empty table.
+        run: folder of a training run with the initial policy.
+        port: port of the server; 0: any free port.
+        opens: whether to open a browser.
     """
     from surface_gym.web.build import AGENTS, PAGE, SITE, PackageModules
     from surface_gym.web.server import FIRST_PAGE, Server
@@ -66,7 +66,7 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 
     def prepare(file: str) -> None:
         modules.prepare(file)
-        if file == SITE:  # which a page reads before its agents
+        if file == SITE:  # pages read it before their agents
             own_run.join_once(folder / AGENTS[-1])
 
     pages = Server((PAGE,), port, prepare)
@@ -108,14 +108,14 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 
 
 class OwnRun:
-    """The policy of a run, which joins the package's agents when these are there."""
+    """The policy of a run, which is added to the package's agents when these exist."""
 
     def __init__(self) -> None:
         self.write: Callable[[], tuple[str, str]] | None = None  # None: there is none, or it has
         self._lock = Lock()
 
     def join_once(self, agents: Path) -> None:
-        """Write it again, among those of a file, if that has come meanwhile."""
+        """Add the policy to a file of agents, if the file has appeared meanwhile."""
         with self._lock:
             if self.write is not None and agents.is_file():
                 self.write()
@@ -124,7 +124,7 @@ class OwnRun:
 
 @contextmanager
 def writing_agents(folder: Path) -> Iterator[None]:
-    """Let a process of its own write the agents beside the modules, which takes minutes, once."""
+    """Write the agents beside the modules in a separate process, which takes minutes once."""
     if find_spec("torch") is None:
         print("no agents: torch is missing, pip install 'surface_gym[agents]'")
         yield

@@ -1,4 +1,4 @@
-"""Replays: recordings as one HTML file, which asks no other host and shows them in step."""
+"""Replays: recordings as one self-contained HTML file, shown in step."""
 
 import base64
 import hashlib
@@ -14,11 +14,11 @@ from surface_gym.files import replacing
 from surface_gym.recording import Recording
 
 MOST = 8  # recordings side by side
-SCRIPTS = (  # each after those that it needs
+SCRIPTS = (  # in order of dependency
     "palette.js", "theme.js", "labels.js", "arrows.js", "view.js", "draw.js", "recording.js",
     "panel.js", "gestures.js", "player.js", "replay.js",
 )  # fmt: skip
-_WIDTH, _CONTROLS = 48.0, 12.0  # [rem] of a notebook's pictures, and of what is below them
+_WIDTH, _CONTROLS = 48.0, 12.0  # [rem] width of a notebook's pictures, and height of the controls
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./[a-z]+\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ", re.MULTILINE)
 
@@ -27,14 +27,14 @@ class Replay:
     """A page that replays recordings: saved as a file, or shown in a notebook.
 
     Args:
-        recordings: one, or several side by side, in step; by their names.
+        recordings: one recording, or several side by side in step, by name.
     """
 
     def __init__(self, recordings: dict[str, Recording]) -> None:
         self.recordings = recordings
 
     def html(self) -> str:
-        """Write the page: one file, with all that it needs."""
+        """Return the self-contained page."""
         page = files("surface_gym.web") / "page"
         read = {name: (page / name).read_text("utf-8") for name in (*SCRIPTS, "replay.css")}
         style = read["replay.css"]
@@ -54,7 +54,7 @@ class Replay:
         )
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the page to a file ending in .html; one that is there is replaced."""
+        """Write the page to a file ending in .html; an existing file is replaced."""
         file = Path(path)
         if file.suffix != ".html":
             raise ValueError(f"path must end in .html, got {str(path)!r}")
@@ -62,7 +62,7 @@ class Replay:
             part.write_text(self.html(), encoding="utf-8")
 
     def _repr_html_(self) -> str:
-        """Show the page in a notebook, in a frame about as high as it needs."""
+        """Show the page in a notebook, in a frame of suitable height."""
         pictures = sum(_WIDTH / _aspect(each) + 2.0 for each in self.recordings.values())
         return frame_page(" / ".join(self.recordings), self.html(), _CONTROLS + pictures)
 
@@ -71,8 +71,8 @@ def replay(*runs: Any, **named: Any) -> Replay:
     """Show runs in a page: play, pause, scrub, slow motion, zoom, forces; several side by side.
 
     Args:
-        runs: each a `Recording`, a `Trajectory`, or an environment in `RecordReplay`.
-        named: the same by names, which are written over them.
+        runs: `Recording`, `Trajectory`, or environment in `RecordReplay`.
+        named: the same with names, which are shown as titles.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
@@ -95,10 +95,10 @@ def replay(*runs: Any, **named: Any) -> Replay:
 
 
 def frame_page(title: str, page: str, height: float = 40.0) -> str:
-    """Write a frame that holds a replay's page; neither page can reach into the other.
+    """Return a frame with a replay's page; the pages cannot access each other.
 
     Args:
-        height: [rem] of the frame, at most 48.
+        height: [rem] height of the frame, at most 48.
     """
     return (
         f'<iframe title="Replay: {html.escape(title)}" sandbox="allow-scripts" loading="lazy" '
@@ -116,7 +116,7 @@ def _aspect(recording: Recording) -> float:
 
 
 def _record(name: str, run: Any) -> Recording:
-    """Return the recording of whatever was recorded."""
+    """Return a recording, or the recording of a trajectory or a wrapped environment."""
     wrapped = run
     while wrapped is not None:
         found = wrapped if isinstance(wrapped, Recording) else getattr(wrapped, "recording", None)
@@ -130,5 +130,5 @@ def _record(name: str, run: Any) -> Recording:
 
 
 def _hash(text: str) -> str:
-    """Compute the hash by which a page's policy allows its own text."""
+    """Compute the hash that allows inline text in a page's security policy."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

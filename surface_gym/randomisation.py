@@ -1,4 +1,4 @@
-"""Actuators, and the domain randomisation of parcels and surfaces."""
+"""Actuators, and domain randomisation of parcels and surfaces."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,9 +15,9 @@ from surface_gym.parcel import Base, Parcel
 class Actuators:
     """The modules' actuators."""
 
-    axis_speed: float = math.inf  # [rad/s] at which an axis turns, through the angles between
+    axis_speed: float = math.inf  # [rad/s] turning speed of an axis
     stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
-    stuck_share: float = 0.0  # [-] probability of any other to be stuck, drawn at each start
+    stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
 
     def __post_init__(self) -> None:
         if self.axis_speed != math.inf:
@@ -33,16 +33,16 @@ class Actuators:
 
 
 ANYWHERE = (-math.inf, math.inf)  # [m]
-MOST_SPREAD = 0.99  # [-] of mass and size, which may then be a hundredth: not nothing
-MOST_DRAWS = 1000  # of a start aside: of ordinary ones one in 20 is drawn twice at most
+MOST_SPREAD = 0.99  # [-] maximum spread of mass and size, so that they stay positive
+MOST_DRAWS = 1000  # maximum draws of a lateral start; typically at most one in 20 is drawn twice
 
 
 class RandomDraw(NamedTuple):
-    """A start and the surface under it as drawn."""
+    """Random start and surface."""
 
     parcel: Parcel
-    aside: float  # [m] of the start in y
-    turned: float  # [rad] of the start's theta
+    aside: float  # [m] lateral offset of the start
+    turned: float  # [rad] theta of the start
     friction: tuple[float, float, float]  # factors of mu_max, mu_min and mu_support
     stiffness: NDArray[np.float64] | None  # (rows, columns) [-]; None: all the same
 
@@ -51,8 +51,8 @@ class RandomDraw(NamedTuple):
 class Randomisation:
     """Spreads of parcel and surface from episode to episode; nothing varies by default.
 
-    Mass alone changes nothing, since it cancels out of Eq. (1)-(4): what `mass` varies is the
-    load's mass at a given inertia, so how hard the parcel is to turn.
+    Mass alone has no effect, since it cancels out of Eq. (1)-(4). `mass` varies the mass at a given
+    inertia, which changes the resistance to turning.
     """
 
     friction: float = 0.0  # [-] mu_max times uniform(1 - friction, 1 + friction)
@@ -60,11 +60,12 @@ class Randomisation:
     mass: float = 0.0  # [-] mass at the same inertia, times uniform(1 - mass, 1 + mass)
     size: float = 0.0  # [-] base times uniform(1 - size, 1 + size)
     # [-] centre of mass, x and y uniform within this share of half the base's extent; drawn again
-    # where that is not over the base
+    # if it is not over the base
     com_offset: float = 0.0
-    stiffness: float = 0.0  # [-] log-normal spread of each element's: it bears more or less
-    # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again
-    # where the centre of mass would not be over the surface
+    # [-] log-normal spread of each element's stiffness, which changes its load
+    stiffness: float = 0.0
+    # [m] normal spread of the start in y, at most a quarter of the surface's width; drawn again if
+    # the centre of mass is not over the surface
     lateral: float = 0.0
     heading: float = 0.0  # [rad] normal spread of the start's theta
 
@@ -83,15 +84,15 @@ class Randomisation:
 
     @property
     def varies(self) -> bool:
-        """Return whether there is anything to draw."""
+        """Return whether anything varies."""
         return self != Randomisation()
 
     def largest(self, base: Base) -> Base:
-        """Return the base at the largest size that may be drawn."""
+        """Return the base at the largest possible size."""
         return base.scaled(1.0 + self.size)
 
     def least(self, base: Base) -> Base:
-        """Return the base at the least size that may be drawn."""
+        """Return the base at the smallest possible size."""
         return base.scaled(1.0 - self.size)
 
     def draw(
@@ -101,9 +102,10 @@ class Randomisation:
         shape: tuple[int, ...],
         room: tuple[float, float] = ANYWHERE,
     ) -> RandomDraw:
-        """Vary a start of a parcel and the surface (rows, columns); only what varies is drawn.
+        """Draw variations of a parcel's start and the surface (rows, columns).
 
-        `room` is [m] from the start to the surface's edges in y, the first negative.
+        Quantities without variation use no random numbers. `room` is the distance [m] from the
+        start to the surface's edges in y; the first value is negative.
         """
         friction = self.draw_friction(rng)
         parcel, aside, turned = self.draw_entry(rng, parcel, room)
@@ -120,18 +122,18 @@ class Randomisation:
     def draw_stiffness(
         self, rng: np.random.Generator, shape: tuple[int, ...]
     ) -> NDArray[np.float64] | None:
-        """Draw the stiffness [-] of each element (rows, columns); None: all the same."""
+        """Draw the stiffness [-] of each element (rows, columns); None if equal."""
         return np.exp(self.stiffness * rng.standard_normal(shape)) if self.stiffness else None
 
     @property
     def varies_parcels(self) -> bool:
-        """Return whether there is anything to draw of a parcel itself."""
+        """Return whether parcels vary."""
         return bool(self.mass or self.size or self.com_offset)
 
     def draw_entry(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float] = ANYWHERE
     ) -> tuple[Parcel, float, float]:
-        """Draw a parcel, how far [m] aside and how far [rad] turned it starts."""
+        """Draw a parcel, its lateral offset [m] and its angle [rad] at the start."""
         if self.varies_parcels:
             parcel = self._draw_parcel(rng, parcel)
         aside = self._draw_aside(rng, parcel, room) if self.lateral else 0.0
@@ -141,7 +143,7 @@ class Randomisation:
     def _draw_aside(
         self, rng: np.random.Generator, parcel: Parcel, room: tuple[float, float]
     ) -> float:
-        reach = math.hypot(*parcel.centre_of_mass)  # from the frame's origin, however it is turned
+        reach = math.hypot(*parcel.centre_of_mass)  # from the frame's origin, for any angle
         for _ in range(MOST_DRAWS):
             aside = self.lateral * float(rng.standard_normal())
             if room[0] + reach <= aside <= room[1] - reach:

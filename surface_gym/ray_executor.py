@@ -1,4 +1,4 @@
-"""An executor on the nodes of a Ray cluster. Ray is imported when the first one is made."""
+"""An executor on the nodes of a Ray cluster. Ray is imported on first use."""
 
 import hashlib
 import logging
@@ -16,7 +16,7 @@ from typing import Any
 from surface_gym import parallel
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
-AHEAD = 2  # jobs submitted at a time for each processor of the cluster
+AHEAD = 2  # submitted jobs per processor of the cluster
 OF_RESULTS = (
     ".py",
     ".yml",
@@ -31,7 +31,7 @@ def own_build() -> str:
     """Return the version of this process's package, and a digest of its code and policies."""
     from surface_gym import __version__
 
-    found = {}  # by names that are the same in a checkout and in an installation
+    found = {}  # by names that are equal in a checkout and in an installation
     for package in ("surface_gym", "surface_gym.agents"):
         spec = find_spec(package)
         for place in (spec.submodule_search_locations or ()) if spec is not None else ():
@@ -46,7 +46,7 @@ def own_build() -> str:
 
 
 class RayExecutor:
-    """An executor of as many jobs as the cluster has processors; nodes may come and go.
+    """An executor with one job per processor of the cluster; nodes may come and go.
 
     Raises:
         ValueError: there is no cluster at the address, or Ray is not installed.
@@ -104,7 +104,7 @@ class RayExecutor:
 
 
 class _Mailbox:
-    """Reports of all jobs; it stands beside the submitting process."""
+    """Reports of all jobs, on the node of the submitting process."""
 
     def __init__(self) -> None:
         self._letters: list[tuple[str, bytes]] = []
@@ -118,11 +118,11 @@ class _Mailbox:
 
 
 def _work(build: str, packed: bytes, mailbox: Any) -> parallel.Message:
-    """Do a job on a node, unless the node has another build."""
+    """Run a job on a node, unless the node has another build."""
     import ray
 
     if own_build() != build:
-        error = parallel.WorkFailed(
+        error = parallel.WorkError(
             f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
             f"machine {build}: install the same on both"
         )
@@ -135,7 +135,7 @@ def _work(build: str, packed: bytes, mailbox: Any) -> parallel.Message:
 
 @lru_cache(maxsize=1)
 def _remote_parts(job: str) -> tuple[Any, Any]:
-    """Make the remote function and the mailbox, once for the id of a connection."""
+    """Make the remote function and the mailbox, once per connection."""
     del job
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -147,7 +147,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
 
 
 def _connect(cluster: parallel.Cluster) -> Any:
-    """Return Ray, connected to the cluster once a process."""
+    """Return Ray, connected to the cluster once per process."""
     try:
         import ray
     except ImportError:

@@ -50,7 +50,7 @@ class Mark:
 
     def __post_init__(self) -> None:
         checks.one_of("kind", self.kind, MARKS)
-        _set(self, points=checks.array("points", self.points, (None, 2)))
+        checks.settle(self, points=(checks.array, (None, 2)))
         if len(self.points) < 2:
             raise ValueError(f"points must be at least 2, got {len(self.points)}")
         _check_look(self.label, self.colour)
@@ -68,13 +68,12 @@ class RecordedParcel:
     colour: int | str | None = None  # index of an exit's or group's colour; None: grey
 
     def __post_init__(self) -> None:
-        _set(self, outline=checks.array("outline", self.outline, (None, 2)))
+        checks.settle(self, outline=(checks.array, (None, 2)))
         if len(self.outline) < 3:
             raise ValueError(f"outline must have at least 3 points, got {len(self.outline)}")
-        _set(self, first=checks.integer("first", self.first, least=0))
-        _set(self, pose=checks.pose("pose", self.pose, (None, 3)))
+        checks.settle(self, first=(checks.integer, 0), pose=(checks.pose, (None, 3)))
         rows = len(self.pose)
-        _set(self, velocity=checks.velocity("velocity", self.velocity, (rows, 3)))
+        checks.settle(self, velocity=(checks.velocity, (rows, 3)))
         if rows == 0:
             raise ValueError("pose must have at least one row, got none")
         _check_look(self.label, self.colour)
@@ -123,31 +122,30 @@ class Recording:
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"{name} must be a text, got {getattr(self, name)!r}")
         checks.positive("control_period", self.control_period)
-        _set(self, time=checks.array("time", self.time, (None,)), marks=tuple(self.marks))
+        checks.settle(self, time=(checks.array, (None,)))
+        checks.set_fields(self, marks=tuple(self.marks))
         count = len(self.time)
         if count == 0 or (np.diff(self.time) <= 0.0).any():
             raise ValueError("time must hold at least one frame, and rise")
-        _set(self, rotor=checks.booleans("rotor", self.rotor))
-        _set(self, angles=checks.array("angles", self.angles, (None,)))
+        checks.settle(self, rotor=checks.booleans, angles=(checks.array, (None,)))
         self._check_axis()
         pitch = checks.array("pitch", self.pitch, (2,)).tolist()
-        _set(self, pitch=tuple(checks.positive("pitch", each) for each in pitch))
-        _set(self, origin=checks.place("origin", self.origin))
+        checks.set_fields(self, pitch=tuple(checks.positive("pitch", each) for each in pitch))
+        checks.settle(self, origin=checks.place)
         if self.obeys is not None:
-            _set(self, obeys=checks.booleans("obeys", self.obeys))
+            checks.settle(self, obeys=checks.booleans)
             if self.obeys.shape != self.rotor.shape:
                 raise ValueError(f"obeys must have rotor's shape, got {self.obeys.shape}")
         if self.view is not None:
             left, low, right, high = checks.array("view", self.view, (4,)).tolist()
             if right <= left or high <= low:
                 raise ValueError(f"view must enclose an area, got {self.view}")
-            _set(self, view=(left, low, right, high))
-        if self.heading is not None:
-            _set(self, heading=checks.number("heading", self.heading))
+            checks.set_fields(self, view=(left, low, right, high))
+        checks.settle(self, heading=checks.number)
         self._check_parcels()
         self._check_contacts()
         self._check_pushes()
-        _set(self, delivered=checks.array("delivered", self.delivered, (None, None)))
+        checks.settle(self, delivered=(checks.array, (None, None)))
         exits = sum(mark.kind == "exit" for mark in self.marks)
         if self.delivered.size and self.delivered.shape != (count, exits):
             raise ValueError(
@@ -160,7 +158,7 @@ class Recording:
         for name, values in metrics.items():
             if values.shape != (count,):
                 raise ValueError(f"metrics[{name!r}] must have {count} rows, got {values.shape}")
-        _set(self, metrics=metrics)
+        checks.set_fields(self, metrics=metrics)
 
     def _check_axis(self) -> None:
         shape, count = (len(self.time), *self.rotor.shape), len(self.angles)
@@ -175,10 +173,10 @@ class Recording:
                 f"{axis.max()} among {count}"
             )
         axis.setflags(write=False)
-        _set(self, axis=axis)
+        checks.set_fields(self, axis=axis)
 
     def _check_parcels(self) -> None:
-        _set(self, parcels=tuple(self.parcels))
+        checks.set_fields(self, parcels=tuple(self.parcels))
         for k, each in enumerate(self.parcels):
             last = each.first + len(each.pose)
             if last > len(self.time):
@@ -199,13 +197,13 @@ class Recording:
                 f"bearer must have a parcel for each of {len(contacts)} contacts, got {len(bearer)}"
             )
         self._check_parcel("bearer", bearer)
-        _set(self, contacts=contacts, bearer=bearer)
+        checks.set_fields(self, contacts=contacts, bearer=bearer)
         self._check_first("first_contact", "contacts")
 
     def _check_pushes(self) -> None:
         pushes = checks.array("pushes", self.pushes, (None, 6))
         self._check_parcel("pushes", pushes[:, :2])
-        _set(self, pushes=pushes)
+        checks.set_fields(self, pushes=pushes)
         self._check_first("first_push", "pushes")
 
     def _check_parcel(self, name: str, index: Array | Integers) -> None:
@@ -225,7 +223,7 @@ class Recording:
             raise ValueError(f"{name} must rise from 0 to the number of {of}, one more than frames")
         if not len(first) and total:
             raise ValueError(f"{name} must say which frames {of} belong to, got none")
-        _set(self, **{name: first})
+        checks.set_fields(self, **{name: first})
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -334,12 +332,6 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
     return angles, index.reshape(axes.shape).astype(np.uint8)
 
 
-def _set(instance: Any, **values: Any) -> None:
-    """Set fields of a frozen dataclass during its construction."""
-    for name, value in values.items():
-        object.__setattr__(instance, name, value)
-
-
 def _check_look(label: str, colour: int | str | None) -> None:
     if not isinstance(label, str):
         raise ValueError(f"label must be a text, got {label!r}")
@@ -362,8 +354,8 @@ def _firsts(counts: Array) -> Integers:
 def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
     """Return the rounded second differences of a table (rows, columns) as bytes.
 
-    Differences are folded to positive numbers. The first bytes of all numbers come first, then
-    all second bytes, and so on, which compresses well.
+    Differences are folded to positive numbers. The first bytes of all numbers come first, then all
+    second bytes, and so on, which compresses well.
     """
     counts = np.rint(values / np.array(units))
     if counts.size and np.abs(counts).max() >= 2**31:

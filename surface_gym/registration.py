@@ -1,4 +1,4 @@
-"""Tasks by name, and the ids that `gymnasium.make` and `gymnasium.make_vec` know."""
+"""Tasks by name, and ids for `gymnasium.make` and `gymnasium.make_vec`."""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 class ShippedTask(NamedTuple):
-    """A task of the package, which is imported when it is first used."""
+    """A task of the package, imported on first use."""
 
     place: str  # "module:Class"
-    periods: int | None  # as `Task.periods`; None: it is of a stream, which ends by itself
+    periods: int | None  # `Task.periods`; None: a stream, which ends by itself
 
 
 SHIPPED = {
@@ -29,21 +29,21 @@ SHIPPED = {
     "sequence": ShippedTask("surface_gym.flow.sequence:Sequence", None),
 }
 DEFAULT_TASK, DEFAULT_STREAM = "sort", "flow"
-DEFAULT_SLOPE = "singulate"  # of modules that are agents
+DEFAULT_SLOPE = "singulate"  # default task for modules as agents
 PERIODS = {name: each.periods for name, each in SHIPPED.items()}
 
-# Every task by name: those of the package, of plugins, and of users that `register` them.
+# Every task by name: of the package, of plugins, and of users who call `register`.
 TASKS: "Registry[type[Task]]" = Registry(
     "task", imports={name: each.place for name, each in SHIPPED.items()}
 )
-_IDS: dict[str, str] = {}  # of tasks that are not the package's
+_IDS: dict[str, str] = {}  # ids of other tasks than the package's
 
 FLOW_TASK = "flow"  # the task of streams of parcels
 ON_SLOPES = ("singulate", "merge", "sequence")  # tasks on streams with a take-away
 
 
 def env_id(task: str) -> str:
-    """Return the id of an environment in Gymnasium by its task's name."""
+    """Return the Gymnasium id of a task by its name."""
     return _IDS.get(task, f"SmartSurface/{task.capitalize()}-v0")
 
 
@@ -51,13 +51,13 @@ FLOW = env_id(FLOW_TASK)
 
 
 def register(task: "type[Task]", name: str) -> None:
-    """Register a task of yours, in Gymnasium by an id such as "Mine/Reach-v0".
+    """Register your task in Gymnasium by an id, e.g. "Mine/Reach-v0".
 
-    Where a task is given by its name, it goes by the name of its class in small letters, "reach".
-    A file that is loaded again registers its tasks anew.
+    The task's name is the lower-case name of its class, "reach". Loading a file again registers its
+    tasks again.
 
     Raises:
-        ValueError: a task of the package, or one registered by another id, has this name.
+        ValueError: the name belongs to a task of the package, or to another id.
     """
     made = task()
     again = _IDS.get(made.name) == name

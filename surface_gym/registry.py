@@ -1,7 +1,7 @@
-"""Registries: tasks, sensors, rules and algorithms by name, from this package and from others.
+"""Registries of tasks, sensors, rules and algorithms by name, from this package and plugins.
 
-A package of yours takes part by an entry point of the group `surface_gym.plugins` that names a
-module. The module registers what it defines, as the modules of this package do:
+Your package becomes a plugin by an entry point of the group `surface_gym.plugins`. It names a
+module that registers its definitions, like the modules of this package:
 
     [project.entry-points."surface_gym.plugins"]
     mine = "my_package.surface"
@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 from surface_gym import checks
 
-GROUP = "surface_gym.plugins"  # of entry points
+GROUP = "surface_gym.plugins"  # group of entry points
 
 Value = TypeVar("Value")
 
@@ -25,13 +25,12 @@ Value = TypeVar("Value")
 class Registry(Mapping[str, Value]):
     """Values of one kind by name, in the order of their registration.
 
-    Reading it first imports the package's modules that register values, and then plugins.
+    The first access imports the package's modules that register values, then plugins.
 
     Args:
-        kind: of the values, as the argument is called that takes such a name.
-        modules: of this package, each of which registers values as it is imported.
-        imports: places of values by name, as "module:Class". A value is imported when it is first
-            asked for.
+        kind: name of the argument that takes such a name.
+        modules: modules of this package that register values on import.
+        imports: values by name as "module:Class", imported on first use.
     """
 
     def __init__(
@@ -39,8 +38,8 @@ class Registry(Mapping[str, Value]):
     ) -> None:
         self._kind = kind
         self._modules = modules
-        self._own = frozenset(imports)  # names that stay as they are
-        self._imports = dict(imports)  # of values that were not asked for
+        self._own = frozenset(imports)  # names that cannot be replaced
+        self._imports = dict(imports)  # values not imported yet
         self._values: dict[str, Value | None] = dict.fromkeys(imports)
         self._complete = False
 
@@ -48,13 +47,13 @@ class Registry(Mapping[str, Value]):
         """Register a value by a name and return it.
 
         Args:
-            name: of the value.
-            value: to register.
-            replace: whether it replaces a value of that name that another package registered, as
-                where a file is loaded again.
+            name: name of the value.
+            value: value to register.
+            replace: whether it may replace a value from another package, e.g. if a file is loaded
+                again.
 
         Raises:
-            ValueError: the name is another value's.
+            ValueError: the name belongs to another value.
         """
         if replace and name not in self._own:
             self._values.pop(name, None)
@@ -70,7 +69,7 @@ class Registry(Mapping[str, Value]):
         return lambda value: self.register(name, value)
 
     def find(self, name: str) -> Value:
-        """Return the value of a name.
+        """Return the value with a name.
 
         Raises:
             ValueError: no value has this name.
@@ -94,7 +93,7 @@ class Registry(Mapping[str, Value]):
         return len(self._values)
 
     def _get(self, name: str) -> Value:
-        """Return a value, which is imported if it was not yet."""
+        """Return a value; import it if necessary."""
         if name in self._imports:
             self._values[name] = import_place(self._imports[name])
             del self._imports[name]
@@ -102,25 +101,25 @@ class Registry(Mapping[str, Value]):
 
     def _load(self) -> None:
         if not self._complete:
-            self._complete = True  # before: a module that registers may read the registry, too
+            self._complete = True  # set first, since registering modules may read the registry
             for module in self._modules:
                 import_module(module)
             load_plugins()
 
 
 def import_place(place: str) -> Any:
-    """Import what stands at a place, "module:name"."""
+    """Import an object from "module:name"."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 
 
 @lru_cache(maxsize=1)
 def load_plugins() -> None:
-    """Import the modules that other packages name as plugins, once a process."""
+    """Import the plugins of other packages, once per process."""
     for plugin in entry_points(group=GROUP):
         try:
             plugin.load()
-        except Exception as error:  # whatever another package raises must not stop this one
+        except Exception as error:  # an error of another package must not stop this one
             warnings.warn(
                 f"the plugin {plugin.name} = {plugin.value} was left out: "
                 f"{type(error).__name__}: {error}",

@@ -21,11 +21,11 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Run, Trajectory
 
 METHODS = ("implicit", "explicit")
-PIECE = 2000  # steps in a row: Ctrl-C waits for no more
-MAX_STEPS = 100_000_000  # of one run; its trajectory already takes 15 GB
+PIECE = 2000  # steps per call, so that Ctrl-C does not wait long
+MAX_STEPS = 100_000_000  # maximum steps of a run, whose trajectory takes 15 GB
 NORMAL_FORCES = ("dual", "osqp", "scipy")
-# A run hangs on the steps that tip the parcel if they make this share of all change of velocity,
-# and no less than this speed.
+# A run depends on tipping steps if they cause at least this share of all change of velocity, and at
+# least this speed.
 TIPPING_SHARE = 0.1
 TIPPING_SPEED = 0.01  # [m/s]
 ENDS = {
@@ -52,12 +52,12 @@ _MEMORY = _Memory()
 
 
 class TippingWarning(UserWarning):
-    """A result hangs on steps in which a real parcel would tip."""
+    """A result depends on steps in which a real parcel would tip."""
 
 
 @contextmanager
 def expect_tipping() -> Iterator[None]:
-    """Ignore `TippingWarning` in a block, or in a function decorated so."""
+    """Ignore `TippingWarning` in a block or a decorated function."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TippingWarning)
         yield
@@ -73,31 +73,32 @@ def simulate(
     method: Literal["implicit", "explicit"] = "implicit",
     normal_forces: Literal["dual", "osqp", "scipy"] = "dual",
 ) -> Trajectory:
-    """Move a parcel over a surface whose axes stay as they are.
+    """Simulate a parcel on a surface with fixed axes.
 
     Args:
         surface: the surface.
         parcel: the parcel.
         pose: (x, y, theta) [m, m, rad] of the base's frame at the start.
-        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of that frame at the start.
+        velocity: (vx, vy, omega) [m/s, m/s, rad/s] of the base's frame at the start.
         duration: [s] simulated; the last step is shortened to end there.
         dt: [s] step.
-        method: "implicit", the convex step; or "explicit", the loop of Figure 5 with its stopping
-            and reverse-motion rules, made for motion towards +x.
-        normal_forces: what solves Eq. (1): the "dual", or "osqp" or "scipy" to hold it against.
+        method: "implicit" (the convex step) or "explicit" (the loop of Figure 5 with its rules for
+            stopping and reverse motion, for motion towards +x).
+        normal_forces: solver of Eq. (1): "dual", or the references "osqp" and "scipy".
 
     Returns:
-        The trajectory. It ends early where the paper's rule stops the parcel, where the centre of
-        mass passes the edge of the surface, or where no element lies under the base.
+        The trajectory. It ends early if the paper's rule stops the parcel, if the centre of mass
+        passes the edge of the surface, or if no element is under the base.
 
     Raises:
-        ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, the start
-            is off the surface or on no element, a step moves the parcel past a pitch, or the
-            explicit method is to start a parcel on a level surface that does not move towards +x.
+        ValueError: an argument is not allowed, a number is outside the limits of
+            `surface_gym.checks`, the start is off the surface or on no element, a step moves the
+            parcel past a pitch, or the explicit method starts on a level surface without motion
+            towards +x.
 
     Warns:
-        TippingWarning: at least a tenth of the change of velocity came about in steps in which
-            Eq. (1) has no solution (`Trajectory.tipping`).
+        TippingWarning: at least a tenth of the change of velocity occurs in steps in which Eq. (1)
+            has no solution (`Trajectory.tipping`).
 
     >>> import surface_gym as sg
     >>> parcel = sg.Parcel(sg.Rectangle(0.25, 0.25))
@@ -143,7 +144,7 @@ def simulate(
 
 
 def _check_explicit(surface: Surface) -> None:
-    """Raise a ValueError for slopes that the rules of Figure 5b do not hold on."""
+    """Raise a ValueError for slopes on which the rules of Figure 5b are invalid."""
     if surface.tilt < 0.0:
         raise ValueError(f"tilt must be at least 0 for the explicit method, got {surface.tilt!r}")
     if surface.tilt_direction != 0.0:
@@ -154,7 +155,7 @@ def _check_explicit(surface: Surface) -> None:
 
 
 def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> None:
-    """Warn the caller of `simulate` where steps that tip the parcel decide what became of it."""
+    """Warn the caller of `simulate` if tipping steps decide the result."""
     if not tipping.any():
         return
     velocity = states[: len(tipping), ph.VX : ph.OMEGA + 1] * [1.0, 1.0, math.sqrt(body.gyration)]
@@ -171,7 +172,7 @@ def _warn_of_tipping(body: Body, states: Array, tipping: NDArray[np.bool_]) -> N
 
 
 def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Scratch) -> str:
-    """Say where a parcel must be to start; "" where an element bears it."""
+    """Return where a parcel must start; "" if an element supports it."""
     surface.check_capacity(parcel.base, (surface.columns, surface.rows))
     if references.find_support(surface.grid, parcel.body, start, scratch, 0.0).total > 0:
         return ""
@@ -180,11 +181,11 @@ def _missing_support(surface: Surface, parcel: Parcel, start: Array, scratch: Sc
 
 
 def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
-    """Raise a ValueError where a step moves a point of the base past a pitch [m]."""
+    """Raise a ValueError if a step moves a point of the base past a pitch [m]."""
     pose = states[:, ph.X : ph.THETA + 1]
     moved = np.abs(pose[1:] - pose[:-1])
     farthest = np.hypot(moved[:, 0], moved[:, 1]) + moved[:, 2] * parcel.body.radius
-    if not farthest.max(initial=0.0) <= pitch:  # nor is one that is not a number
+    if not farthest.max(initial=0.0) <= pitch:  # also false for NaN
         raise ValueError(
             f"dt must be so short that no step moves the parcel past a pitch, {pitch:g} m, "
             f"got {dt!r}, which moved it by {farthest.max():g} m"
@@ -194,7 +195,7 @@ def check_steps(parcel: Parcel, pitch: float, states: Array, dt: float) -> None:
 def _checked_times(duration: float, dt: float) -> tuple[NDArray[np.float64], float]:
     """Return the ends of the steps, and their length [s], or raise an error.
 
-    A last step shorter than 1e-6 dt is left out.
+    A last step shorter than 1e-6 dt is omitted.
     """
     duration = checks.positive("duration", duration, *checks.DURATION)
     dt = checks.positive("dt", dt, *checks.STEP)
@@ -217,7 +218,7 @@ def start_state(parcel: Parcel, pose: Array, velocity: Array) -> Array:
 
 
 def base_motion(parcel: Parcel, states: Array) -> tuple[Array, Array]:
-    """Return pose and velocity of the base's frame, from those of the centre of mass."""
+    """Return pose and velocity of the base's frame from states of the centre of mass."""
     pose, velocity = states[:, ph.X : ph.THETA + 1].copy(), states[:, ph.VX : ph.OMEGA + 1].copy()
     com_x, com_y = parcel.centre_of_mass
     if (com_x, com_y) != (0.0, 0.0):
@@ -234,7 +235,7 @@ def _run(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch,
     time: Array, dt: float, method: str, normal_forces: str,
 ) -> None:  # fmt: skip
-    """Fill states and reports, up to a report that ends the run."""
+    """Fill states and reports until a report ends the run."""
     run = rollout.run_implicit if method == "implicit" else rollout.run_explicit
     piece = PIECE if normal_forces == "dual" else 1
     for first, last, step in _stretches(time, dt):
@@ -255,7 +256,7 @@ def _reference_step(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float, method: str,
     normal_forces: str,
 ) -> int:  # fmt: skip
-    """Do the compiled step with Eq. (1) solved by a reference in the dual's place."""
+    """Do one step with Eq. (1) solved by a reference solver."""
     explicit = method == "explicit"
     if explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0:
         return stepping.STOPPED
@@ -272,18 +273,18 @@ def _reference_step(
 
 @dataclass(frozen=True, eq=False)
 class Touches:
-    """Touches of pairs of parcels, a row a pair and step."""
+    """Touches of pairs of parcels, one row per pair and step."""
 
     time: NDArray[np.float64]  # (touches,) [s] end of the step
-    pair: NDArray[np.int64]  # (touches, 2) which of the parcels, the first below the second
-    impulse: NDArray[np.float64]  # (touches,) [N s] that pressed them apart in the step
+    pair: NDArray[np.int64]  # (touches, 2) indices of the parcels, in ascending order
+    impulse: NDArray[np.float64]  # (touches,) [N s] separating impulse in the step
 
 
 @dataclass(frozen=True, eq=False)
 class Encounter:
     """Result of several parcels on one surface."""
 
-    trajectories: tuple[Trajectory, ...]  # one a parcel
+    trajectories: tuple[Trajectory, ...]  # one per parcel
     touches: Touches
 
 
@@ -297,30 +298,29 @@ def simulate_together(
     restitution: float = 0.0,
     side_friction: float = 0.3,
 ) -> Encounter:
-    """Move parcels over a surface whose axes stay as they are; they push each other by their sides.
+    """Simulate several parcels with collisions on a surface with fixed axes.
 
-    Sides press at the height of the centre of mass, so they tip no parcel. A parcel that touches no
-    other moves as by `simulate` with the implicit method, to the bit.
+    Sides press at the height of the centre of mass, so they tip no parcel. A parcel without touches
+    moves exactly as in `simulate` with the implicit method.
 
     Args:
         surface: the surface.
         parcels: the parcels.
         poses: (parcels, 3) [m, m, rad] x, y, theta of the bases' frames at the start.
-        velocities: (parcels, 3) [m/s, m/s, rad/s] of those frames at the start; None: at rest.
+        velocities: (parcels, 3) [m/s, m/s, rad/s] of the bases' frames at the start; None: at rest.
         duration: [s] simulated; the last step is shortened to end there.
         dt: [s] step.
-        restitution: [-] 0: sides that hit each other stay together; 1: they part as fast as they
-            met.
-        side_friction: [-] between sides.
+        restitution: [-] 0: colliding sides stay together; 1: they separate as fast as they met.
+        side_friction: [-] friction coefficient between sides.
 
     Returns:
-        The trajectories and the touches. The trajectory of a parcel whose centre of mass passes the
-        edge of the surface, or under whose base no element lies, ends there; the others go on.
+        The trajectories and the touches. A trajectory ends early if the parcel's centre of mass
+        passes the edge of the surface, or if no element is under its base; the others continue.
 
     Raises:
-        ValueError: an argument is not allowed, a number is beyond `surface_gym.checks`, a parcel
-            starts off the surface, on no element or overlapping with another, or a step moves a
-            parcel past a pitch.
+        ValueError: an argument is not allowed, a number is outside the limits of
+            `surface_gym.checks`, a parcel starts off the surface, on no element or overlapping
+            another, or a step moves a parcel past a pitch.
 
     >>> import surface_gym as sg
     >>> box = sg.layouts.box("S")
@@ -354,7 +354,7 @@ def simulate_together(
 
 
 def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
-    """Return parcels as the compiled physics reads them, a row each."""
+    """Return parcels as input of the compiled physics, one row each."""
     sides = max(3, *(len(parcel.corners) for parcel in parcels))
     bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
     edges, corners = map(np.stack, zip(*bases, strict=True))
@@ -364,7 +364,7 @@ def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
 def _make_world(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, velocities: ArrayLike | None
 ) -> World:
-    """Return the world at the start, of arguments that are checked but for the places they give."""
+    """Return the world at the start; positions are not checked yet."""
     checks.instance("surface", surface, Surface, "a Surface")
     if not isinstance(parcels, Sequence) or not all(isinstance(each, Parcel) for each in parcels):
         raise ValueError(f"parcels must be a sequence of Parcel, got {parcels!r}")
@@ -383,7 +383,7 @@ def _make_world(
 def _check_starts(
     surface: Surface, parcels: Sequence[Parcel], poses: ArrayLike, world: World
 ) -> None:
-    """Raise a ValueError where a parcel has no place to start from."""
+    """Raise a ValueError for invalid start positions."""
     scratch = ph.make_scratch()
     for k, parcel in enumerate(parcels):
         wanted = _missing_support(surface, parcel, world.state[k], scratch)
@@ -402,7 +402,7 @@ def _check_starts(
 def _run_together(
     grid: Grid, world: World, touching: ContactMaterial, time: Array, dt: float
 ) -> rollout.Records:
-    """Do all steps, and cut the rows of touches to those there are."""
+    """Do all steps, and trim the rows of touches."""
     count = len(world.present)
     scratch = make_world_scratch(count)
     room = 1024 + 2 * len(scratch.pair)
@@ -425,7 +425,7 @@ def run_stretch(
     grid: Grid, world: World, touching: ContactMaterial, scratch: WorldScratch,
     records: rollout.Records, first: int, last: int, touches: int, dt: float,
 ) -> tuple[rollout.Records, int]:  # fmt: skip
-    """Do the steps from `first` to `last`; return records with room for all touches, and these."""
+    """Do the steps from `first` to `last`; return records with all touches, and their number."""
     most = max(1, PIECE // len(world.present))
     following = first
     while following <= last:
@@ -443,7 +443,7 @@ def run_stretch(
 
 
 def _stretches(time: Array, dt: float) -> list[tuple[int, int, float]]:
-    """Return first step, last step and their length [s]: the steps of dt, then a shortened one."""
+    """Return first step, last step and step length [s] of each stretch of equal steps."""
     last = len(time) - 1
     if time[-1] == dt * last:
         return [(1, last, dt)]
@@ -454,7 +454,7 @@ def make_trajectory(
     surface: Surface, parcel: Parcel, time: Array, dt: float, states: Array,
     reports: NDArray[np.int64], solved: tuple[str, str] | None = None,
 ) -> Trajectory:  # fmt: skip
-    """Return a parcel's trajectory, up to where it left the surface.
+    """Return a parcel's trajectory until it leaves the surface.
 
     `solved` is the method and what gave the normal forces, of a run that can be repeated.
     """

@@ -1,7 +1,7 @@
 """The state arrays of all environments, and the view of one of them.
 
-An environment is one surface. Where it carries one parcel, as in every task but a stream's, row i
-of the surfaces and of the parcels is environment i's.
+An environment is one surface. With one parcel (every task except streams), row i of the surfaces
+and of the parcels belongs to environment i.
 """
 
 import math
@@ -21,25 +21,26 @@ GRAVITY_COLUMNS = slice(GRAVITY_X, GRAVITY_NORMAL + 1)
 # Columns of `BodyTable.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
-# `ParcelState.outcome`: how an episode stands. A task's failures follow, in its order. Running out
-# of time truncates an episode and is none of them. An environment in STARTING has been placed.
+# `ParcelState.outcome`: the state of an episode. The task's failures follow in order. The time
+# limit truncates an episode and is not an outcome. An environment in STARTING has been placed.
 STARTING, RUNNING, OUT_OF_TIME, SUCCESS, FIRST_FAILURE = range(-1, 4)
 COMMON_OUTCOMES = ("running", "out of time", "success")
 
-# `ParcelState.fault`: the error that a task's functions made.
+# `ParcelState.fault`: the error of a task's functions.
 NO_FAULT, UNKNOWN_OUTCOME, BAD_REWARD, BAD_OBSERVATION = range(4)
 
-PATH_POINTS = 256  # of a path, evenly spaced in x
-NOISE_ROWS = 64  # draws made ahead; each three standard normals and one uniform in [0, 1)
+PATH_POINTS = 256  # points of a path, evenly spaced in x
+# rows of noise drawn ahead: three standard normals and one uniform number in [0, 1)
+NOISE_ROWS = 64
 
 
 class SurfaceState(NamedTuple):
-    """State of every surface, a row each. What is the same for all has one row."""
+    """State of every surface, one row each. Arrays common to all have one row."""
 
     axis: Places  # (surfaces, rows, columns) index of each rotor's axis among the directions
     direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis
-    angle: Array  # (surfaces, rows, columns) [rad] of each axis, where axes take time to turn
-    target: Array  # (surfaces, rows, columns) [rad] it turns to
+    angle: Array  # (surfaces, rows, columns) [rad] angle of each axis, if axes take time to turn
+    target: Array  # (surfaces, rows, columns) [rad] target angle of each axis
     stiffness: Array  # (surfaces or 1, rows, columns) [-]
     # (surfaces, 6) factors of friction [-], gravity along x, along y and normal [m/s^2]
     conditions: Array
@@ -48,43 +49,43 @@ class SurfaceState(NamedTuple):
 
 
 class ParcelState(NamedTuple):
-    """State and results of every parcel, a row each. Arrays a task does not use have no columns.
+    """State and results of every parcel, one row each. Arrays unused by a task have no columns.
 
-    With P parcels to an environment, environment i has the rows from i P on; P is 1 in every task
-    but a stream's.
+    With P parcels per environment, the rows of environment i start at i P. P is 1 except in
+    streams.
     """
 
     state: Array  # (rows, STATE_SIZE) of the centre of mass
     truth: Array  # (rows, 6) pose and velocity of the base's centroid
-    sensed: Array  # (rows, 6) the same as the sensor gives it
+    sensed: Array  # (rows, 6) pose and velocity reported by the sensor
     clock: Array  # (rows,) [s] since the start
     period: Array  # (rows,) [s] since the last decision
     steps: Integers  # (rows,) physics steps since the start
-    on_rotors: Booleans  # (rows,) a rotor supports the parcel
-    on_surface: Booleans  # (rows,) the parcel's centre of mass is over the surface
-    body: Integers  # (rows,) the parcel's row in the body table
-    goal: Array  # (rows, goals) the task's own, as its starts give them
-    path: Array  # (rows, PATH_POINTS or 0) [m] y of a path to follow, evenly spaced in x
-    memory: Array  # (rows, memories) the task's memory
-    metrics: Array  # (rows, metrics) the task's own numbers in `info`
-    noise: Array  # (rows, NOISE_ROWS or 0, 4) drawn ahead for the sensor
-    noise_row: Integers  # (rows, 1) the next to use
+    on_rotors: Booleans  # (rows,) whether a rotor supports the parcel
+    on_surface: Booleans  # (rows,) whether the centre of mass is over the surface
+    body: Integers  # (rows,) row of the parcel in the body table
+    goal: Array  # (rows, goals) goal of the task, from its starts
+    path: Array  # (rows, PATH_POINTS or 0) [m] y of the path to follow, evenly spaced in x
+    memory: Array  # (rows, memories) memory of the task
+    metrics: Array  # (rows, metrics) metrics of the task in `info`
+    noise: Array  # (rows, NOISE_ROWS or 0, 4) noise drawn ahead for the sensor
+    noise_row: Integers  # (rows, 1) next row of noise to use
     sensor_state: Array  # (rows, sensor state) the sensor's memory
     observation: NDArray[np.float32]  # (rows, observation size)
     terms: Array  # (rows, reward terms)
-    reward: Array  # (rows,) their sum
-    outcome: Integers  # (rows,) index among the common outcomes and the task's failures
+    reward: Array  # (rows,) sum of the terms
+    outcome: Integers  # (rows,) index into the common outcomes and the task's failures
     fault: Integers  # (rows,)
 
 
 class BodyTable(NamedTuple):
-    """Parcels on their line, a row each. Environments whose parcels are alike share one.
+    """Parcels on their line, one row each. Environments with equal parcels share a row.
 
-    What of the line is the same for all parcels has one row.
+    Arrays of the line that are common to all parcels have one row.
     """
 
     rotor: Booleans  # (bodies or 1, rows, columns)
-    obeys: Booleans  # (bodies or 1, rows, columns) a rotor in the zone that is not stuck
+    obeys: Booleans  # (bodies or 1, rows, columns) whether a rotor is in the zone and not stuck
     body: Array  # (bodies, 7) as `Bodies.body`
     edges: Array  # (bodies, edges, 3) as `Bodies.edges`
     corners: Array  # (bodies, edges, 2) [m] as `Bodies.corners`
@@ -92,7 +93,7 @@ class BodyTable(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Positions of the elements, the same for every environment."""
+    """Positions of the elements, common to all environments."""
 
     x0: float  # [m] centre of element [0, 0]
     y0: float  # [m]
@@ -117,7 +118,7 @@ def read_grid(
     elements: Geometry,
     friction: Array,
 ) -> Grid:
-    """Read a surface as the physics of one body takes it, with the friction (rows, columns, 3)."""
+    """Return a surface as a `Grid`, with friction (rows, columns, 3)."""
     conditions = surfaces.conditions[surface]
     return Grid(
         surfaces.axis[surface],
@@ -140,7 +141,7 @@ def read_grid(
 
 @inlined
 def read_body(bodies: BodyTable, body: int) -> Body:
-    """Read a row of the body table as the physics of one parcel takes it."""
+    """Return a row of the body table as a `Body`."""
     return Body(
         bodies.edges[body],
         bodies.body[body, ph.RADIUS],
@@ -154,36 +155,36 @@ def read_body(bodies: BodyTable, body: int) -> Body:
 class EnvState(NamedTuple):
     """One parcel and the surface under it: numbers, and views into the state arrays.
 
-    A task's and a sensor's functions take it. `truth` and `sensed` hold x, y, theta, vx, vy, omega
-    at the indices X, Y, THETA, VX, VY, OMEGA.
+    It is the argument of tasks' and sensors' functions. `truth` and `sensed` hold x, y, theta, vx,
+    vy, omega at the indices X, Y, THETA, VX, VY, OMEGA.
     """
 
-    com: Array  # (STATE_SIZE,) state of the centre of mass, its acceleration at AX and AY included
+    com: Array  # (STATE_SIZE,) state of the centre of mass, with acceleration at AX and AY
     truth: Array  # (6,) pose and velocity of the base's centroid; in `is_done` see `read_truth`
-    sensed: Array  # (6,) the same as the sensor gives it
+    sensed: Array  # (6,) pose and velocity reported by the sensor
     clock: float  # [s] since the start
     period: float  # [s] since the last decision
     steps: int  # physics steps since the start
-    on_rotors: bool  # a rotor supports the parcel
-    on_surface: bool  # its centre of mass is over the surface
+    on_rotors: bool  # whether a rotor supports the parcel
+    on_surface: bool  # whether its centre of mass is over the surface
     surface: Array  # (6,) factors of friction [-], gravity along x, along y and normal [m/s^2]
-    body: Array  # (7,) of the parcel: RADIUS ... MASS
+    body: Array  # (7,) parcel: RADIUS ... MASS
     edges: Array  # (edges, 3) of its base: outward normals and distances [m] from the centroid
     corners: Array  # (edges, 2) [m] of its base from the centroid
     zone: Integers  # (4,) FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS that obey
-    elements: Geometry  # where the elements lie
+    elements: Geometry  # positions of the elements
     axis: Places  # (rows, columns) index of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine of an axis
     rotor: Booleans  # (rows, columns) a rotor, else a support
-    obeys: Booleans  # (rows, columns) a rotor in the zone, not stuck
-    goal: Array  # (goals,) the task's own, as its starts give them
-    path: Array  # (PATH_POINTS,) [m] y of a path to follow, evenly spaced in x
+    obeys: Booleans  # (rows, columns) whether a rotor is in the zone and not stuck
+    goal: Array  # (goals,) goal of the task, from its starts
+    path: Array  # (PATH_POINTS,) [m] y of the path to follow, evenly spaced in x
     memory: Array  # (memories,) the task's memory
-    metrics: Array  # (metrics,) the task's own numbers in `info`: to write
-    terms: Array  # (terms,) of the reward: to write
+    metrics: Array  # (metrics,) metrics of the task in `info`, to write
+    terms: Array  # (terms,) terms of the reward, to write
     observation: NDArray[np.float32]  # (features,) to write
-    noise: Array  # (NOISE_ROWS, 4) drawn ahead for the sensor
-    noise_row: Integers  # (1,) the next to use
+    noise: Array  # (NOISE_ROWS, 4) noise drawn ahead for the sensor
+    noise_row: Integers  # (1,) next row of noise to use
     sensor_state: Array  # (sensor state,) the sensor's memory
 
 
@@ -196,7 +197,7 @@ def env_state(
     row: int,
     elements: Geometry,
 ) -> EnvState:
-    """View the parcel in a row of `parcels` on the surface in a row of `surfaces`."""
+    """Return the view of a parcel (row of `parcels`) on a surface (row of `surfaces`)."""
     body = parcels.body[row]
     layout = body if bodies.rotor.shape[0] > 1 else 0
     return EnvState(
@@ -232,9 +233,9 @@ def env_state(
 
 @inlined
 def read_truth(state: EnvState) -> None:
-    """Bring `state.truth` up to date with `state.com`.
+    """Update `state.truth` from `state.com`.
 
-    It is up to date in `begin`, `outcome`, `reward` and `observe`. `is_done` is called after every
+    It is already updated in `begin`, `outcome`, `reward` and `observe`. `is_done` runs after every
     physics step, where few tasks need it.
     """
     com = state.com
@@ -253,9 +254,9 @@ def read_truth(state: EnvState) -> None:
 
 @inlined
 def reach_along(state: EnvState, theta: float, nx: float, ny: float) -> float:
-    """Return how far [m] the base, turned by theta, reaches from its centroid along (nx, ny).
+    """Return the extent [m] of the base, turned by theta, from its centroid along (nx, ny).
 
-    A base without corners, a disc, has them all at its centroid and reaches its radius.
+    The corners of a disc are at its centroid; its extent is its radius.
     """
     cosine = math.cos(theta)
     sine = math.sin(theta)

@@ -92,7 +92,6 @@ class Surface(Elements):
     tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
         axis = checks.array("axis", self.axis, (None, None))
         checks.angles("axis", axis)
         if axis.size == 0:
@@ -103,23 +102,19 @@ class Surface(Elements):
         if self.stiffness is not None:
             stiffness = checks.array("stiffness", self.stiffness, axis.shape)
             _check_stiffness(stiffness)
-            set_field(self, "stiffness", stiffness)
-        set_field(self, "axis", axis)
-        set_field(self, "rotor", rotor)
-        set_field(self, "pitch", checks.pitch("pitch", self.pitch))
-        set_field(self, "origin", checks.place("origin", self.origin))
+            checks.set_fields(self, stiffness=stiffness)
+        checks.set_fields(self, axis=axis, rotor=rotor)
+        checks.settle(self, pitch=checks.pitch, origin=checks.place)
         for name in ("mu_max", "mu_min", "mu_support"):
             mu = checks.friction(name, getattr(self, name), axis.shape)
-            set_field(self, name, mu if mu.ndim else float(mu))
+            checks.set_fields(self, **{name: mu if mu.ndim else float(mu)})
         checks.rolling(self.mu_max, self.mu_min)
         tilt = checks.number("tilt", self.tilt)
         if not abs(tilt) < math.pi / 4:
             raise ValueError(
                 f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}; {checks.DEGREES}"
             )
-        set_field(self, "tilt", tilt)
-        direction = checks.angle("tilt_direction", self.tilt_direction)
-        set_field(self, "tilt_direction", direction)
+        checks.settle(self, tilt=checks.number, tilt_direction=checks.angle)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by the constructor, so that the arrays are read-only again."""

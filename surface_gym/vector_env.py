@@ -24,16 +24,15 @@ Observations = NDArray[np.float32]
 
 
 class SmartSurfaceVectorEnv(BaseVectorEnv):
-    """Environments of `SmartSurfaceEnv`, stepped together by compiled code; `gym.make_vec` gives
-    this.
+    """Many environments of `SmartSurfaceEnv`, stepped together by compiled code.
 
-    Environment i seeded s + i equals the single environment seeded s + i to the bit. Arguments are
-    those of `SmartSurfaceEnv` and:
+    `gym.make_vec` returns this class. Environment i seeded s + i equals the single environment
+    seeded s + i to the bit. It takes the arguments of `SmartSurfaceEnv` and:
 
     Args:
         num_envs: number of environments.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
-        threads: that share the environments; results do not depend on their number.
+        threads: number of threads; results do not depend on it.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 
     `reset(options=...)` takes one dict for all environments, or a sequence of one dict or None for
@@ -60,7 +59,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         self._action_kind = self.config.action_kind
         self.outcomes = make_outcomes(self.batch.outcomes)
         self._outcomes = np.array(self.outcomes, dtype=object)
-        self._masks: list[str] = []  # names of those that come with the infos
+        self._masks: list[str] = []  # names of the masks in infos
         self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._renderer: Any = None
 
@@ -70,10 +69,10 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode in all environments, or in those of `options["reset_mask"]`."""
+        """Begin an episode in all environments, or in the mask `options["reset_mask"]`."""
         batch = self.batch
         given = self._check_reset(seed, options, batch.options)
-        if given.options:  # a bad option of one environment leaves all as they were
+        if given.options:  # an invalid option of one environment changes no environment
             batch.check(given.options)
         for i in given.chosen.tolist():
             if given.seeds[i] is not None or not batch.is_seeded(i):
@@ -96,7 +95,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
                 f"Environments {np.nonzero(ended)[0].tolist()} have ended: reset them with "
                 "reset_mask."
             )
-        anew = np.nonzero(ended)[0]  # NEXT_STEP: this step is their reset
+        anew = np.nonzero(ended)[0]  # NEXT_STEP: this step resets them
         batch.step(self._action_kind.commands(actions, self.num_envs), anew)
         if self.render_mode is not None:
             self._record(np.nonzero(~ended)[0], begins=False)
@@ -109,7 +108,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         if self.autoreset_mode == AutoresetMode.SAME_STEP and over.any():
             chosen = np.nonzero(over)[0]
             final = np.full(self.num_envs, None, dtype=object)
-            # An array for each: the rows, not their numbers, are the objects.
+            # One array per environment: the objects are rows, not numbers.
             final[chosen] = np.frompyfunc(batch.observation[chosen].__getitem__, 1, 1)(
                 np.arange(len(chosen))
             )
@@ -147,7 +146,7 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return infos
 
     def _record(self, chosen: Integers, begins: bool) -> None:
-        """Keep the past that a picture shows of some environments, as episodes begin or go on."""
+        """Record the history of environments that pictures show."""
         if self.render_mode is None:
             return
         if self._renderer is None:
@@ -164,7 +163,7 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
     Args:
         num_envs: number of environments.
         device: "cpu" or "cuda".
-        arguments: those of `SmartSurfaceVectorEnv`.
+        arguments: arguments of `SmartSurfaceVectorEnv`.
 
     Raises:
         ValueError: an argument is not allowed, or not on this device.

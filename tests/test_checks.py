@@ -10,7 +10,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.design.case import Case, Turn, Unknown
+from surface_gym.design.case import Case, TurnPurpose, Unknown
 from surface_gym.design.limits import least_tilt
 from surface_gym.flow.arrivals import Arrival, Poisson, Schedule, Spread, Steady
 from surface_gym.flow.exits import Exit, flow_line
@@ -296,8 +296,8 @@ DEGREES = {
     "tilt of a stream": lambda: flow(tilt=5.0),
     "angle of a start": lambda: sg.SmartSurfaceEnv("orient").reset(options={"angle": 45}),
     "tilt of a start": lambda: sg.SmartSurfaceEnv("track").reset(options={"tilt": 5.0}),
-    "angle of a purpose": lambda: Turn(30.0),
-    "tolerance": lambda: Turn(0.5, tolerance=10.0),
+    "angle of a purpose": lambda: TurnPurpose(30.0),
+    "tolerance": lambda: TurnPurpose(0.5, tolerance=10.0),
     "tilt of a case": lambda: Case(ON_IT[1], tilt=5.0),
     "tilt of a spread": lambda: Unknown(tilt=1.0),
     "highest": lambda: least_tilt(Case(ON_IT[1]), highest=15.0),
@@ -359,7 +359,7 @@ LARGE = "rows times columns must be at most 1_000_000"
         ),
         (lambda: flow(stream=Stream), r"stream must be .*; call it: Stream\(\)$"),
         (lambda: Stream(Poisson), r"arrivals must be .*; call it: Poisson\(\.\.\.\)$"),
-        (lambda: Case(ON_IT[1], Turn), r"purpose must be .*; call it: Turn\(\)$"),
+        (lambda: Case(ON_IT[1], TurnPurpose), r"purpose must be .*; call it: TurnPurpose\(\)$"),
         (
             lambda: sg.SmartSurfaceEnv(zone=(20, 3)),
             r"zone must be its first column and then its last, got \(20, 3\): the first, 20, is",

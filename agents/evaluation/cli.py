@@ -34,18 +34,23 @@ class EvaluateConfig:
     """Folder for tables, plots, videos and report.html."""
     tasks: tuple[str, ...] = TASK_NAMES
     """Tasks to compare on; "flow" is of streams of parcels; "singulate", "merge" and "sequence" of
-    streams on a slope."""
+    streams on a slope.
+    """
     exits: tuple[str, ...] = ("sides",)
     """Exits of the streams: "sides", one as long as the line on either side; "chutes", two on
-    either side; or both."""
+    either side; or both.
+    """
     task: str | None = None
     """Compare on this one task, of the package or of your own as path/to/file.py:Class, and the
-    latest policies of its runs."""
+    latest policies of its runs.
+    """
     runs: Path = Path("runs")
     """Folder of the runs that are searched for these policies."""
     run: Path | None = None
-    """Folder of a training run: compare its policies with the fixed layout instead. For a task of
-    your own, --task says which code is run."""
+    """Folder of a training run: compare its policies with the fixed layout instead.
+
+    For a task of your own, --task says which code is run.
+    """
     workers: int = parallel.usable_cores()
     """Processes to share the work among; results do not depend on it."""
     cluster: str | None = None
@@ -55,7 +60,8 @@ class EvaluateConfig:
     robustness: bool = False
     """Sweep instead: success of rules and agents where one thing at a time differs from training,
     and in the lab by shape of parcel; and the agent of streams beside the scheduler, on lines that
-    it never trained on."""
+    it never trained on.
+    """
     starts: int = STARTS
     """Of the sweep: starts at each level of each factor."""
 
@@ -171,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     config = tyro.cli(EvaluateConfig, prog=typed("evaluate"), args=arguments)
     try:
         evaluate(config, Console())
-    except (ValueError, parallel.WorkFailed) as error:
+    except (ValueError, parallel.WorkError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; --resume goes on with what is there")

@@ -22,7 +22,7 @@ from ..base import Controller
 
 Picture = NDArray[np.uint8]
 
-HOLD = 1.0  # [s] for which the last picture stays
+HOLD = 1.0  # [s] duration of the last picture
 BAR = 6  # [px] between pictures
 
 
@@ -30,20 +30,19 @@ BAR = 6  # [px] between pictures
 class Player:
     """A controller in an environment, and the start of its episode."""
 
-    name: str  # written over its pictures
+    name: str  # title of its pictures
     controller: Controller
     config: EnvConfig
-    rng: np.random.Generator  # what the options leave open is drawn from
+    rng: np.random.Generator  # source of random values that the options leave open
     options: dict[str, Any] | None = None
 
 
 def write_comparison(
     players: Sequence[Player], file: Path, seconds: float = math.inf
 ) -> tuple[bool, ...]:
-    """Write an mp4 of one episode of each controller, side by side, in real time, and beside it a
-    replay of the same as .html.
+    """Write an mp4 of one episode per controller side by side, and the same replay as .html.
 
-    One that ends first waits for the others in its last picture.
+    The video runs in real time. A finished episode shows its last picture until the others end.
     """
     period = min(player.config.control_period for player in players)
     envs = [RecordReplay(make_env(player.config)) for player in players]
@@ -68,8 +67,8 @@ def write_comparison(
 
 
 def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
-    """Write an mp4 frame by frame, at `rate` [1/s]; the last one stays for a moment."""
-    frame = next(frames)  # one by one: a minute of them would fill the memory
+    """Write an mp4 frame by frame at `rate` [1/s]; the last frame is held."""
+    frame = next(frames)  # one by one, since a minute of frames would fill the memory
     height, width, _ = frame.shape
     with FFMPEG_VideoWriter(str(file), (width, height), rate, codec="libx264") as writer:
         writer.write_frame(frame)
@@ -80,9 +79,9 @@ def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
 
 
 def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
-    """Make the environment of a film."""
+    """Make the environment of a video."""
     env: gym.Env[Any, Any] = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
-    if config.task.is_stream:  # which ends by itself
+    if config.task.is_stream:  # streams end by themselves
         return env
     return gym.wrappers.TimeLimit(env, config.periods)
 
@@ -90,11 +89,11 @@ def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
 def play(
     player: Player, every: int = 1, env: gym.Env[Any, Any] | None = None
 ) -> Iterator[tuple[Picture, dict[str, Any]]]:
-    """Play an episode: the picture and `info` at the start and after each control period.
+    """Play an episode; yield picture and `info` at the start and after each control period.
 
     Args:
-        every: pictures of the control periods between are not drawn, and the latest is repeated.
-        env: to play in; None: one of its own.
+        every: draw only every n-th picture, and repeat it in between.
+        env: environment to use; None: make one.
     """
     if env is None:
         env = make_env(player.config)
@@ -122,7 +121,7 @@ def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
 
 
 def _stacked(pictures: Sequence[Picture]) -> Picture:
-    """Put pictures side by side, wide ones on top of each other, in even numbers of pixels."""
+    """Place pictures side by side, or wide ones above each other, with even sizes in pixels."""
     height, width, _ = pictures[0].shape
     down = 2 * height < width
     bar = np.full((BAR, width, 3) if down else (height, BAR, 3), 255, dtype=np.uint8)

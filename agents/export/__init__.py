@@ -1,4 +1,4 @@
 """Export of policies to machines without Python: an ONNX file, and a page about it.
 
-Nothing is written before it has decided as the policy does.
+Every export is first compared with the policy.
 """

@@ -1,8 +1,8 @@
-"""The check that an export decides as the policy does.
+"""Comparison of an export's decisions with the policy's decisions.
 
-Sums in single precision depend on their order, so that scores differ in their last digits. Where
-the best two scores are that close, either choice is right: such decisions are counted separately.
-Any other difference is an error.
+Sums in single precision depend on their order, so scores differ in their last digits. If the best
+two scores are this close, either choice is correct; such decisions are counted separately. Any
+other difference is an error.
 """
 
 import math
@@ -21,21 +21,21 @@ from .policy import NetworkDecision, Source
 
 Decide = Callable[[Singles], tuple[Integers, Numbers]]  # choices, and angles [rad]
 
-TIE = 1e-6  # [-] of the largest score (at least 1): scores closer than this are a tie
-MAX_TIES = 1e-3  # [-] share of decisions that may differ by round-off alone
-NUM_ENVS = 50  # of the policy's episodes
-FARTHEST = 3.0  # [-] from 0 that a random number may be
-WHOLE_SHARE = 0.1  # [-] of the random numbers that are integers, where some comparisons jump
+TIE = 1e-6  # [-] scores that differ by less, relative to the largest (or 1), are a tie
+MAX_TIES = 1e-3  # [-] allowed share of decisions that differ by round-off
+NUM_ENVS = 50  # environments for the policy's episodes
+FARTHEST = 3.0  # [-] maximum absolute value of a random number
+WHOLE_SHARE = 0.1  # [-] share of random numbers that are integers, where comparisons may jump
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """The result of a comparison; a decision is one part's choice for one observation."""
+    """Result of a comparison; a decision is one part's choice for one observation."""
 
     observations: int
-    parts: int  # of each decision
-    ties: int  # decisions that differ where the best two scores are equal but for round-off
-    close: int  # decisions where they are, whether they differ or not
+    parts: int  # number of choices per observation
+    ties: int  # decisions that differ in a tie
+    close: int  # decisions in a tie, different or not
 
     def summary(self) -> str:
         same = "the same" if not self.ties else f"{self.ties} of them otherwise, all ties"
@@ -77,7 +77,7 @@ def compare(
 
 
 def run_onnx(model: bytes) -> Decide:
-    """Return the decisions of an ONNX file's content, by onnxruntime on one core."""
+    """Return a function that decides by an ONNX model, with onnxruntime on one core."""
     onnxruntime = onnx.need("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -91,7 +91,7 @@ def run_onnx(model: bytes) -> Decide:
 
 
 def make_observations(source: Source, count: int, seed: int = 0) -> Singles:
-    """Return (count, features), half from the policy's own episodes, half random."""
+    """Return observations (count, features), half from the policy's episodes, half random."""
     presets = source.training.presets
     each = count // 2 // len(presets)
     met = [_from_episodes(source, preset, each, seed) for preset in presets]
@@ -103,7 +103,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
     num_envs = min(NUM_ENVS, count)
     given = {**source.config.arguments(), "preset": preset}
     for name in ("sensors", "actuators", "randomisation"):
-        del given[name]  # which the preset sets
+        del given[name]  # set by the preset
     env = SmartSurfaceVectorEnv(
         num_envs=num_envs,
         max_episode_steps=source.config.task.periods,
@@ -121,7 +121,7 @@ def _from_episodes(source: Source, preset: Preset, count: int, seed: int) -> Sin
 
 
 def random_observations(source: Source, count: int, seed: int) -> Singles:
-    """Return (count, features) from the part of the observation space that is near to 0."""
+    """Return random observations (count, features) from the observation space near 0."""
     space = source.config.observation_space()
     low, high = np.maximum(space.low, -FARTHEST), np.minimum(space.high, FARTHEST)
     rng = np.random.default_rng(seed)

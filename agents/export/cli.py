@@ -1,4 +1,4 @@
-"""`surface-gym export`: write a policy as ONNX, once it is checked."""
+"""`surface-gym export`: write a policy as ONNX after a check."""
 
 import json
 import sys
@@ -23,22 +23,23 @@ OBSERVATIONS = 10_000
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """Export an agent for a machine without Python: an ONNX file, and a page that describes its
-    input and output. The file decides as the policy does, which is checked.
+    """Export an agent to an ONNX file, with a page that describes its input and output.
+
+    The decisions of the file are compared with the policy's.
     """
 
     name: tyro.conf.Positional[str | None] = None
-    """Name of an agent that comes with the package; with --run, the name of the files."""
+    """Name of a shipped agent; with --run, name of the written files."""
     seed: int | None = None
-    """Seed, if it was trained with several; by default the first."""
+    """Seed of an agent that was trained with several; the default is the first."""
     run: Path | None = None
-    """Folder of a training run: export its policy instead."""
+    """Folder of a training run, to export its policy instead."""
     task: str | None = None
-    """Custom task that the run is of, as path/to/file.py:Class, whose code is run."""
+    """Custom task of the run, as path/to/file.py:Class; its code is executed."""
     out: Path = Path("exported")
     """Folder for the files."""
     observations: int = OBSERVATIONS
-    """Number of observations to compare decisions with the policy's on."""
+    """Number of observations for the comparison with the policy."""
 
     def __post_init__(self) -> None:
         if self.run is None:
@@ -60,7 +61,7 @@ class ExportConfig:
 def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
-    """Write NAME.onnx and NAME.md, if they decide as the policy does; return them and the check."""
+    """Write NAME.onnx and NAME.md after a successful check; return the files and the check."""
     from . import check, onnx, page, policy
 
     checks.integer("observations", observations, least=100)

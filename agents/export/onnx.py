@@ -1,8 +1,8 @@
 """Policies as ONNX graphs.
 
-`agents.module_policy` computes what a module sees with arrays sized by the observation.
-A graph needs it for all modules at once, so that it is written here once more, for NumPy and for a
-graph alike. An export is refused where the two differ.
+`agents.module_policy` computes what a module sees with arrays whose size depends on the
+observation. A graph needs it for all modules at once, so this file computes it again, for NumPy and
+for graphs alike. An export fails if the two differ.
 """
 
 import math
@@ -49,7 +49,7 @@ def need(package: str) -> Any:
 
 
 class Graph:
-    """Nodes and constants; each method adds some and returns the name of the result."""
+    """Nodes and constants of an ONNX graph; methods add nodes and return the result's name."""
 
     def __init__(self) -> None:
         self._onnx = need("onnx")
@@ -57,7 +57,7 @@ class Graph:
         self._constants: list[Any] = []
 
     def add(self, kind: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """Add a node with one output, named by the caller or by its place."""
+        """Add a node with one output, named by the caller or by its index."""
         output = output or f"{kind.lower()} {len(self._nodes)}"
         made = self._onnx.helper.make_node(kind, list(inputs), [output], **attributes)
         self._nodes.append(made)
@@ -83,11 +83,11 @@ class Graph:
             values = self.add("Add", values, self.array(layer.bias))
         return values
 
-    def features(self, count: int) -> list["Traced"]:
+    def features(self, count: int) -> list["GraphArray"]:
         """Return each feature of the observation, (parcels, 1) in double precision."""
         doubles = self.cast(OBSERVATION, "DOUBLE")
         gathered = (self.add("Gather", doubles, self.integers(k), axis=1) for k in range(count))
-        return [Traced(self, name) for name in gathered]
+        return [GraphArray(self, name) for name in gathered]
 
     def model(
         self,
@@ -96,7 +96,7 @@ class Graph:
         choices: str,
         metadata: Mapping[str, str],
     ) -> bytes:
-        """Return the checked model as it is written to a file."""
+        """Return the checked model as the bytes of a file."""
         onnx = self._onnx
         self.add("Identity", choices, output=CHOICES)
         self.add("Gather", self.array(np.array(orientations)), choices, output=ANGLES)
@@ -122,8 +122,8 @@ class Graph:
         return model.SerializeToString()
 
 
-class Traced(NDArrayOperatorsMixin):
-    """An array of a graph: NumPy's functions and operators on it add nodes."""
+class GraphArray(NDArrayOperatorsMixin):
+    """An array in a graph; NumPy's functions and operators on it add nodes."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         self.graph, self.name = graph, name
@@ -133,17 +133,17 @@ class Traced(NDArrayOperatorsMixin):
             return NotImplemented
         if function is np.arctan:  # onnxruntime has it in single precision alone
             single = self.graph.cast(self._node_name(inputs[0]), "FLOAT")
-            return Traced(self.graph, self.graph.cast(self.graph.add("Atan", single), "DOUBLE"))
+            return GraphArray(self.graph, self.graph.cast(self.graph.add("Atan", single), "DOUBLE"))
         return self._added(_OPERATORS[function], inputs)
 
     def __array_function__(self, function: Any, kinds: Any, inputs: Any, options: Any) -> Any:
         return self._added("Where", inputs) if function is np.where else NotImplemented
 
-    def _added(self, kind: str, inputs: Sequence[Any]) -> "Traced":
-        return Traced(self.graph, self.graph.add(kind, *map(self._node_name, inputs)))
+    def _added(self, kind: str, inputs: Sequence[Any]) -> "GraphArray":
+        return GraphArray(self.graph, self.graph.add(kind, *map(self._node_name, inputs)))
 
     def _node_name(self, value: Any) -> str:
-        if isinstance(value, Traced):
+        if isinstance(value, GraphArray):
             return value.name
         return self.graph.array(np.asarray(value, dtype=np.float64))
 
@@ -172,11 +172,12 @@ _APART = ("side", "time")  # features that modules do not see
 
 
 def seen_by_modules(config: EnvConfig, features: Sequence[Any]) -> tuple[tuple[Any, ...], Any, Any]:
-    """Compute what each module sees, in the action's order.
+    """Compute the view of each module, in the order of the action.
 
     Returns:
-        Numbers that a module sees of itself, whether it bears the parcel, or will by the next
-        decision, and whether the asked side is y < 0: arrays (parcels, modules), or (parcels, 1).
+        Numbers of each module's own view; whether it carries the parcel now or at the next
+        decision; and whether the goal side is y < 0. All are arrays (parcels, modules) or (parcels,
+        1).
     """
     see = {
         name: decode(column, feature)
@@ -225,7 +226,7 @@ class _Outline:
     rows: Any  # of the line it runs on
 
     def reach(self, cosine: Any, sine: Any) -> Any:
-        """[m] that the base reaches along x."""
+        """[m] extent of the base along x."""
         (length, width), cosine, sine = self.half, abs(cosine), abs(sine)
         straight = length * cosine + width * sine
         if self.roundness is None:
@@ -233,7 +234,7 @@ class _Outline:
         return straight + self.roundness * (_hypot(length * cosine, width * sine) - straight)
 
     def outside(self, place: tuple[Any, Any]) -> Any:
-        """[m] from the base to a place; negative under it."""
+        """[m] distance from the base to a position; negative under the base."""
         (along, across), (length, width) = place, self.half
         straight = np.maximum(abs(along) - length, abs(across) - width)
         if self.roundness is None:
@@ -245,7 +246,7 @@ class _Outline:
 def _lie(
     config: EnvConfig, see: dict[str, Any], offset: Any, axes: tuple[Any, Any]
 ) -> tuple[_Outline, Any]:
-    """Outline of the base, and [m] from the zone's first edge to its centre."""
+    """Return the base's outline, and the distance [m] from the zone's first edge to its centre."""
     line = config.chosen_line
     least = 2.0 if isinstance(line, Line) else float(line.zone_rows)
 
@@ -277,7 +278,7 @@ def _lie(
 
 
 def _axes_around(config: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tuple[Any, ...]:
-    """Select the features of the rotors in a module's quadrant; none where none are observed."""
+    """Select the observed rotors' features in a module's quadrant; empty if none are observed."""
     if "rotors" not in config.observe:
         return ()
     shown = [see[each.name] for each in GROUPS["rotors"].features]
@@ -293,7 +294,7 @@ def _axes_around(config: EnvConfig, see: dict[str, Any], x: Any, y: Any) -> tupl
 
 
 def _from_parcel(x: Any, y: Any, axes: tuple[Any, Any]) -> tuple[Any, Any]:
-    """[m] along and across the parcel's own axes."""
+    """Return the position [m] along and across the parcel's own axes."""
     cosine, sine = axes
     return cosine * x + sine * y, cosine * y - sine * x
 
@@ -307,7 +308,7 @@ def _clip(value: Any, low: Any, high: Any) -> Any:
 
 
 def _angle(sine: Any, cosine: Any) -> Any:
-    """[rad] in [-pi, pi], as `arctan2`."""
+    """Return the angle [rad] in [-pi, pi], like `arctan2`."""
     length = _hypot(sine, cosine)
     straight = np.where(cosine < 0.0, math.pi, 0.0)
     level = (sine <= 0.0) & (sine >= 0.0)
@@ -318,8 +319,8 @@ def _angle(sine: Any, cosine: Any) -> Any:
     return np.where(length > 0.0, rough + left, 0.0)
 
 
-class Watched(NDArrayOperatorsMixin):
-    """An array that notes where round-off may change the outcome of a comparison or a jump."""
+class DoubtArray(NDArrayOperatorsMixin):
+    """An array that records where round-off may change a comparison or a jump."""
 
     def __init__(self, value: Any, doubts: list[Any], exact: bool = False) -> None:
         self.value, self.doubts, self.exact = value, doubts, exact
@@ -327,25 +328,25 @@ class Watched(NDArrayOperatorsMixin):
     def __array_ufunc__(self, function: Any, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or options:
             return NotImplemented
-        values = [each.value if isinstance(each, Watched) else each for each in inputs]
-        rounded = any(isinstance(each, Watched) and not each.exact for each in inputs)
+        values = [each.value if isinstance(each, DoubtArray) else each for each in inputs]
+        rounded = any(isinstance(each, DoubtArray) and not each.exact for each in inputs)
         if function in _COMPARISONS and rounded:
             self.doubts.append(np.abs(values[0] - values[1]) <= EDGE)
         elif function in (np.floor, np.rint):
             steps = values[0] - (0.5 if function is np.rint else 0.0)
             self.doubts.append(np.abs(steps - np.round(steps)) <= EDGE)
-        return Watched(function(*values), self.doubts)
+        return DoubtArray(function(*values), self.doubts)
 
     def __array_function__(self, function: Any, kinds: Any, inputs: Any, options: Any) -> Any:
         if function is not np.where:
             return NotImplemented
-        values = [each.value if isinstance(each, Watched) else each for each in inputs]
-        return Watched(np.where(*values), self.doubts)
+        values = [each.value if isinstance(each, DoubtArray) else each for each in inputs]
+        return DoubtArray(np.where(*values), self.doubts)
 
 
 @dataclass(frozen=True, eq=False)
 class ModulesDecision:
-    """The decision of modules: each that bears the parcel chooses by one shared network."""
+    """Decision of modules: each module under the parcel chooses by one shared network."""
 
     network: Network
     config: EnvConfig  # of the environment
@@ -363,12 +364,12 @@ class ModulesDecision:
         return self.config.action_kind.size
 
     def in_doubt(self, observations: Singles, tie: float) -> NDArray[np.bool_]:
-        """Tell for each module whether round-off may decide either way; see `NetworkDecision`."""
+        """Return for each module whether round-off may change its choice; see `NetworkDecision`."""
         doubts: list[Any] = []
         columns = observations.astype(np.float64).T[..., np.newaxis]
         with np.errstate(divide="ignore", invalid="ignore"):  # of what is not chosen
             own, bearing, _ = seen_by_modules(
-                self.config, [Watched(column, doubts, exact=True) for column in columns]
+                self.config, [DoubtArray(column, doubts, exact=True) for column in columns]
             )
         shape = (len(observations), self.parts)
         place = np.stack([np.broadcast_to(each.value, shape) for each in own], axis=2)
@@ -405,7 +406,7 @@ def modules_decision(source: Source) -> ModulesDecision:
     angles = config.chosen_orientations
     names = [each.name for each in config.features]
     arrays = {name: to_array(values) for name, values in source.weights.items()}
-    # The weights of what all see and of what each sees, side by side.
+    # Weights of the shared features and of each module's own features, side by side.
     first = np.concatenate([arrays["_alike.weight"], arrays["_apart.weight"]], axis=1)
     between = sorted({int(name.split(".")[1]) for name in arrays if name.startswith("_between.")})
     later = [f"_between.{k}" for k in between] + ["_logits"]

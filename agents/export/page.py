@@ -1,4 +1,4 @@
-"""The page that goes with an export: its input, its output, its training and its check."""
+"""The page of an export: input, output, training and check."""
 
 import math
 
@@ -26,7 +26,7 @@ WINDOW = "the parcel's pose and outline, or a switch in each module"
 LOAD = "a filter that estimates the place of the load and the friction from the motion"
 UNKNOWN = "see its meaning"
 
-# By a feature's name, by how its name begins, or by its group.
+# Keys are a feature's name, the beginning of its name, or its group.
 _NEED_BY_NAME = {
     "lateral offset": POSE, "sine of theta": POSE, "cosine of theta": POSE,
     "sine of phase x": POSE, "cosine of phase x": POSE,
@@ -63,7 +63,7 @@ _MIRRORED = (
 
 
 def find_need(feature: Feature) -> str:
-    """Return what a machine has to know for a feature; `UNKNOWN` for one of a custom task."""
+    """Return what a machine must measure for a feature; `UNKNOWN` for features of custom tasks."""
     if feature.name in _NEED_BY_NAME:
         return _NEED_BY_NAME[feature.name]
     if any(feature.name == each.name for each in group_features(_LEARNED)):
@@ -130,7 +130,7 @@ def _out(source: Source) -> str:
 
 
 def _parts(kind: ActionKind) -> str:
-    """Describe which modules follow which part."""
+    """Describe the modules that follow each part of the action."""
     if kind.name in _PLACES:
         rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
         return markdown(("part", "followed by"), rows) + (

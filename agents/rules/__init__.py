@@ -1,4 +1,4 @@
-"""Controllers that do not learn."""
+"""Controllers without learning."""
 
 import math
 from functools import partial

@@ -1,4 +1,4 @@
-"""Base classes of rules, which decide for many environments at once, by the sensors alone."""
+"""Base classes of rules that decide for many environments at once, from observations only."""
 
 import math
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ from ..base import BatchController, Booleans, Controller, find_axes, is_fresh
 
 Commands = NDArray[np.int64]
 Levels = NDArray[np.int64]
-Memory = Any  # what a rule remembers, by environment; None: nothing
+Memory = Any  # memory of a rule by environment; None: no memory
 Observations = NDArray[np.float32]
 Decision = tuple[Commands, Memory]
 
@@ -33,13 +33,14 @@ class Rule:
     """A controller that does not learn, for a task."""
 
     name: str
-    task: str  # its name
-    actions: str  # the kind of action it is for
+    task: str  # name of the task
+    actions: str  # kind of action
     make: Callable[[EnvConfig], Controller]
-    observe: tuple[str, ...] = ()  # groups of features it makes use of, where they are shown
-    searches: bool = False  # it searches a layout for each start, and is tried on fewer starts
+    observe: tuple[str, ...] = ()  # optional groups of features that it uses
+    # whether it searches a layout for each start, so it is tested on fewer starts
+    searches: bool = False
     orientations: str | None = None  # "any": axes at any angle; None: those of the line
-    # the task of the package whose observation shows it more; None: the task itself
+    # the task with a richer observation that the rule needs; None: the task itself
     observed_task: Callable[[Task], Task] | None = None
 
     @property
@@ -83,7 +84,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 class BaseRule(BatchController):
-    """A rule of one parcel per environment."""
+    """Base class of rules for one parcel per environment."""
 
     def __init__(
         self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
@@ -99,11 +100,11 @@ class BaseRule(BatchController):
 
     @abstractmethod
     def _decide(self, observations: Observations, memory: Memory, fresh: Booleans) -> Decision:
-        """Choose commands (num_envs, size), and what to remember (num_envs, ...).
+        """Choose commands (num_envs, size), and return the new memory (num_envs, ...).
 
         Args:
-            memory: (num_envs, ...) what was remembered; None where nothing was.
-            fresh: (num_envs,) an episode has just begun: the memory is of another.
+            memory: (num_envs, ...) memory of the last period; None if there is none.
+            fresh: (num_envs,) whether an episode has just begun, so that the memory is invalid.
         """
 
     def _predict(
@@ -115,7 +116,7 @@ class BaseRule(BatchController):
 
 
 class UniformRule(BaseRule):
-    """A rule that sets all modules alike, by what is seen now."""
+    """A rule that sets all modules alike, from the current observation."""
 
     @abstractmethod
     def _choose(self, observations: Observations) -> Commands:
@@ -178,7 +179,7 @@ class CompiledRule(BaseRule, Compiled):
 
 
 class UniformLayout(UniformRule):
-    """Any task with every axis at one angle, whatever the parcel does."""
+    """Every axis at one fixed angle, for any task."""
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
@@ -196,7 +197,7 @@ ROLLING = rule("fixed layout", "track", actions="window")(
 
 
 class FixedRule(BaseRule):
-    """A rule that arranges axes once, by what is seen at the start, and keeps them to the end."""
+    """A rule that sets axes once from the first observation, and keeps them to the end."""
 
     @abstractmethod
     def _layout(self, observations: Observations) -> Commands:
@@ -212,12 +213,12 @@ class FixedRule(BaseRule):
 
 
 class ColumnAxes:
-    """Turns the levels at which a zone's columns brake into commands of "modules"."""
+    """Converts braking levels of a zone's columns to commands of "modules"."""
 
     def __init__(self, config: EnvConfig) -> None:
         axes = find_axes(config)
         rows = np.arange(config.action_kind.rows)
-        # In a column that brakes half, what pushes to the one side and to the other cancels out.
+        # In a half braking column, the pushes to both sides cancel.
         in_turn = np.where(rows % 2, axes.right, axes.left)
         self._choice = np.stack(
             [np.full(len(rows), axes.roll), in_turn, np.full(len(rows), axes.brake)]

@@ -1,4 +1,4 @@
-"""Slow and Stop by choosing, every period, the braking that ends nearest to the goal."""
+"""Rules of Slow and Stop that choose, every period, the braking that ends closest to the goal."""
 
 import math
 from typing import Any, NamedTuple
@@ -18,31 +18,32 @@ from .decoding import Line, Sight, add, look_at_line, see_line
 
 # Groups of features: how wide a base is, how round; what sensors learn of friction and of the load.
 SHOWN = ("parcel", "load")
-MOST_AFTER = 24  # steps that axes are followed for after a period
+MOST_AFTER = 24  # maximum simulated steps after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
 SUPPORT_LOSS = 0.005 * GRAVITY  # [m/s^2] mu_support g of Table 1
 NEAR = 128  # columns that a parcel may cover, at most
-ON_EDGE = 1e-6  # [m] an element so near the outline bears: observations are single precision
-RECTANGLE = 0.999  # [-] of its rectangle that a base fills at least which is one
-# Exponents of the ovals |x / a|^p + |y / b|^p = 1 that others are taken for; how much they fill.
+# [m] elements this close to the outline count, since observations are single precision
+ON_EDGE = 1e-6
+RECTANGLE = 0.999  # [-] minimum filled share of the bounding box of a rectangle
+# Exponents of the ovals |x / a|^p + |y / b|^p = 1 that model other bases, and their filled share.
 POWERS = np.geomspace(1.2, 60.0, 200)
 FILLS = np.array([math.gamma(1.0 + 1.0 / p) ** 2 / math.gamma(1.0 + 2.0 / p) for p in POWERS])
 
-# Found by trying, on other starts than any reported. What is not as predicted (friction, loads, a
-# parcel that drifts onto supports) is made good where braking begins early and gently.
-SLOW_GENTLY, STOP_GENTLY = 0.6, 0.3  # [-] of half braking, expected of what is to come
-# Of Slow:
-SHORT = 3.0  # [-] an m/s short, which nothing gives back, is as bad as so many in excess
-CAUTION = 3.0  # [-] standard deviations by which rolling may take more than is estimated
-TRIM_TIME = 1.2  # [s] to go at the asked speed when half braking should be over
+# Tuned on other starts than the reported ones. Gentle, early braking compensates prediction errors
+# (friction, loads, drift onto supports).
+SLOW_GENTLY, STOP_GENTLY = 0.6, 0.3  # [-] share of half braking assumed for the future
+# Parameters of Slow:
+SHORT = 3.0  # [-] cost of a missing m/s relative to an excess m/s
+CAUTION = 3.0  # [-] margin for rolling losses in standard deviations
+TRIM_TIME = 1.2  # [s] remaining time at the goal speed when half braking should end
 
 # Of an estimate: friction along axes and across them, their variances and covariance.
 ALONG, ACROSS, VAR_ALONG, VAR_ACROSS, BOTH = range(5)
-UNSURE = 0.12  # [-] of braking and of rolling, before anything is seen
-LEAST, MOST = 0.4, 1.7  # [-] that an estimate is kept to
-# What a period's loss of speed may be seen or predicted wrong by.
-SEEN_EXACTLY, SEEN = 2e-4, 0.01  # [m/s] where sensors are exact, and else
-PREDICTED = 0.16  # [-] of what braking takes: columns come and go, loads lie off centre
+UNSURE = 0.12  # [-] initial standard deviation of braking and of rolling
+LEAST, MOST = 0.4, 1.7  # [-] limits of an estimate
+# Standard deviations of the observed and of the predicted loss of speed in a period.
+SEEN_EXACTLY, SEEN = 2e-4, 0.01  # [m/s] with exact sensors, and with others
+PREDICTED = 0.16  # [-] relative to the loss by braking: columns come and go, loads are off centre
 HALF_SINE, HALF_COSINE = math.sin(base.LEANS[base.HALF]), math.cos(base.LEANS[base.HALF])
 
 
@@ -55,7 +56,7 @@ class Model(NamedTuple):
     dt: float  # [s]
     steps: int  # of a period
     turn: float  # [rad] of an axis in a step; infinite: it turns at once
-    tail: int  # steps in which axes turn after the period,
+    tail: int  # number of steps in which axes turn after the period,
     then: float  # [rad] off 90 deg to which: half braking at most
     period: float  # [s]
     noise: float  # [m/s] of a loss of speed that is seen
@@ -97,10 +98,10 @@ class Frictions(NamedTuple):
 class Result(NamedTuple):
     """State after a period and what its axes bring after it, and what took the speed in it."""
 
-    place: float  # [m] of the centroid past the zone's first edge, once all axes have turned
-    speed: float  # [m/s] then
-    braking: float  # [m/s] that friction along the axes takes where it is nominal
-    rolling: float  # [m/s] that friction across them and on supports takes where it is nominal
+    place: float  # [m] centroid past the zone's first edge, after all axes have turned
+    speed: float  # [m/s] speed at that time
+    braking: float  # [m/s] speed lost by nominal friction along the axes
+    rolling: float  # [m/s] speed lost by nominal friction across the axes and on supports
 
 
 class Scratch(NamedTuple):
@@ -147,7 +148,7 @@ def find_span(seen: Line, sight: Sight, model: Model, scratch: Scratch) -> Span:
     fills as much.
     """
     rear = sight.pitch_x * model.columns - seen.rear_to_go
-    # The size shown is the way from the rear to the centroid, straight on.
+    # The observed size is the distance from the rear to the centroid at heading 0.
     place = rear + seen.reach
     half_length = max(0.5 * (seen.front_in_zone - rear), 0.5 * sight.pitch_x)
     rows = model.rows + 2
@@ -324,8 +325,8 @@ def predict(
 def _choose_level(option: int, place: int, reached: int) -> int:
     """Return the level of a column in an option of braking, of those that a parcel reaches.
 
-    The front or the rear of them brakes, fully or half, and the others roll: a column that is
-    about to come under the parcel or to leave it brakes for a part of the period. Option 0 rolls.
+    The front or the rear of them brakes, fully or half, and the others roll: a column that is about
+    to come under the parcel or to leave it brakes for a part of the period. Option 0 rolls.
 
     Args:
         place: of the column behind the first that the parcel covers.
@@ -345,11 +346,11 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 def _soften(level: int, lean: float, model: Model) -> int:
     """Return the level that a column whose axes take time may turn to.
 
-    On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column
-    brakes half before it brakes fully, and before it rolls again.
+    On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column brakes
+    half before it brakes fully, and before it rolls again.
     """
     half = base.LEANS[base.HALF]
-    gently = model.then == 0.0  # after full braking, axes would take too long to roll
+    gently = model.then == 0.0  # after full braking, axes take too long to return to rolling
     if level == base.FULL and (lean < half - 1e-6 or gently):
         return base.HALF
     return base.HALF if level == base.ROLL and lean > half + 1e-6 else level
@@ -388,8 +389,8 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 
 @inlined
 def regret_speed(seen: Line, span: Span, frictions: Frictions, after: Result, rolls: bool) -> float:
-    """Compute how far from the asked ratio an option leads; the option that rolls is the best
-    where there is time to trim the speed.
+    """Compute how far from the asked ratio an option leads; the option that rolls is the best where
+    there is time to trim the speed.
     """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
@@ -472,10 +473,10 @@ def _make_kernel(regret: Any) -> Any:
 
 
 class BrakingRule(CompiledRule):
-    """Predicts each option of braking for a period and takes the one that ends nearest to the goal.
+    """Rule that predicts each option of braking for a period, and takes the best one.
 
-    It remembers how far each column's axes have turned, and estimates how much friction acts,
-    beside what the sensors have learned of it and of the load.
+    Its memory holds the angle of each column's axes and an estimate of friction. It also uses the
+    sensors' estimates of friction and load.
     """
 
     def __init__(self, config: EnvConfig, task: str, then: int) -> None:
@@ -504,10 +505,10 @@ class BrakingRule(CompiledRule):
 
 @rule("braking rule", "slow", actions="modules", observe=SHOWN)
 class SlowingRule(BrakingRule):
-    """Slow: roll, then brake as much as leaves no speed short of the asked ratio.
+    """Rule of Slow: roll, then brake without falling below the goal ratio.
 
-    It brakes late, since a slow parcel takes long, yet so that it rolls on for a while at the
-    speed it should leave with: that is when the last hundredths are taken.
+    It brakes late, since a slow parcel takes long. It leaves some time for rolling at the goal
+    speed, for the last corrections.
     """
 
     kernel = staticmethod(_make_kernel(regret_speed))
@@ -518,9 +519,9 @@ class SlowingRule(BrakingRule):
 
 @rule("braking rule", "stop", actions="modules", observe=SHOWN)
 class StoppingRule(BrakingRule):
-    """Stop: brake so that going on at a part of half braking comes to rest at the asked x.
+    """Rule of Stop: brake so that a share of half braking would stop at the goal x.
 
-    That leaves room to correct to either side, most of it where braking turns out weak.
+    This allows corrections to both sides, and larger ones for weak braking.
     """
 
     kernel = staticmethod(_make_kernel(regret_place))

@@ -1,7 +1,7 @@
-"""Layouts arranged beforehand, for each start: those of the study, and the best there are.
+"""Fixed layouts for each start: layouts of the study, and optimised layouts.
 
-They are chosen by the simulator, as the study does. They know what the sensors say of the parcel at
-the start, the goal and the physics at nominal friction; not the noise, nor which modules are stuck.
+The simulator chooses them, as in the study. They use the first observation of the parcel, the goal,
+and the physics at nominal friction. They do not know the noise or the stuck modules.
 """
 
 import math
@@ -23,18 +23,19 @@ from ..planning import layouts as search
 from ..planning.layouts import ShownPath
 from .base import FULL, HALF, ColumnAxes, Commands, FixedRule, Levels, Observations, rule
 
-SAME_SIZE = 0.005  # [m] half lengths are rounded to it; those of the study's boxes are multiples
-SAME_SPEED = 0.02  # [m/s] entry speeds are rounded down to it, so that none stalls for it
-FINE = 0.001  # [m] between the places that a loss is known at
-FAST = 6.0  # [m/s] entry speed of a run: enough to get through any layout of 16 columns at 0 deg
-FAST_STEP = 0.0005  # [s] of a run, as fine as FAST is fast
-STEP = 0.005  # [s] of a run at the parcel's own speed
+SAME_SIZE = 0.005  # [m] resolution of half lengths; the study's boxes have multiples of it
+# [m/s] resolution of entry speeds, rounded down so that rounding stalls no parcel
+SAME_SPEED = 0.02
+FINE = 0.001  # [m] resolution of positions of a loss
+FAST = 6.0  # [m/s] entry speed of a run, enough to cross 16 columns at 0 deg
+FAST_STEP = 0.0005  # [s] step of a fast run
+STEP = 0.005  # [s] step of a run at the parcel's own speed
 
 Row = tuple[float, ...]
 
 
 def round_sizes(half_length: Numbers) -> Numbers:
-    """Round half lengths (num_envs,) [m], so that a run serves all parcels of about a size."""
+    """Round half lengths (num_envs,) [m], so that parcels of similar size share a run."""
     return SAME_SIZE * np.round(half_length / SAME_SIZE)
 
 
@@ -47,7 +48,7 @@ def _run(
     zone: tuple[int, int] | None,
     dt: float,
 ) -> sg.Trajectory:
-    """Run a square box along a line, long enough to cross it by rolling."""
+    """Run a square box along a line for the time to cross it by rolling."""
     base = sg.Rectangle(2.0 * half_length, 2.0 * half_length)
     rotor, (first_row, rows, first, columns) = line.site(base, zone)
     margin = (len(zone_axis) - rows) // 2
@@ -67,14 +68,15 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute how much of the squared entry speed a box has lost (places,) [m^2/s^2], by the way it
-    went: 0, `FINE`, 2 `FINE` ... from the start.
+    """Compute the lost squared speed (places,) [m^2/s^2] of a box over its distance.
 
-    On a flat surface friction takes the same work over the same way, however fast a parcel goes
-    that moves straight: one run of the simulator tells what a layout does to every entry speed.
+    Distances are 0, `FINE`, 2 `FINE` ... from the start.
+
+    For straight motion on a level surface, the work of friction depends on the distance and not on
+    the speed. So one run of the simulator gives the effect of a layout for every entry speed.
 
     Args:
-        axes: (rows, columns) [rad] axes of the widest zone.
+        axes: (rows, columns) [rad] of the widest zone.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -82,7 +84,7 @@ def loss_of_layout(
 
 
 class FixedBraking(FixedRule):
-    """The layout, among some, that should do best by the simulator."""
+    """The best of several layouts by simulation."""
 
     def __init__(self, config: EnvConfig, task: str) -> None:
         super().__init__(config, (task,), ("modules",))
@@ -92,11 +94,11 @@ class FixedBraking(FixedRule):
 
     @abstractmethod
     def _levels(self, columns: int) -> Levels:
-        """List (layouts, columns) what there is to choose from."""
+        """List the candidate layouts (layouts, columns)."""
 
     @abstractmethod
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        """Compute (num_envs, layouts) how far from the goal each leads parcels of one size."""
+        """Compute the distance (num_envs, layouts) from the goal for parcels of one size."""
 
     def _layout(self, observations: Observations) -> Commands:
         seen = self._config.decode(observations)
@@ -119,8 +121,9 @@ class FixedBraking(FixedRule):
 
 @rule("fixed layout", "slow", actions="modules")
 class FixedSlowing(FixedBraking):
-    """Figure 6b and 6c: the zone's first columns at 0 deg, or at 45 and -45 deg in turn; so many
-    that the parcel should leave nearest to the asked ratio.
+    """Figure 6b and 6c: the zone's first columns at 0 deg, or alternately at 45 and -45 deg.
+
+    The number of columns gives the exit ratio closest to the goal, by simulation.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -131,7 +134,7 @@ class FixedSlowing(FixedBraking):
         return np.concatenate([FULL * first, HALF * first])
 
     def _regret(self, seen: LineObservation, losses: Numbers) -> Numbers:
-        # All the way, the rear goes from x = 0 to the zone's end.
+        # The rear moves from x = 0 to the zone's end.
         way = seen.pitch[0] * self._kind.columns + seen.half_length - seen.into_zone
         places = np.clip(np.round(way / FINE).astype(np.int64), 0, losses.shape[1] - 1)
         left = seen.vx[:, np.newaxis] ** 2 - losses[:, places].T
@@ -143,8 +146,9 @@ class FixedSlowing(FixedBraking):
 
 @rule("fixed layout", "stop", actions="modules")
 class FixedStopping(FixedBraking):
-    """The zone rolls up to a column and brakes from there on, at 0 deg or at 45 and -45 deg in
-    turn; the column is the one with which the parcel should rest nearest to the asked x.
+    """The zone rolls up to a column and brakes after it, at 0 deg or alternately at 45 and -45 deg.
+
+    The column gives the stop closest to the goal x, by simulation.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -168,12 +172,11 @@ def angle_at_exit(
     shape: tuple[int, int],
     turning: int,
 ) -> float:
-    """Compute the angle [rad] to which a box has turned when its rear leaves the zone; infinite if
-    it never does.
+    """Compute the angle [rad] of a box when its rear leaves the zone; infinite if it never does.
 
     Args:
-        shape: rows of the widest zone, and columns.
-        turning: first columns of the zone whose left half is at 45 deg.
+        shape: rows and columns of the widest zone.
+        turning: number of first columns whose left half is at 45 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)
@@ -189,10 +192,11 @@ def angle_at_exit(
 
 @rule("fixed layout", "orient", actions="modules")
 class FixedTurning(FixedRule):
-    """The zone's first columns at 45 deg in the half of the rows that is on the asked side, all
-    others at 90 deg: as many as by the simulator leave the parcel nearest to the asked angle.
+    """The first columns at 45 deg in the rows on the goal's side; all others at 90 deg.
 
-    45 deg inside and 90 outside turns farther than 0, -45 or 45 deg against one another.
+    The number of columns gives the angle closest to the goal, by simulation.
+
+    45 deg inside and 90 deg outside turns farther than combinations of 0, -45 and 45 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -201,7 +205,7 @@ class FixedTurning(FixedRule):
         rows, columns = self._kind.shape
         turning = np.arange(columns) < np.arange(columns + 1)[:, np.newaxis, np.newaxis]
         left = np.arange(rows)[:, np.newaxis] >= rows // 2
-        # (layouts, modules) to turn left, and their mirror images.
+        # (layouts, modules) that turn left, and their mirror images.
         self._layouts = np.where(turning & left, axes.right, axes.roll).reshape(columns + 1, -1)
         self._to_right = np.where(turning & ~left, axes.left, axes.roll).reshape(columns + 1, -1)
 
@@ -217,7 +221,7 @@ class FixedTurning(FixedRule):
         return np.where(left, self._layouts[best], self._to_right[best])
 
     def _angles(self, half_length: float, speed: float) -> Numbers:
-        """Compute (layouts,) [rad] the angle that each turns a box of a size and a speed to."""
+        """Compute the final angle (layouts,) [rad] of a box of a size and a speed."""
         line, zone, shape = self._config.chosen_line, self._config.zone, self._kind.shape
         return np.array(
             [
@@ -227,8 +231,8 @@ class FixedTurning(FixedRule):
         )
 
 
-class _Searched(FixedRule):
-    """Layouts that are searched for each start, from known ones (layouts, modules) on."""
+class _SearchedLayout(FixedRule):
+    """Layouts searched for each start, beginning with known ones (layouts, modules)."""
 
     _layouts: Commands
     _cost: search.LayoutCost
@@ -255,7 +259,7 @@ def _graded(missed: int, enough: float, halves: bool = False) -> search.LayoutCo
 
 def _stop_cost(nodes: Nodes) -> Numbers:
     parcels = nodes.parcels
-    # One that has passed the asked x would rest this much farther at best.
+    # A parcel beyond the goal x would stop this much farther at best.
     farther = (parcels.truth[:, VX] ** 2 + parcels.truth[:, VY] ** 2) / (
         2.0 * sg.tasks.base.BRAKING
     )
@@ -265,27 +269,27 @@ def _stop_cost(nodes: Nodes) -> Numbers:
 
 
 @rule("best fixed layout", "slow", actions="modules", searches=True)
-class BestSlowing(_Searched, FixedSlowing):
-    """Layouts from those of `FixedSlowing` on, searched module by module for the asked ratio."""
+class BestSlowing(_SearchedLayout, FixedSlowing):
+    """Layouts searched module by module for the goal ratio, starting from `FixedSlowing`."""
 
     _cost = _graded(sg.tasks.slow.MISSED, 2e-4)
 
 
 @rule("best fixed layout", "stop", actions="modules", searches=True)
-class BestStopping(_Searched, FixedStopping):
-    """Layouts from those of `FixedStopping` on, searched module by module for the asked x."""
+class BestStopping(_SearchedLayout, FixedStopping):
+    """Layouts searched module by module for the goal x, starting from `FixedStopping`."""
 
     _cost = search.LayoutCost(_stop_cost, 2e-5, False)
 
 
 @rule("best fixed layout", "orient", actions="modules", searches=True)
-class BestTurning(_Searched, FixedTurning):
-    """Layouts from those of `FixedTurning` on, searched module by module for the asked angle."""
+class BestTurning(_SearchedLayout, FixedTurning):
+    """Layouts searched module by module for the goal angle, starting from `FixedTurning`."""
 
     _cost = _graded(sg.tasks.orient.MISSED, 1e-3, True)
 
     def _search(self, start: Start) -> Commands:
-        """Search for turns to the left; others are searched in a mirror."""
+        """Search for left turns; right turns are mirrored."""
         (angle,) = start.goal
         if float(np.asarray(angle)) >= 0.0:
             return super()._search(start)
@@ -295,9 +299,7 @@ class BestTurning(_Searched, FixedTurning):
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
 class BestTracking(FixedRule):
-    """Two axes a column of the field, one left and one right of the path, so that the parcel should
-    follow it at the asked speed.
-    """
+    """Two axes per column, left and right of the path, that lead the parcel along it."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("track",), ("modules",))
@@ -313,7 +315,7 @@ class BestTracking(FixedRule):
         return np.stack(layouts).reshape(len(observations), -1)
 
     def _search(self, start: Start) -> Commands:
-        """Choose (rows, columns); paths that first turn to the right are searched in a mirror."""
+        """Choose (rows, columns); paths that first turn right are mirrored."""
         assert start.path is not None
         aside = start.path - start.path[0]
         if aside[np.argmax(np.abs(aside) > 1e-6)] >= 0.0:
@@ -327,7 +329,7 @@ class BestTracking(FixedRule):
 
 
 def _mirror(start: Start, across: float) -> Start:
-    """Mirror a start in the line's middle, all but its goal."""
+    """Mirror a start in the line's middle, except its goal."""
     x, y, theta = start.pose
     vx, vy, omega = start.velocity
     return start._replace(

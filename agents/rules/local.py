@@ -1,4 +1,4 @@
-"""Rules by which each module decides for itself: thresholds, and a PID controller each.
+"""Decentralised rules of modules: thresholds, and a PID controller per module.
 
 Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
 Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",
@@ -34,22 +34,22 @@ from .decoding import (
     see_path,
 )
 
-# Found by trying, on other starts than any reported.
-ASIDE = 5.0  # [m/s] to the side where Sort wants the parcel off: more than there ever is
-CENTRING = 2.0  # [1/s] speed back to the line's middle per offset from it
-STRAIGHTENING = 4.0  # [1/s] turning speed back to theta = 0 per angle off it
-CROSSING = 16.0  # [1/s] speed back to a path per error across it
-TURNING = 16.0  # [1/s] turning speed per angle left, near the asked angle
+# Tuned on other starts than the reported ones.
+ASIDE = 5.0  # [m/s] wanted lateral speed in Sort, larger than any real speed
+CENTRING = 2.0  # [1/s] speed towards the line's middle per offset
+STRAIGHTENING = 4.0  # [1/s] turning speed towards theta = 0 per angle
+CROSSING = 16.0  # [1/s] speed towards a path per error across it
+TURNING = 16.0  # [1/s] turning speed per remaining angle
 # [m rad/s^2] that a turn is planned to be slowed by, times the half length: less than half of what
 # 90 deg everywhere does, so that a period too late is not too late.
 END_OF_TURN = 1.0
-CLOSE_ENOUGH = 0.025  # [rad] off the asked angle, where 0.035 is allowed: nothing left to turn
-MOST_SUMMED = 0.1  # [m] of each component of the error: beyond, a PID winds up no more
+CLOSE_ENOUGH = 0.025  # [rad] tolerance of the goal angle (0.035 is allowed)
+MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 
 
 @inlined
 def _off_the_line(seen: Line) -> Motion:
-    """Want a parcel straight on until it is wholly in the zone, then off to the asked side."""
+    """Return the wanted motion: straight until wholly in the zone, then to the goal's side."""
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
@@ -57,9 +57,9 @@ def _off_the_line(seen: Line) -> Motion:
 
 @inlined
 def _turned(seen: Line) -> Motion:
-    """Want a parcel straight on until it is wholly in the zone, then turning to the asked angle.
+    """Return the wanted motion: straight until wholly in the zone, then a turn to the goal angle.
 
-    Nothing is asked across: modules at 90 deg keep the parcel from drifting anyway.
+    There is no wanted lateral speed, since modules at 90 deg prevent drift.
     """
     remaining = seen.angle - seen.theta
     if not seen.wholly_in_zone or abs(remaining) <= CLOSE_ENOUGH:
@@ -72,7 +72,7 @@ def _turned(seen: Line) -> Motion:
 
 @inlined
 def _along_path(path: Path) -> Motion:
-    """Want a parcel along the path at the asked speed, back to the path, and not turned."""
+    """Return the wanted motion: along the path at the goal speed, towards the path, not turning."""
     # The slope 0.1 m ahead, which the parcel reaches while its velocity is being turned.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
     sine = path.slope_ahead * cosine
@@ -84,7 +84,7 @@ def _along_path(path: Path) -> Motion:
 
 @dataclass(frozen=True)
 class LocalTask:
-    """The part of a task that local rules need."""
+    """Task-specific part of local rules."""
 
     actions: str  # kind of action
     look: Callable[[EnvConfig], Sight]
@@ -92,11 +92,11 @@ class LocalTask:
     wanted: Any  # compiled: the motion that a parcel should have
     # [m/s] too little speed to one side, where a module leads; too much along x, where it brakes
     thresholds: tuple[float, float]
-    gains: tuple[float, float, float]  # [-], [1/s], [s] of a PID
+    gains: tuple[float, float, float]  # [-], [1/s], [s] gains of a PID
 
 
-# Thresholds and gains were found by trying, on other starts than any reported. Sort asks for more
-# speed than there is: any thresholds do. Orient ends turning: nothing may wind up.
+# Thresholds and gains were tuned on other starts than the reported ones. Sort wants more speed than
+# possible, so any thresholds work. Orient ends by turning, so nothing may wind up.
 LOCAL_TASKS = {
     "sort": LocalTask(
         "modules", look_at_line, see_line, _off_the_line, (0.05, 0.05), (1.0, 1.0, 0.01)
@@ -111,7 +111,7 @@ LOCAL_TASKS = {
 
 
 class LocalRule(CompiledRule):
-    """Every module, by the same rule and without its neighbours, from the error above it alone.
+    """Base class of rules for single modules, which use only the error above the module.
 
     The error is the velocity that the parcel's point above a module should have, less its velocity.
     Made for Sort and Orient with "modules", and for Track with "window".
@@ -153,8 +153,10 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
 @rule("threshold logic", "sort", "orient", actions="modules")
 @rule("threshold logic", "track", actions="window")
 class ThresholdRule(LocalRule):
-    """-45 or 45 deg where the parcel should go more to the one or the other side, else 0 deg where
-    it is too fast, else 90 deg. After Bianchi et al. (2025), as cited above.
+    """Threshold rule after Bianchi et al. (2025), cited above.
+
+    A module turns to -45 or 45 deg if the parcel needs lateral speed, else to 0 deg if it is too
+    fast, else to 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -226,9 +228,10 @@ def _correct(
 @rule("PID per module", "sort", "orient", actions="modules")
 @rule("PID per module", "track", actions="window")
 class PidRule(LocalRule):
-    """Each module's PID says by how much the velocity above it should change; it takes the
-    orientation whose friction, in a period, comes nearest to that. A PID for each module is the
-    idea of Bianchi et al. (2025), as cited above.
+    """One PID per module, an idea of Bianchi et al. (2025), cited above.
+
+    The PID computes the wanted change of velocity above the module. The module takes the
+    orientation whose friction comes closest to this change in a period.
 
     A module with nothing above it yet is ready for the parcel as it would be there, but sums
     nothing up.

@@ -1,4 +1,4 @@
-"""Rules of Sort: layouts arranged beforehand, and one event."""
+"""Rules of Sort: fixed layouts, and a rule with one event."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -34,9 +34,9 @@ def choose_by_side(
 
 @rule("fixed layout", "sort", actions="modules")
 class FixedLayout(CompiledRule):
-    """Figure 6a: axes at -45 deg sort to y > 0, at +45 deg to y < 0, whatever the parcel does.
+    """Figure 6a: fixed axes at -45 deg sort to y > 0, and at +45 deg to y < 0.
 
-    Straight through, the axes stay at 90 deg.
+    For the exit straight ahead, the axes stay at 90 deg.
     """
 
     kernel = staticmethod(choose_by_side)
@@ -51,9 +51,9 @@ class FixedLayout(CompiledRule):
 
 
 class BoxLayouts:
-    """Layouts that `surface_gym.design` found for the study's boxes, on a zone.
+    """Layouts of `surface_gym.design` for the study's boxes, fitted to a zone.
 
-    A longer zone goes on like a layout's last column, a shorter one has its first columns.
+    A longer zone repeats the last column of a layout; a shorter zone has its first columns.
     """
 
     def __init__(self, layouts: Sequence[SortingLayout], shape: tuple[int, int]) -> None:
@@ -61,7 +61,7 @@ class BoxLayouts:
         self._axes = np.stack([_fit(layout.axis, *shape) for layout in layouts])
 
     def arrange(self, half_length: Numbers, side: Numbers) -> Numbers:
-        """Choose axes (num_envs, modules) [rad] by the box nearest in size, for the asked side.
+        """Choose axes (num_envs, modules) [rad] of the box with the closest size, for a side.
 
         Args:
             side: (num_envs,) +1 for y > 0, -1 for y < 0, 0 for straight through.
@@ -76,10 +76,12 @@ class BoxLayouts:
 
 @rule("best fixed layout", "sort", actions="modules")
 class BestSorting(FixedRule):
-    """One layout for all entry speeds: the one that `surface_gym.design` found for the study's box
-    that is nearer in size, among the orientations on offer. It sorts to y < 0; mirrored, to y > 0.
+    """One layout for all entry speeds, found by `surface_gym.design` among the orientations.
 
-    Straight through, the axes stay at 90 deg.
+    It belongs to the study's box with the closest size. It sorts to y < 0; its mirror image sorts
+    to y > 0.
+
+    For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -99,7 +101,7 @@ class EventRule(FixedLayout):
     """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
 
     A lead-in module under the rear pins it while those of the zone push the front aside: the fixed
-    layout loses to that. Straight through, the axes stay at 90 deg.
+    layout loses to that. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     waits = 1
@@ -107,10 +109,11 @@ class EventRule(FixedLayout):
 
 @rule("fixed layout, any angle", "sort", actions="modules", orientations=ANY)
 class GradedLayout(BatchController):
-    """One layout for all entry speeds, whose axes turn little by little from column to column: the
-    one that `surface_gym.design` found for the study's box that is nearer in size.
+    """One layout for all entry speeds with axes that change gradually from column to column.
 
-    Straight through, the axes stay at 90 deg.
+    It is found by `surface_gym.design` for the study's box with the closest size.
+
+    For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -129,8 +132,9 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose for each box the layout that sorts it at the least speed, of those whose axes are all
-    on offer (angles,) [rad].
+    """Choose for each box the layout that sorts it at the smallest speed.
+
+    All axes of a layout must be among the available angles (angles,) [rad].
     """
     best: dict[str, SortingLayout] = {}
     for layout in sorted(sorting_layouts(), key=lambda layout: layout.least_speed):

@@ -1,4 +1,4 @@
-"""Rules that predict the motion of a period: sliding mode along a path, and turning."""
+"""Rules that predict the motion of a period: sliding mode on a path, and turning."""
 
 import math
 from typing import Any, NamedTuple
@@ -26,25 +26,25 @@ from .decoding import (
     see_path,
 )
 
-STEPS = 4  # that a period is predicted in
-PARTS = 6  # that the modules are shared in
-# A lattice that spreads any share of the modules evenly: powers of the plastic number's inverse.
+STEPS = 4  # steps of the prediction per period
+PARTS = 6  # parts into which modules are divided
+# A lattice that spreads any share of modules evenly (powers of the inverse plastic number).
 SPREAD = (0.7548776662466927, 0.5698402909980532)
 
-# All weights were found by trying, on other starts than any reported.
-# Of the sliding mode, so steep that most of a distance to the surface is the error across the path
-# a period on:
-SLOPE = 60.0  # [1/s] of the surface: speed across the path per error across it
-SPEED_WEIGHT = 24.0  # [-] of the squared speed error, against the squared distance to the surface
-TURN_WEIGHT = 1.5  # [-] of the squared speed of turning, at the base's edge
-STRAIGHTENING = 4.0  # [1/s] turning speed back to theta = 0 per angle off it
-# Of the turning rule:
-END_OF_TURN = 2.2  # [m rad/s^2] that 90 deg everywhere slows a turn by, times the half length
-SPEED_WORTH = 0.11  # [rad s/m] off the asked angle that a loss of speed is as bad as
-DRIFT_WORTH = 0.3  # [rad s/m] off the asked angle that a speed across the line is as bad as
-CLOSE_ENOUGH = 0.015  # [rad] off the asked angle, where 0.035 is allowed: as good as on it
-WORTH_IT = 0.004  # [rad] by which turning must be better than rolling
-# [-] of the half length ahead of and behind the centre, from where on modules turn the parcel.
+# All weights were tuned on other starts than the reported ones. Of the sliding mode, so steep that
+# most of a distance to the surface is the error across the path a period on:
+SLOPE = 60.0  # [1/s] slope of the surface: speed across the path per error across it
+# [-] weight of the squared speed error relative to the squared distance to the surface
+SPEED_WEIGHT = 24.0
+TURN_WEIGHT = 1.5  # [-] weight of the squared turning speed at the base's edge
+STRAIGHTENING = 4.0  # [1/s] turning speed towards theta = 0 per angle
+# Parameters of the turning rule:
+END_OF_TURN = 2.2  # [m rad/s^2] angular deceleration by 90 deg everywhere, times the half length
+SPEED_WORTH = 0.11  # [rad s/m] cost of lost speed, as an angle error
+DRIFT_WORTH = 0.3  # [rad s/m] cost of lateral speed, as an angle error
+CLOSE_ENOUGH = 0.015  # [rad] smaller angle errors cost nothing (0.035 is allowed)
+WORTH_IT = 0.004  # [rad] minimum advantage of turning over rolling
+# [-] distances from the centre, relative to the half length, from which modules turn the parcel.
 FROM = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
 KINDS_OF_TURN = 6  # either way by the modules ahead, by those behind, or by both
 
@@ -94,14 +94,14 @@ def predict(
         pull: [m/s^2] along x.
     """
     dt = period / STEPS
-    gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] of a square
+    gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
     vx, vy, omega = motion
     count = scratch.x.shape[0]
     for k in range(count):
         cosine, sine = directions[scratch.choice[k], 0], directions[scratch.choice[k], 1]
         arm = scratch.x[k] * sine - scratch.y[k] * cosine
         scratch.arm[k] = arm
-        # Friction grows to its most over the speed that a step of it takes: it overshoots none.
+        # Friction is proportional up to the speed it removes in a step, so it does not overshoot.
         scratch.soft[k] = base.BRAKING * dt * (1.0 + arm * arm / gyration)
     for _ in range(STEPS):
         for k in range(count):
@@ -119,19 +119,19 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List (mixes, 3) the parts that roll, lead to a side and brake, in every sum to the whole."""
+    """List all mixes (mixes, 3) of parts that roll, lead to a side and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List (options, modules) choices of a window's modules: mixes to either side, spread twice."""
+    """List choices (options, modules) of a window: mixes to both sides, in two spreads."""
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
     row, column = np.indices((rows, columns))
     order = np.modf(SPREAD[0] * row + SPREAD[1] * column)[0]
-    spreads = np.stack([order.ravel(), order[::-1].ravel()])  # and its mirror image
+    spreads = np.stack([order.ravel(), order[::-1].ravel()])  # with its mirror image
     rolls, leads, _ = mixes(PARTS).T / PARTS
     first = rolls[:, np.newaxis, np.newaxis] > spreads + 1e-9
     second = (rolls + leads)[:, np.newaxis, np.newaxis] > spreads + 1e-9
@@ -145,7 +145,7 @@ def leading_options(config: EnvConfig) -> Commands:
 @inlined
 def _slide_regret(path: Path, after: Motion, period: float) -> float:
     """Sum squared speeds off the surface and the asked speed."""
-    # The path's heading where the parcel will be.
+    # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
     slope = path.slope + ahead * (path.slope_ahead - path.slope)
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -184,11 +184,11 @@ def slide(
 
 @rule("sliding mode", "track", actions="window")
 class SlidingMode(CompiledRule):
-    """Track: sliding along s = speed across the path + SLOPE x error across it = 0.
+    """Rule of Track: sliding mode on s = speed across the path + SLOPE x error across it = 0.
 
-    Every period it takes the mix of axes that should bring the parcel nearest to that surface,
-    with the asked speed along the path and without turning. Every heading but 0 and 45 deg takes
-    a mix, since there is no axis that rolls along it.
+    Every period, it takes the mix of axes that leads closest to this surface, with the goal speed
+    along the path and without turning. Headings other than 0 and 45 deg need a mix, since no axis
+    rolls along them.
     """
 
     kernel = staticmethod(slide)
@@ -261,9 +261,10 @@ def turn(
 
 @rule("turning rule", "orient", actions="modules")
 class TurningRule(CompiledRule):
-    """Orient: 45 deg one way ahead of the centre and the other way behind it turn the parcel, and
-    90 deg everywhere ends that. Each period, those modules turn it that should make it come to
-    rest nearest to the asked angle, speed and drift counted in.
+    """Rule of Orient: opposite 45 deg axes ahead of and behind the centre turn the parcel.
+
+    Axes at 90 deg end the turn. Every period, the rule takes the modules with the best predicted
+    final angle, including costs of lost speed and drift.
     """
 
     kernel = staticmethod(turn)

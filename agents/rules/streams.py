@@ -1,4 +1,4 @@
-"""Rules for streams of parcels that decide parcel by parcel."""
+"""Rules for streams of parcels that decide for each parcel alone."""
 
 from abc import abstractmethod
 from typing import Any
@@ -22,11 +22,11 @@ Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
 
 OWN = len(Sort.features)  # features that Sort shows of a parcel, and so does a row
-OPEN = 1  # the gate opens with the first physics step, if there is room
+OPEN = 1  # the gate opens at the first physics step, if there is room
 
 
 class ParcelRule(BatchController):
-    """A rule that decides for each parcel by its row alone: the same for all, wherever they are."""
+    """A rule that decides for each parcel from its row alone."""
 
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, ("parcels",))
@@ -40,7 +40,7 @@ class ParcelRule(BatchController):
 
     @abstractmethod
     def halves(self, rows: Rows) -> Halves:
-        """Choose (parcels, 2) for the modules ahead of each parcel's centre, and behind it."""
+        """Choose orientations (parcels, 2) of modules ahead of and behind each centre."""
 
     def _predict(self, batch: Rows, *_: Any, **__: bool) -> tuple[Halves, None]:
         num_envs = len(batch)
@@ -87,8 +87,9 @@ class StreamEventRule(ParcelRule, Compiled):
 
 @rule("sort-ppo", "flow", actions="parcels")
 class SortEach(ParcelRule):
-    """A shipped agent of Sort, as it is: a parcel's row begins with what Sort shows of one. Parcels
-    that go straight on, which it never met, roll.
+    """An unchanged shipped agent of Sort; a parcel's row begins with Sort's observation.
+
+    Parcels with an exit straight ahead roll, since the agent was not trained on them.
     """
 
     def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:

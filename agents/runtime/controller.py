@@ -219,7 +219,7 @@ class AxisLimits:
 
 
 @dataclass
-class _Sent:
+class _SentCommand:
     """A command before the device's acknowledgement."""
 
     command: int
@@ -268,7 +268,7 @@ class ControlLoop:
         self._latest_arrival = 0.0  # [s] arrival of the latest frame
         self._latest_frame = 0.0  # [s] time at which it was taken
         self._stopped = False  # whether frames have stopped for too long
-        self._sent: deque[_Sent] = deque(maxlen=MAX_COMMANDS)
+        self._sent: deque[_SentCommand] = deque(maxlen=MAX_COMMANDS)
         self._inbox: deque[protocol.Message] = deque()  # unhandled messages
         self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
 
@@ -475,7 +475,7 @@ class ControlLoop:
         latencies.filter.append(observed - woke)
         latencies.policy.append(decided - observed)
         latencies.turn.append(turn)
-        self._sent.append(_Sent(number, decided, decided - self._latest_frame, turn))
+        self._sent.append(_SentCommand(number, decided, decided - self._latest_frame, turn))
 
     def _decide(self, observation: Observation) -> Command | None:
         """Return the policy's command; None: hold the axes."""

@@ -1,7 +1,8 @@
-"""Decisions of a schedule: which maneuver the next parcel takes, and how close behind the others.
+"""Decisions of a schedule: the maneuver of the next parcel, and its clearance.
 
-A decision is for the parcel at the gate. Its candidates are pairs of one of its maneuvers and a
-level of clearance. It is taken once, when the parcel might enter; the gate opens when it is due.
+A decision concerns the parcel at the gate. Candidates are pairs of a maneuver and a level of
+clearance. The decision is made once, when the parcel could enter. The gate opens at the chosen
+time.
 """
 
 from abc import abstractmethod
@@ -35,14 +36,14 @@ from .leading import (
 from .maneuvers import MARGIN, Library, find_delay, make_library
 from .scheduler import LONGEST_GAP, Scheduler, renew
 
-ABSENT = 1e6  # cost of an option that is none
+ABSENT = 1e6  # cost of a missing option
 
 
 class Decisions(NamedTuple):
-    """Decisions that are due, and what is known for them; see `features`."""
+    """Due decisions with their features; see `features`."""
 
-    env: Integers  # (decisions,) environment of each
-    cost: Singles  # (decisions, options, levels) [parcels] that the line could deliver meanwhile
+    env: Integers  # (decisions,) index of the environment
+    cost: Singles  # (decisions, options, levels) [parcels] deliveries lost meanwhile
     option: Singles  # (decisions, options, OPTION)
     token: Singles  # (decisions, TOKENS, TOKEN)
     shown: Booleans  # (decisions, TOKENS)
@@ -50,10 +51,10 @@ class Decisions(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """What was decided for the parcel at the gate, per environment."""
+    """Decision for the parcel at the gate, per environment."""
 
     maneuver: Integers  # (num_envs,) NOBODY: undecided
-    entry: Numbers  # (num_envs,) [s] when it is to enter
+    entry: Numbers  # (num_envs,) [s] time of entry
 
 
 @compiled
@@ -61,7 +62,7 @@ def find_entries(
     tight: Numbers, wide: Numbers, levels: Numbers, options: Integers, booked: Integers,
     entered: Numbers, now: float, entry: Numbers, binding: Integers,
 ) -> None:  # fmt: skip
-    """Write when each option may enter at each level, and the booked one that it then waits for."""
+    """Write the earliest entry of each option and level, and the booked parcel that limits it."""
     for o in range(options.shape[0]):
         for level in range(levels.shape[0]):
             entry[o, level], binding[o, level] = now, -1
@@ -77,11 +78,12 @@ def find_costs(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace, cost: Numbers,
 ) -> None:  # fmt: skip
-    """Write what `search` finds to cost [s] the least with each option of the first parcel.
+    """Write the least cost [s] found by `search` for each option of the first parcel.
 
     Args:
-        options: (kinds + 1, most) of a library, and a row that is written to, all -1 but its first.
-        queue: (parcels,) as `search` has it; the first is written to.
+        options: (kinds + 1, most) options of a library, and a scratch row of -1 except for its
+            first entry.
+        queue: (parcels,) queue for `search`; the first entry is overwritten.
     """
     last = options.shape[0] - 1
     kind = queue[0]
@@ -95,11 +97,11 @@ def find_costs(
 
 
 class DecidingScheduler(Scheduler):
-    """Scheduler that decides once for each parcel at the gate, among its candidates.
+    """Scheduler that decides once per parcel at the gate, among its candidates.
 
     Args:
-        config: of the environment, with a gate and actions "parcels".
-        library: of maneuvers; None: one is made of lone parcels on a surface as it should be.
+        config: configuration of the environment, with a gate and actions "parcels".
+        library: library of maneuvers; None: made from single parcels on a nominal surface.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -117,7 +119,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Choose (decisions,) an option and a level for each."""
+        """Choose an option and a level for each decision (decisions,)."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -142,7 +144,7 @@ class DecidingScheduler(Scheduler):
         return actions, (book, watched, chosen)
 
     def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
-        """Decide for parcels at the gate that may enter now and are undecided."""
+        """Decide for undecided parcels at the gate that may enter now."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
         found = self._candidates(tables, book, np.nonzero(waits & (maneuver == NOBODY))[0])
@@ -154,7 +156,7 @@ class DecidingScheduler(Scheduler):
         return Chosen(maneuver, entry)
 
     def _let_in(self, tables: Singles, book: Book, chosen: Chosen) -> tuple[Integers, Chosen]:
-        """Open the gate (num_envs,) for those whose entry is due, and book them."""
+        """Open the gate (num_envs,) for due parcels, and book them."""
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
         step = np.ceil(late).astype(np.int64).clip(1)
@@ -164,9 +166,7 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Collect the candidates of those that may enter within the period at the tightest level;
-        None where nobody may.
-        """
+        """Return candidates of parcels that may enter now at the tightest level, or None."""
         most = self.library.options.shape[1]
         found = []
         for i in undecided.tolist():
@@ -211,7 +211,7 @@ class DecidingScheduler(Scheduler):
 
 
 def make_model_library(config: EnvConfig) -> Library:
-    """Make the library of a surface as it should be, whatever varies and errs."""
+    """Make the library of the nominal surface, without randomisation and sensor errors."""
     actuators = replace(config.actuators, stuck_share=0.0)
     model = config.replace(sensors=Exact(), randomisation=Randomisation(), actuators=actuators)
     return make_library(model, margin=0.0, slack=0.0)

@@ -62,7 +62,7 @@ class FlowAnswer(report.Answer):
         more = "" if best is None else f". With fewer, {best.predicted:.0f} are carried at most"
         return text + more
 
-    def tables(self) -> tuple[report.Table, ...]:
+    def tables(self) -> tuple[report.ReportTable, ...]:
         names, rows = zip(*self._distinct(), strict=True) if self.rows else ((), ())
         lines = [
             (row.carries, f"{row.length:.1f} m", row.actuators, round(row.predicted))
@@ -104,16 +104,16 @@ class FlowAnswer(report.Answer):
         run_header = (*who, "measured", "right", "touches/1000", "turns", "an hour")
         stuck_header = (*who, "stuck", "right/h", "of all", "share right", "jams")
 
-        def table(k: int, name: str, header: tuple[str, ...], *parts: Any) -> report.Table:
+        def table(k: int, name: str, header: tuple[str, ...], *parts: Any) -> report.ReportTable:
             cells = tuple(sum(each, ()) for each in zip(*parts, strict=True))
-            return report.Table(name, titles[k], header, cells)
+            return report.ReportTable(name, titles[k], header, cells)
 
         return (
             table(0, "flow", line_header, names, lines),
             table(1, "flow-runs", run_header, names, measured, runs),
             table(2, "flow-time", (*who, *AT), names, times),
             table(3, "flow-stuck", stuck_header, stuck),
-            report.Table(
+            report.ReportTable(
                 "flow-curves", "", (*who, "line [m]", "predicted [1/h]"), tuple(curves),
                 shown=False,
             ),

@@ -1,12 +1,12 @@
-"""Maneuvers that lead a parcel to its exit, and how close one can follow another.
+"""Maneuvers that lead a parcel to its exit, and minimum gaps between maneuvers.
 
-A maneuver is a place along the line and an angle: the parcel rolls until its rear is past the
-place, and from there on the axes under it stand at the angle. A parcel that turns off loses speed
-along the line; one behind it that turns off upstream never meets it. So a line carries the more,
-the more places there are to choose from, and the gentler the angle.
+A maneuver is a position on the line and an angle. The parcel rolls until its rear passes the
+position; from then on, the axes under it are at the angle. A parcel that turns off loses speed
+along the line. A follower that turns off upstream never meets it. So throughput increases with the
+number of positions, and with gentler angles.
 
-Which columns have an actuator of their own limits the choice: two parcels that need the axes of one
-group to stand otherwise must not be over it at once.
+The grouping of columns by actuators limits the choice: two parcels that need different axes in one
+group must not be over it at the same time.
 """
 
 import math
@@ -36,25 +36,25 @@ from .trajectories import (
     run_alone,
 )
 
-MARGIN = 0.02  # [m] kept clear between two parcels
-PLACES = 9  # to turn off, evenly along an exit
-UPSTREAM = 2.0  # [m] before an exit begins, at most, that a parcel turns off towards it
+MARGIN = 0.02  # [m] minimum clearance between two parcels
+PLACES = 9  # number of positions to turn off, evenly along an exit
+UPSTREAM = 2.0  # [m] maximum distance before an exit at which a parcel turns off
 SLOW, FAST, EARLY, LATE = range(4)
-RESERVE = 0.05  # [-] by which a parcel's speed may differ, and a maneuver still leads it right
-TRIES = 4  # of each maneuver, where sensors err or anything is drawn; else one
-BEFORE = 0.5  # [m] by which a zone that is arranged beforehand is turned before a parcel is over it
+RESERVE = 0.05  # [-] tolerance of a parcel's speed for a correct maneuver
+TRIES = 4  # tries per maneuver with sensor errors or randomisation; otherwise one
+BEFORE = 0.5  # [m] distance before a parcel at which a zone is turned in advance
 NO_GROUP = -1
-ROUNDS = 50  # of value iteration
+ROUNDS = 50  # rounds of value iteration
 
 
 @dataclass(frozen=True)
 class ColumnGroups:
-    """Columns that obey, in groups one after the other; one actuator turns each group."""
+    """Consecutive groups of obeying columns; one actuator turns each group."""
 
-    columns: int = 1  # of a group
-    count: int | None = None  # of groups, from the first column that obeys on; None: as many as fit
-    # whether a parcel enters a group only once the one before has left it, wherever both go; else
-    # those that need its axes at the same angle may follow each other over it
+    columns: int = 1  # columns per group
+    count: int | None = None  # number of groups from the first obeying column; None: as many as fit
+    # whether a parcel may enter a group only after the one before has left it; otherwise, parcels
+    # that need the same angle may follow each other
     exclusive: bool = False
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class ColumnGroups:
         checks.one_of("exclusive", self.exclusive, (False, True))
 
     def spans(self, obeying: int) -> Integers:
-        """Compute (groups, 2) the first column of each group and the one after its last."""
+        """Return the first column of each group, and the column after its last (groups, 2)."""
         most = obeying // self.columns
         if most == 0 or (self.count or 0) > most:
             raise ValueError(
@@ -76,25 +76,26 @@ class ColumnGroups:
 
 
 class Maneuvers(NamedTuple):
-    """Maneuvers, an array entry for each."""
+    """Maneuvers in arrays, one entry each."""
 
-    kind: Integers  # (maneuvers,) index of the parcel, speed and exit that it is for
-    place: Numbers  # (maneuvers,) [m] of the rear past the exit's start; infinite: it goes straight
-    choice: Integers  # (maneuvers,) orientation from there on
-    groups: Integers  # (maneuvers, 2) first and last group that it turns; NO_GROUP: it turns none
+    kind: Integers  # (maneuvers,) index of parcel, speed and exit
+    # (maneuvers,) [m] position of the rear past the exit's start; infinite: straight ahead
+    place: Numbers
+    choice: Integers  # (maneuvers,) orientation after the position
+    groups: Integers  # (maneuvers, 2) first and last turned group; NO_GROUP: none
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
-        """Return some of them."""
+        """Return a selection of maneuvers."""
         return Maneuvers(
             self.kind[chosen], self.place[chosen], self.choice[chosen], self.groups[chosen]
         )
 
 
 class Lead:
-    """Leads parcels by their maneuvers: chooses what every module that obeys does.
+    """Control of all obeying modules, so that parcels follow their maneuvers.
 
     Args:
-        config: of the environment; actions "parcels" without groups, "modules" with them.
+        config: configuration with actions "parcels" (without groups) or "modules" (with groups).
     """
 
     def __init__(self, config: EnvConfig, groups: ColumnGroups | None = None) -> None:
@@ -113,10 +114,10 @@ class Lead:
         # [m] x from which a row counts how far a parcel's rear is
         self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
         turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] of an axis by 90 deg
-        self.ahead = config.control_period + turn  # [s] that a group is turned before it is used
+        self.ahead = config.control_period + turn  # [s] time between turning a group and its use
         self._angles = np.array(config.chosen_orientations)
         if groups is not None:
-            # Behind the last rotors lie supports, which have no actuators.
+            # The supports after the last rotors have no actuators.
             rotors = np.nonzero(config.site.rotor)[1]
             self.spans = groups.spans(len(np.unique(rotors[rotors >= first])))
             # [m] x of the centres of each group's first and last columns
@@ -126,13 +127,12 @@ class Lead:
     def choose(
         self, tables: Singles, maneuvers: Maneuvers, booked: Integers, before: Integers | None
     ) -> tuple[Integers, Integers]:
-        """Choose actions (num_envs, size) without the gate, and what groups stand at
-        (num_envs, groups).
+        """Choose actions (num_envs, size) without the gate; also return the groups' orientations.
 
         Args:
             tables: (num_envs, rows, features).
-            booked: (num_envs, parcels) index of each parcel's maneuver; negative: there is none.
-            before: (num_envs, groups) what groups stood at; None: all at 90 deg.
+            booked: (num_envs, parcels) index of each parcel's maneuver; negative: none.
+            before: (num_envs, groups) previous orientations of groups; None: all at 90 deg.
         """
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
@@ -179,13 +179,13 @@ class Lead:
     def _turning_places(
         self, low: float, high: float, length: float, place_count: int
     ) -> list[tuple[float, tuple[int, int]]]:
-        """List x [m] of the rear from which on a parcel is turned, and by which groups."""
+        """List positions x [m] of the rear at which a parcel is turned, and the groups."""
         if self.groups is None or self.groups.columns == 1:
             last = NO_GROUP if self.groups is None else len(self.spans) - 1
             return [(x, (min(0, last), last)) for x in np.linspace(low, high, place_count).tolist()]
-        # A zone is turned under the parcel, once it is wholly in, or arranged for it beforehand.
+        # A zone is turned when the parcel is wholly in it, or in advance.
         edge = self.first_x - 0.5 * self._pitch
-        # It leaves by that one, or goes on under those after it.
+        # The parcel leaves by this group, or continues over the groups after it.
         count = len(edge)
         return [
             (x, (group, last))
@@ -195,7 +195,7 @@ class Lead:
         ]
 
     def _choices_towards(self, side: int) -> list[int]:
-        """List the orientations that lead to a side, whose mirror images are on offer, too."""
+        """List the orientations that lead to a side and have available mirror images."""
         angles = (self._angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         leads = (-side * angles > 1e-6) & (np.abs(angles) < 0.5 * np.pi - 1e-6)
         apart: Numbers = axes_apart(-angles[:, np.newaxis], angles).min(axis=1)
@@ -204,20 +204,21 @@ class Lead:
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Maneuvers that lead right, and the gaps between parcels that take them."""
+    """Correct maneuvers, and the gaps between parcels that take them."""
 
     lead: Lead
     maneuvers: Maneuvers
-    signature: Numbers  # (kinds, features) by which each parcel, speed and exit is known
-    right: Booleans  # (kinds,) whether some maneuver led it right in every try
-    runs: tuple[tuple[LoneRuns, ...], ...]  # of the maneuvers, by surface and how they enter
-    gaps: Numbers  # (maneuvers, maneuvers) [s] between entries, of each (column) behind each (row)
-    margin: float  # [m] and [-] the clearance of these gaps, as `make_library` has it
+    signature: Numbers  # (kinds, features) features that identify parcel, speed and exit
+    right: Booleans  # (kinds,) whether some maneuver was correct in every try
+    runs: tuple[tuple[LoneRuns, ...], ...]  # runs of the maneuvers, by surface and variant of entry
+    # (maneuvers, maneuvers) [s] gap between entries of a parcel (row) and its follower (column)
+    gaps: Numbers
+    margin: float  # [m] and [-] clearance of these gaps, see `make_library`
     slack: float
 
     @cached_property
     def options(self) -> Integers:
-        """(kinds, most) index of each kind's maneuvers, filled up with -1."""
+        """(kinds, most) indices of each kind's maneuvers, padded with -1."""
         each = [np.nonzero(self.maneuvers.kind == kind)[0] for kind in range(len(self.signature))]
         found = np.full((len(each), max(map(len, each))), -1)
         for kind, own in enumerate(each):
@@ -226,31 +227,33 @@ class Library:
 
     @cached_property
     def delay(self) -> Numbers:
-        """(maneuvers,) [s] by which all that come later are expected to enter later behind each,
-        over the mean, if the kinds that come are as likely as each other.
+        """(maneuvers,) [s] expected delay of later parcels, relative to the mean.
 
-        It is the bias of an average-cost Markov decision process, by relative value iteration, in
-        which a parcel's entry depends on the maneuver of the one ahead alone.
+        All kinds are equally likely. The delay is the bias of an average-cost Markov decision
+        process (relative value iteration), in which a parcel's entry depends only on the maneuver
+        of the parcel ahead.
         """
         return find_delay(self.gaps, self.options)
 
     def with_clearance(self, margin: float, slack: float) -> "Library":
         """Return the same maneuvers at another clearance; see `make_library`."""
         gaps = np.zeros((len(self.maneuvers.kind), len(self.maneuvers.kind)))
-        for same in self.runs:  # on the same surface, however each of two enters
+        for same in self.runs:  # on the same surface, for all variants of both entries
             _raise_gaps(self.lead, self.maneuvers, same, margin, slack, gaps)
         return replace(self, gaps=gaps, margin=margin, slack=slack)
 
     def with_one_speed(self, margin: float, slack: float) -> "Library":
-        """Return the same maneuvers at another clearance, with gaps as if every parcel had the
-        least speed of its kind, and all entered at the same moment of a control period.
+        """Return the same maneuvers at another clearance, with gaps for one speed per kind.
+
+        Every parcel is assumed to have its kind's smallest speed, and to enter at the same moment
+        of a control period.
         """
         usual = replace(self, runs=tuple(same[:1] for same in self.runs))
         return usual.with_clearance(margin, slack)
 
 
 def find_delay(gaps: Numbers, options: Integers) -> Numbers:
-    """Find (maneuvers,) the bias of each [s]; see `Library.delay`."""
+    """Return the bias (maneuvers,) [s] of each maneuver; see `Library.delay`."""
     bias = np.zeros(len(gaps))
     for _ in range(ROUNDS):
         behind = [(gaps + bias)[:, own[own >= 0]].min(axis=1) for own in options]
@@ -266,15 +269,16 @@ def make_library(
     margin: float = MARGIN,
     slack: float = 1.0,
 ) -> Library:
-    """Try maneuvers on parcels that each have the line to themselves, and keep those that lead
-    right, as sensors see it and with all that varies.
+    """Test maneuvers on parcels that are alone on the line, and keep the correct ones.
+
+    Tests include sensor errors and randomisation.
 
     Args:
-        config: of the environment, with a gate.
-        place_count: of places to turn off, for each parcel and exit.
-        margin: [m] kept clear between two parcels.
-        slack: [-] share of a control period, and of an axis's turn by 90 deg, for which no parcel
-            is over a module that the one before it held otherwise.
+        config: configuration of the environment, with a gate.
+        place_count: number of positions to turn off, per parcel and exit.
+        margin: [m] minimum clearance between two parcels.
+        slack: [-] idle time of a module between two orientations, relative to a control period plus
+            an axis's turn by 90 deg.
     """
     if not config.stream_task.gate:
         raise ValueError("gate must be True for a schedule, got False")
@@ -295,7 +299,7 @@ def make_library(
     count = len(lead.kinds)
     best = np.zeros(count)
     np.maximum.at(best, tried.kind, share)
-    # A parcel that nothing leads right for certain takes what leads it right most often.
+    # If no maneuver is always correct, take the maneuver that is correct most often.
     kept = share >= best[tried.kind]
     own = tuple(tuple(run.pick(kept) for run in same) for same in runs)
     signature = np.empty((count, runs[0][0].signature.shape[1]))
@@ -311,9 +315,9 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
     """Run every maneuver once, on the same surface.
 
     Args:
-        variant: SLOW: the parcels are as slow as those of their kind may be; FAST: as fast, and
-            enter in the other half of a control period. EARLY and LATE: slower and faster than
-            that, and they turn off so much too early or too late.
+        variant: SLOW: smallest speed of the kind. FAST: largest speed, with entry in the other half
+            of a control period. EARLY and LATE: slower and faster than that, so that parcels turn
+            off too early or too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -346,7 +350,7 @@ def _raise_gaps(
     slack: float,
     gaps: Numbers,
 ) -> None:
-    """Raise gaps to what runs ask for: parcels stay clear, and find their groups free."""
+    """Raise gaps as runs require: parcels keep their clearance, and their groups are free."""
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.axes.roll), maneuvers.choice], axis=1)
     needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
@@ -360,7 +364,7 @@ def _raise_gaps(
 
 
 def find_rears(run: LoneRuns) -> Numbers:
-    """Find (maneuvers, moments) x [m] of the last corner of each parcel."""
+    """Return x (maneuvers, moments) [m] of each parcel's rearmost corner."""
     outline, theta = run.outline[:, np.newaxis], run.pose[..., np.newaxis, 2]
     along = np.cos(theta) * outline[..., 0] - np.sin(theta) * outline[..., 1]
     found: Numbers = run.pose[..., 0] + along.min(axis=2)
@@ -368,7 +372,7 @@ def find_rears(run: LoneRuns) -> Numbers:
 
 
 def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
-    """Add to runs what the modules under each parcel stand at."""
+    """Add the orientations of modules under each parcel to runs."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
     choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
@@ -377,8 +381,9 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute (maneuvers, groups, 2) [s] from when until when each needs each group at 90 deg, and
-    at its own angle; infinite and negative where it does not.
+    """Compute the times (maneuvers, groups, 2) [s] of need for each group, at 90 deg and turned.
+
+    Each interval has a start and an end; infinite and negative without need.
     """
     pose, moments, outline = run.pose, run.moments, run.outline
     shape = len(moments), len(lead.first_x), 2
@@ -407,8 +412,9 @@ def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers,
 def _raise_for_groups(
     ends: Numbers, begins: Numbers, state: Integers, late: float, exclusive: bool, gaps: Numbers
 ) -> None:
-    """Raise gaps so that no parcel needs a group before the one ahead of it has left it, and it has
-    been turned; where both need it at the same angle, they may follow.
+    """Raise gaps so that a group is free and turned before a parcel needs it.
+
+    Parcels that need the same angle may follow each other.
     """
     for i in range(gaps.shape[0]):
         for j in range(gaps.shape[0]):

@@ -1,7 +1,7 @@
-"""Scheduler: books each parcel's maneuver and moment of entry together, and leads it so.
+"""Scheduler: books each parcel's maneuver and time of entry, and controls the modules.
 
-Of the parcels that wait it chooses maneuvers by a beam search: those with which the last of them
-enters soonest, the mean gap of one more behind it included.
+A beam search chooses maneuvers of the waiting parcels. It minimises the entry of the last one, plus
+the mean gap of one more parcel behind it.
 """
 
 import math
@@ -25,13 +25,13 @@ from .bounds import entrance_bound
 from .leading import BOOKED, DEPTH, LONG_AGO, NOBODY, Book, Orders, make_workspace, schedule, search
 from .maneuvers import MARGIN, ColumnGroups, Library, make_library
 
-# What is kept clear, tried in turn: the share of a control period, and the margin [m].
+# Clearances in order of trial: the share of a control period, and the margin [m].
 CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
-SLACKS = np.geomspace(0.1, 4.0, 24)  # [-] that may be kept, where some touches are allowed
-LONGEST_GAP = 8.0  # [s] that is waited where two never keep clear
-LEAST_RIGHT = 0.999  # [-] of deliveries in a trial
-TRIED = 16  # episodes of a trial
-TRIAL = 20.0  # [s] of each
+SLACKS = np.geomspace(0.1, 4.0, 24)  # [-] slacks to try if some touches are allowed
+LONGEST_GAP = 8.0  # [s] gap if two parcels never keep clear
+LEAST_RIGHT = 0.999  # [-] minimum share of correct deliveries in a trial
+TRIED = 16  # episodes per trial
+TRIAL = 20.0  # [s] duration of an episode
 TRIAL_SEED = 1_000_003
 
 
@@ -41,9 +41,7 @@ AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
 def predict_rate(
     library: Library, odds: Numbers, parcels: int = 2000, depth: int = DEPTH, seed: int = 0
 ) -> float:
-    """Predict how many parcels an hour enter where some always wait, of kinds with odds (kinds,)
-    independent of each other.
-    """
+    """Predict the rate of entry [parcels/h] with a permanent queue and kinds with odds (kinds,)."""
     rng = np.random.default_rng(seed)
     kinds = rng.choice(len(odds), size=parcels + depth, p=odds / odds.sum())
     space = make_workspace()
@@ -60,17 +58,17 @@ def predict_rate(
 
 
 def renew(start: Iterable[Any], state: Iterable[Any], fresh: Booleans) -> Iterator[Any]:
-    """Yield arrays (num_envs, ...) of a memory, as at the start where an episode is fresh."""
+    """Yield arrays (num_envs, ...) of a memory, reset for fresh episodes."""
     for new, old in zip(start, state, strict=True):
         yield np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
 
 class Scheduler(BatchController):
-    """Books maneuvers and entries of the parcels that wait, and leads those on the line.
+    """Controller that books maneuvers and entries of parcels, and leads them.
 
     Args:
-        config: of the environment, with a gate. Its `queue` is how far the scheduler looks ahead.
-        library: of maneuvers; None: one is made, where every module obeys by itself.
+        config: configuration with a gate; its `queue` is the scheduler's look-ahead.
+        library: library of maneuvers; None: made for single actuators of all modules.
     """
 
     def __init__(self, config: EnvConfig, library: Library | None = None) -> None:
@@ -135,13 +133,15 @@ class Scheduler(BatchController):
 def make_scheduler(
     config: EnvConfig, groups: ColumnGroups | None = None, least_right: float = LEAST_RIGHT
 ) -> Scheduler | None:
-    """Make the scheduler that carries most, of those by which no two parcels touch.
+    """Make the scheduler with the highest throughput without touches.
 
-    Parcels are kept the less apart the better their trajectories are known; see `choose_by_trial`.
+    Trials determine the clearance, which depends on how well trajectories are known; see
+    `choose_by_trial`.
 
     Args:
         config: of the environment; actions "parcels" without groups, "modules" with them.
-        least_right: [-] of deliveries in a trial; with fewer there is none, and None is returned.
+        least_right: [-] minimum share of correct deliveries in a trial; otherwise the result is
+            None.
     """
     library = make_library(config, groups)
     apart = (library.with_clearance(margin, slack) for slack, margin in CLEARANCES)
@@ -152,12 +152,13 @@ def make_scheduler(
 def choose_by_trial(
     config: EnvConfig, schedulers: Iterable[Scheduler], least_right: float = LEAST_RIGHT
 ) -> Scheduler | None:
-    """Choose the first scheduler whose trial has no touch and no jam; if all have, the one with the
-    fewest touches.
+    """Return the first scheduler without touches and jams in its trial.
+
+    If there is none, return the scheduler with the fewest touches.
 
     Args:
-        schedulers: that may be chosen, those that carry most first.
-        least_right: [-] of deliveries; if all have fewer, None is returned.
+        schedulers: candidates, in order of decreasing throughput.
+        least_right: [-] minimum share of correct deliveries; if all have less, the result is None.
     """
     chosen, fewest = None, math.inf
     for scheduler in schedulers:
@@ -173,16 +174,17 @@ def choose_by_trial(
 def find_quiet(
     config: EnvConfig, make: Callable[[int], AnyScheduler], count: int, most_touches: float = 0.0
 ) -> tuple[AnyScheduler, int]:
-    """Find the first of several schedulers whose trial has no jam and few touches, by bisection;
-    the last one where none has. Return it, and how many parcels it delivered right once the line
-    was full, 0 there.
+    """Find by bisection the first scheduler with no jam and few touches in its trial.
+
+    Returns the scheduler, and its number of correct deliveries after the line was full. If there is
+    none, returns the last scheduler and 0.
 
     Args:
-        make: one by its place; the later it is, the less it carries and the fewer touch.
-        count: of schedulers.
-        most_touches: [-] per delivery.
+        make: function from an index to a scheduler; throughput and touches decrease with the index.
+        count: number of schedulers.
+        most_touches: [-] maximum touches per delivery.
     """
-    tried = entrance_bound(config) / HOUR * TRIED * TRIAL  # parcels, at most
+    tried = entrance_bound(config) / HOUR * TRIED * TRIAL  # maximum number of parcels
     found, right = make(count - 1), 0
     low, high = 0, count
     while low < high:
@@ -199,8 +201,10 @@ def find_quiet(
 def find_plain(
     config: EnvConfig, library: Library, most_touches: float = 0.0
 ) -> tuple[Scheduler, int]:
-    """Find the scheduler of a library that keeps the least slack by which few touch, for speeds as
-    they vary or for one of each kind, whichever delivers more; see `find_quiet`.
+    """Find the scheduler of a library with the least slack that has few touches.
+
+    Compares gaps for variable speeds and for one speed per kind, and takes the higher throughput;
+    see `find_quiet`.
     """
 
     def make(apart: Callable[[float, float], Library], place: int) -> Scheduler:
@@ -213,7 +217,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin episodes of a stream, each seeded by the seed and its place."""
+    """Begin episodes of a stream, each seeded by `seed` plus its index."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))
@@ -222,17 +226,17 @@ def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
 
 
 class Trial(NamedTuple):
-    """Counts of episodes with always a parcel at the gate."""
+    """Counts of episodes with a parcel always at the gate."""
 
-    right: int  # parcels that left by their exit
-    late: int  # of these, in the second half of the episodes
-    wrong: int  # by another
+    right: int  # parcels that departed by their own exit
+    late: int  # correct departures in the second half of the episodes
+    wrong: int  # parcels that departed by another exit
     touches: int
     jams: int
 
 
 def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> Trial:
-    """Run the episodes of a trial; they end where more touch than `most_touches`."""
+    """Run the episodes of a trial; stop if there are more touches than `most_touches`."""
     task_ = config.stream_task
     stream = task_.stream.with_rate(entrance_bound(config))
     busy = config.replace(stream=stream, duration=min(TRIAL, task_.duration))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from surface_gym import files, parallel
 from surface_gym.cli import TRAIN, command_line
 
-from .sweep import Sweep, differences, read_sweep
+from .sweep import SearchConfig, differences, read_sweep
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,7 +45,7 @@ def search(
     console.print(f"{folder} holds {study.PAGE}{best}", soft_wrap=True)
 
 
-def open_folder(file: Path, folder: Path, task: str | None = None) -> Sweep:
+def open_folder(file: Path, folder: Path, task: str | None = None) -> SearchConfig:
     """Read the request of a search and keep it in the search's folder, which is made if need be."""
     sweep = read_sweep(file, task)
     kept = folder / FILE

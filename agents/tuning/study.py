@@ -1,8 +1,8 @@
-"""A study of Optuna: trials are asked for, carried out by workers, and kept in study.db.
+"""A study of Optuna, whose trials are run by workers and stored in study.db.
 
-Only the process of the command reads and writes the study; a worker gets a copy of the finished
-trials, by which it may prune its own. A trial trains for a short time, is evaluated on the way, and
-is then judged on fresh starts that are the same for all trials.
+Only the command's process reads and writes the study. A worker gets a copy of the finished trials,
+to prune its own trial. A trial trains for a short time with intermediate evaluations. Its final
+score uses fresh starts that are equal for all trials.
 """
 
 import json
@@ -40,7 +40,7 @@ from ..learning.config import ParcelConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve, train
 from ..learning.sb3 import make_training_envs
 from ..library import find_task, read
-from .sweep import Choices, Span, Sweep
+from .sweep import Choices, NumberRange, SearchConfig
 
 FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
 STARTS = 512  # that a policy is judged on
@@ -54,7 +54,7 @@ _STATES = {COMPLETE: TrialState.COMPLETE, PRUNED: TrialState.PRUNED}  # of other
 
 @dataclass(frozen=True)
 class TrialResult:
-    """The end of a trial."""
+    """Result of a trial."""
 
     state: str  # COMPLETE, PRUNED, REFUSED or FAILED
     value: float | None = None  # of a complete trial
@@ -62,14 +62,14 @@ class TrialResult:
 
 
 # Carries a trial out: of a search, with drawn values, beside the finished trials.
-RunTrial = Callable[[Sweep, dict[str, Any], tuple[FrozenTrial, ...], Report], TrialResult]
+RunTrial = Callable[[SearchConfig, dict[str, Any], tuple[FrozenTrial, ...], Report], TrialResult]
 
 
 @contextmanager
-def open_study(sweep: Sweep, folder: Path) -> Iterator[optuna.Study]:
+def open_study(sweep: SearchConfig, folder: Path) -> Iterator[optuna.Study]:
     """Open the study of a search in its folder, or make it.
 
-    Trials that were running when an earlier process ended are asked for once more.
+    Trials that were interrupted with an earlier process are repeated.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     storage, study = _open_storage(folder / FILE)
@@ -82,7 +82,7 @@ def open_study(sweep: Sweep, folder: Path) -> Iterator[optuna.Study]:
 
 
 def _open_storage(file: Path) -> tuple[optuna.storages.RDBStorage, optuna.Study]:
-    """Open the file of a study, or raise an error that names what is wrong with it."""
+    """Open the file of a study, or raise an error that names the problem."""
     storage = None
     try:
         if file.exists():
@@ -111,7 +111,7 @@ def _close(storage: optuna.storages.RDBStorage) -> None:
 
 
 def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
-    """Return the trials that have ended, without those that were interrupted."""
+    """Return the finished trials, without interrupted ones."""
     return [
         trial
         for trial in study.get_trials(deepcopy=False)
@@ -130,8 +130,8 @@ def describe_state(trial: FrozenTrial) -> str:
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
 
-def plain_params(sweep: Sweep, trial: FrozenTrial | optuna.Trial) -> dict[str, Any]:
-    """Return the values that were drawn, as a configuration takes them."""
+def plain_params(sweep: SearchConfig, trial: FrozenTrial | optuna.Trial) -> dict[str, Any]:
+    """Return the drawn values in the form of a configuration."""
     return {
         name: json.loads(trial.params[name]) if isinstance(values, Choices) else trial.params[name]
         for name, values in sorted(sweep.space.items())
@@ -139,12 +139,12 @@ def plain_params(sweep: Sweep, trial: FrozenTrial | optuna.Trial) -> dict[str, A
 
 
 def optimize(
-    sweep: Sweep, study: optuna.Study, workers: Workers, console: Console, run: "RunTrial"
+    sweep: SearchConfig, study: optuna.Study, workers: Workers, console: Console, run: "RunTrial"
 ) -> None:
-    """Carry out the trials of a search that its study lacks, and keep each as it ends.
+    """Run the missing trials of a search, and store each result.
 
     Args:
-        run: carries a trial out; a function of a module, so that another process finds it.
+        run: function that runs a trial; defined in a module, so that other processes find it.
     """
     done = finished_trials(study)
     distributions = {name: _distribution(values) for name, values in sorted(sweep.space.items())}
@@ -188,12 +188,12 @@ def optimize(
 
 
 def run_trial(
-    sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
+    sweep: SearchConfig, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
 ) -> TrialResult:
-    """Carry a trial out, in a folder of its own.
+    """Run a trial in its own folder.
 
     Args:
-        report: called with the number of each evaluation, from 1, and its value.
+        report: callback with the number of each evaluation (from 1) and its value.
     """
     try:
         config = sweep.config(params)
@@ -210,9 +210,9 @@ def run_trial(
 
 
 class Pruning:
-    """The pruner of a search, asked about one trial."""
+    """The pruner of a search, for one trial."""
 
-    def __init__(self, sweep: Sweep, past: tuple[FrozenTrial, ...], report: Report) -> None:
+    def __init__(self, sweep: SearchConfig, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         sampler = RandomSampler(seed=0)  # which draws nothing
         study = optuna.create_study(
@@ -228,8 +228,10 @@ class Pruning:
         return self._trial.should_prune()
 
 
-def _train_and_score(sweep: Sweep, config: ParcelConfig, place: int, prune: Pruning) -> float:
-    """Train with the seed at a place, and score its policy."""
+def _train_and_score(
+    sweep: SearchConfig, config: ParcelConfig, place: int, prune: Pruning
+) -> float:
+    """Train with one of the seeds, and score the policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
     left = list(range(1, sweep.evaluations + 1))
@@ -253,7 +255,7 @@ def _train_and_score(sweep: Sweep, config: ParcelConfig, place: int, prune: Prun
         return score_policy(run, sweep, folder)
 
 
-def score_policy(config: ParcelConfig, sweep: Sweep, folder: Path) -> float:
+def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> float:
     """Return the mean over the greedy policy's first episodes on fresh starts."""
     policy = read(folder, find_task(config.task))
     # All trials are judged with the same share of cameras and the same friction.
@@ -277,16 +279,16 @@ def score_policy(config: ParcelConfig, sweep: Sweep, folder: Path) -> float:
     return float(values.mean())
 
 
-def make_sampler(sweep: Sweep, asked: int) -> BaseSampler:
-    """Make the sampler of a search, seeded by the trials that were asked for before."""
+def make_sampler(sweep: SearchConfig, asked: int) -> BaseSampler:
+    """Make the sampler of a search, seeded by the number of earlier trials."""
     seed = int(np.random.SeedSequence((sweep.seed, asked)).generate_state(1)[0])
     if sweep.sampler == "random":
         return RandomSampler(seed=seed)
     return TPESampler(seed=seed, n_startup_trials=sweep.startup_trials)
 
 
-def make_pruner(sweep: Sweep) -> BasePruner:
-    """Make the pruner of a search, as rl-baselines3-zoo has them."""
+def make_pruner(sweep: SearchConfig) -> BasePruner:
+    """Make the pruner of a search, like rl-baselines3-zoo."""
     if sweep.pruner == "median":
         return MedianPruner(sweep.startup_trials, n_warmup_steps=sweep.evaluations // 3)
     if sweep.pruner == "halving":
@@ -294,7 +296,7 @@ def make_pruner(sweep: Sweep) -> BasePruner:
     return NopPruner()
 
 
-def _distribution(values: Span | Choices) -> ranges.BaseDistribution:
+def _distribution(values: NumberRange | Choices) -> ranges.BaseDistribution:
     if isinstance(values, Choices):  # as text, since Optuna takes no lists
         return ranges.CategoricalDistribution([json.dumps(choice) for choice in values.choices])
     if isinstance(values.low, int) and isinstance(values.high, int):
@@ -313,7 +315,7 @@ BEST_SHARE = 0.25  # [-] of the complete trials, which importance tells from the
 MIN_COMPLETE = 8  # trials that importance needs
 
 
-def write_report(sweep: Sweep, study: optuna.Study, folder: Path) -> None:
+def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None:
     """Write report.md, its plots, and best.yml, which `train.py --hyperparams` takes.
 
     There is no best.yml if no trial is complete, and no importance.png if too few are.
@@ -346,12 +348,12 @@ def write_report(sweep: Sweep, study: optuna.Study, folder: Path) -> None:
     (folder / PAGE).write_text("\n\n".join(sections) + "\n")
 
 
-def importance(sweep: Sweep, study: optuna.Study) -> dict[str, float] | None:
-    """Compute how much each hyper-parameter decides whether a trial is among the best quarter.
+def importance(sweep: SearchConfig, study: optuna.Study) -> dict[str, float] | None:
+    """Compute the importance of each hyper-parameter for being in the best quarter of trials.
 
     Returns:
-        Shares by PED-ANOVA, which sum up to 1, the largest first; None if the complete trials are
-        fewer than `MIN_COMPLETE`, or too many are equally good to tell a best quarter.
+        Shares by PED-ANOVA that sum to 1, largest first. None with fewer than `MIN_COMPLETE`
+        complete trials, or if equal values leave no best quarter.
     """
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     values = sorted((trial.value for trial in complete if trial.value is not None), reverse=True)
@@ -363,7 +365,7 @@ def importance(sweep: Sweep, study: optuna.Study) -> dict[str, float] | None:
     return dict(sorted(found.items(), key=lambda each: (-each[1], each[0])))
 
 
-def summary(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
+def summary(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
     """Count the trials by state and name the best, in a sentence."""
     counts = Counter(describe_state(trial).partition(":")[0] for trial in trials)
     states = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
@@ -382,7 +384,7 @@ def _save(plot: Any, file: Path, study: optuna.Study, **options: Any) -> None:
     plt.close(figure)
 
 
-def _request(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
+def _request(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
     seeds = "" if sweep.seeds == 1 else f", mean over {sweep.seeds} seeds"
     return (
         f"{sweep.trials} trials of {sweep.steps:,} control periods; sampler: {sweep.sampler} (seed "
@@ -392,7 +394,7 @@ def _request(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
     )
 
 
-def _best(sweep: Sweep, best: FrozenTrial | None) -> list[str]:
+def _best(sweep: SearchConfig, best: FrozenTrial | None) -> list[str]:
     if best is None:
         return []
     command = command_line(TRAIN, "--task", sweep.task, "--algo", sweep.algo, "--hyperparams", BEST)
@@ -422,7 +424,7 @@ def _importance(shares: dict[str, float] | None) -> list[str]:
     ]
 
 
-def _trials(sweep: Sweep, trials: Sequence[FrozenTrial]) -> str:
+def _trials(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
     rows = []
     for trial in trials:
         value = trial.value if trial.state == TrialState.COMPLETE else None

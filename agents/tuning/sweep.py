@@ -24,7 +24,7 @@ ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 
 @dataclass(frozen=True)
-class Span:
+class NumberRange:
     """Numbers from `low` to `high`, integers if both are."""
 
     low: float
@@ -66,24 +66,23 @@ class Choices:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sweep:
-    """The request of a search; names in `space` and `fixed` are those of the algorithm's
-    configuration.
-    """
+class SearchConfig:
+    """Configuration of a search; `space` and `fixed` name fields of the algorithm."""
 
     task: str = "sort"
     algo: str = "ppo"
     trials: int = 20
-    steps: int = 200_000  # control periods that a trial learns from, with each seed
-    evaluations: int = 5  # of a trial during training, where it may be pruned, with each seed
-    seeds: int = 1  # of a trial, whose mean counts
-    seed: int = 0  # of the sampler, and the first that trials learn with
+    steps: int = 200_000  # control periods per trial and seed
+    evaluations: int = 5  # evaluations per trial and seed, at which it may be pruned
+    seeds: int = 1  # seeds per trial; the mean counts
+    seed: int = 0  # seed of the sampler, and first seed of trials
     metric: str = "success"  # or the return
     sampler: str = "tpe"
     pruner: str = "median"
     startup_trials: int = 8  # before the sampler and the median pruner start
-    space: dict[str, Span | Choices] = field(default_factory=dict)
-    fixed: dict[str, Any] = field(default_factory=dict)  # that differs from the task's defaults
+    space: dict[str, NumberRange | Choices] = field(default_factory=dict)
+    # values that differ from the task's defaults
+    fixed: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         of_one = [
@@ -143,28 +142,28 @@ class Sweep:
             raise ValueError(f"{where}: {error}") from None
 
 
-def read_sweep(file: Path, task: str | None = None) -> Sweep:
-    """Read the request of a search. No code is run but that of `task`."""
+def read_sweep(file: Path, task: str | None = None) -> SearchConfig:
+    """Read the configuration of a search. Only the code of `task` is executed."""
     try:
         return _read(read_yaml(file, by_hand=True), task)
     except DAMAGE as error:
         raise ValueError(f"{file} is not a search's: {describe_damage(error)}") from None
 
 
-def differences(sweep: Sweep, other: Sweep) -> list[str]:
+def differences(sweep: SearchConfig, other: SearchConfig) -> list[str]:
     """List the fields in which two searches differ, with both values."""
     return [
         f"{each.name} is {getattr(sweep, each.name)!r} there, {getattr(other, each.name)!r} here"
-        for each in fields(Sweep)
+        for each in fields(SearchConfig)
         if getattr(sweep, each.name) != getattr(other, each.name)
     ]
 
 
-def _read(plain: dict[str, Any], task: str | None) -> Sweep:
-    known = [each.name for each in fields(Sweep)]
+def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
+    known = [each.name for each in fields(SearchConfig)]
     for name in plain:
         checks.one_of("a name", name, known)
-    named = plain.get("task", Sweep.task)
+    named = plain.get("task", SearchConfig.task)
     if named != task and not (task is None and named in TASKS):
         raise ValueError(
             f"task must be one of {', '.join(TASKS)}, or a custom one that --task names too, "
@@ -178,16 +177,16 @@ def _read(plain: dict[str, Any], task: str | None) -> Sweep:
         for part in ("space", "fixed")
     )
     space = {name: _values(name, values) for name, values in space.items()}
-    return Sweep(**{**plain, "space": space, "fixed": fixed})
+    return SearchConfig(**{**plain, "space": space, "fixed": fixed})
 
 
-def _values(name: str, values: Any) -> Span | Choices:
+def _values(name: str, values: Any) -> NumberRange | Choices:
     given = set(values) if isinstance(values, dict) else set()
     try:
         if given == {"choices"}:
             return Choices(**values)
         if {"low", "high"} <= given <= {"low", "high", "log"}:
-            return Span(**values)
+            return NumberRange(**values)
         raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
     except ValueError as error:
         raise ValueError(f"space: {name}: {error}") from None

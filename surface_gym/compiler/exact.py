@@ -1,9 +1,9 @@
-"""Sine, cosine and the length of a vector, to the bit as the C library of GNU has them.
+"""Sine, cosine and vector length, equal to the GNU C library to the bit.
 
-WebAssembly lacks them, and browsers' own differ in the last bit for one argument in thirty. These
-follow the C library on processors that multiply and add at once (IBM Accurate Mathematical Library,
-2001): a table of sines and cosines for every 1/128 rad, and short series between. A processor does
-at once what is done here by the exact sums and products of Dekker (1971).
+WebAssembly lacks these functions, and browsers' versions differ in the last bit for one argument in
+thirty. The functions here follow the C library on processors with fused multiply-add (IBM Accurate
+Mathematical Library, 2001): a table of sines and cosines for every 1/128 rad, and short series
+between. Exact sums and products by Dekker (1971) replace the fused instruction.
 """
 
 import math
@@ -14,9 +14,9 @@ import numpy as np
 from surface_gym.compiler.jit import inlined, linked
 
 SPLITTER = 134217729.0  # 2^27 + 1
-MOST = 1e8  # [rad] beyond which the last bits are not the C library's
-BIG = 52776558133248.0  # 1.5 2^45: added, it rounds to multiples of 1/128
-ROUND = 6755399441055744.0  # 1.5 2^52: added, it rounds to whole numbers
+MOST = 1e8  # [rad] larger arguments differ from the C library in the last bits
+BIG = 52776558133248.0  # 1.5 2^45: adding it rounds to multiples of 1/128
+ROUND = 6755399441055744.0  # 1.5 2^52: adding it rounds to whole numbers
 PER_QUARTER = 0.6366197723675814  # 2 / pi
 HALF_PI, HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 # Half of pi in parts, whose products with whole numbers are exact.
@@ -30,11 +30,11 @@ SMALL = (
 )  # fmt: skip
 SINE_3, SINE_5 = -0.16666666666666488, 0.008333332142857223
 COSINE_2, COSINE_4, COSINE_6 = 0.5, -0.04166666666666644, 0.001388888740079376
-ANGLES = 112  # of the table, 1/128 rad apart
+ANGLES = 112  # entries of the table, 1/128 rad apart
 
 
 def _make_table() -> np.ndarray:
-    """Compute (ANGLES, 4) sine and cosine of each angle, each as a number and the rest of it."""
+    """Compute sine and cosine (ANGLES, 4) of each angle, each as a number and its remainder."""
     table = np.zeros((ANGLES, 4))
     with localcontext() as context:
         context.prec = 50
@@ -55,7 +55,7 @@ TABLE = _make_table()
 
 @inlined
 def _add(a: float, b: float) -> tuple[float, float]:
-    """Return a + b as a number and the rest of it."""
+    """Return a + b as a number and its remainder."""
     high = a + b
     part = high - a
     return high, a - (high - part) + (b - part)
@@ -63,7 +63,7 @@ def _add(a: float, b: float) -> tuple[float, float]:
 
 @inlined
 def _multiply(a: float, b: float) -> tuple[float, float]:
-    """Return a b as a number and the rest of it."""
+    """Return a b as a number and its remainder."""
     high = a * b
     big_a, big_b = SPLITTER * a, SPLITTER * b
     a_high, b_high = big_a - (big_a - a), big_b - (big_b - b)
@@ -79,12 +79,12 @@ def _fuse(a: float, b: float, c: float) -> float:
     return added + (rest + low)
 
 
-# Below, products and sums are rounded once only where it shows more often than in 1 of 10^8.
+# Below, products and sums are fused only if it matters in more than 1 of 10^8 cases.
 
 
 @linked
 def _small_cosine(x: float, dx: float) -> float:
-    """Compute the cosine of x + dx, small."""
+    """Compute the cosine of a small angle x + dx."""
     up = BIG + abs(x)
     rest = abs(x) - (up - BIG) + (-dx if x < 0.0 else dx)
     k = int(128.0 * (up - BIG))
@@ -97,7 +97,7 @@ def _small_cosine(x: float, dx: float) -> float:
 
 @linked
 def _small_sine(x: float, dx: float) -> float:
-    """Compute the sine of x + dx, small."""
+    """Compute the sine of a small angle x + dx."""
     if abs(x) < 0.126:
         square = x * x
         rest = SMALL[1] + square * (SMALL[2] + square * (SMALL[3] + square * SMALL[4]))
@@ -119,7 +119,7 @@ def _small_sine(x: float, dx: float) -> float:
 
 @linked
 def _turned(x: float, quarters: int) -> float:
-    """Compute the sine of x and so many quarter turns."""
+    """Compute the sine of x plus a number of quarter turns."""
     turns = x * PER_QUARTER + ROUND - ROUND
     y = x - turns * PARTS[0] - turns * PARTS[1]  # exact products
     first = turns * PARTS[2]
@@ -164,7 +164,7 @@ def cos(x: float) -> float:
 
 @inlined
 def _measure(long: float, short: float) -> float:
-    """Compute the length of a vector of two numbers above 0 whose squares are numbers."""
+    """Compute the length of a vector of two positive numbers with finite squares."""
     length = math.sqrt(long * long + short * short)
     if length <= 2.0 * short:
         rest = length - short

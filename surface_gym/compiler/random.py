@@ -1,4 +1,4 @@
-"""Random numbers as NumPy draws them: PCG64, and normal numbers by the ziggurat method.
+"""Random numbers equal to NumPy's: PCG64, and normal numbers by the ziggurat method.
 
 Sources: O'Neill, PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for
 Random Number Generation, 2014; Marsaglia and Tsang, The Ziggurat Method for Generating Random
@@ -62,7 +62,7 @@ def draw_bits(words: Words) -> np.uint64:
 
 @linked
 def draw_uniform(words: Words) -> float:
-    """Draw a number from 0 to 1, without 1."""
+    """Draw a uniform number in [0, 1)."""
     return np.float64(draw_bits(words) >> TO_UNIT) * UNIT
 
 

@@ -1,12 +1,11 @@
 """WebAssembly modules, compiled from the functions of the CPU's kernels.
 
-Numba lowers a kernel and all that it calls to LLVM's code, which is optimised here for WebAssembly
-alone: code that was optimised for another machine counts on its pointers' size. A module has a
-function `step(words) -> int32`, which takes the address of the kernel's arguments, a word of 8
-bytes each, and returns what the kernel does, or -1 where an index was out of bounds. Sine, cosine
-and `hypot` are part of it; what else WebAssembly lacks of C's mathematics, such as `exp`, it
-imports. The same source gives the same bytes, and a note at a module's end says of which source it
-is.
+Numba lowers a kernel and its callees to LLVM code. The code is optimised here for WebAssembly only,
+since code optimised for another machine depends on its pointer size. A module has a function
+`step(words) -> int32`. It takes the address of the kernel's arguments, in words of 8 bytes. It
+returns the kernel's result, or -1 if an index was out of bounds. Sine, cosine and `hypot` are part
+of the module; other C mathematics, e.g. `exp`, is imported. The same source gives the same bytes,
+and a note at the end of a module identifies its source.
 """
 
 import inspect
@@ -36,28 +35,29 @@ from surface_gym.compiler.wasm_linker import link, make_note
 from surface_gym.files import replacing
 
 TRIPLE = "wasm32-unknown-unknown"
-# What browsers have had since 2021.
+# Features of browsers since 2021.
 FEATURES = "+simd128,+bulk-memory,+sign-ext,+nontrapping-fptoint,+mutable-globals"
-MATHEMATICS = {"sin": exact.sin, "cos": exact.cos, "hypot": exact.hypot}  # that modules have
-OUT_OF_BOUNDS = -1  # what a module returns where an index was beyond an array's end
-_KEPT = ("nogil", "error_model", "forceinline", "boundscheck", "_nrt")  # options of a function
+MATHEMATICS = {"sin": exact.sin, "cos": exact.cos, "hypot": exact.hypot}  # functions inside modules
+OUT_OF_BOUNDS = -1  # result of a module after an index out of bounds
+# compiler options of a function that stay
+_KEPT = ("nogil", "error_model", "forceinline", "boundscheck", "_nrt")
 
 
 class Module(NamedTuple):
     """A kernel as WebAssembly."""
 
     code: bytes
-    signature: str  # of the images that it takes
+    signature: str  # signature of its images
 
 
 class PortableCode(LinkedCode):
-    """LLVM's code of a function as it was lowered, linked with all that it calls in the end."""
+    """Unoptimised LLVM code of a function, linked with its callees at the end."""
 
     def __init__(self, codegen: Any, name: str, _: bool) -> None:
         super().__init__(codegen, name, inlined=False)
 
     def _optimize_final_module(self) -> None:
-        """Leave the code as it is."""
+        """Do not optimise the code."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -65,7 +65,7 @@ class PortableCode(LinkedCode):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LowerToPortableCode(LowerToLinkedCode):
-    """Numba's lowering to LLVM's code."""
+    """Numba's lowering to LLVM code."""
 
     _name = "lower_to_portable_code"
     code = PortableCode
@@ -92,21 +92,21 @@ def _wrap(copy: FunctionType, original: Any) -> PortableFunction:
 
 @lru_cache(maxsize=1)
 def _translator() -> Translator:
-    """Return the translator of all kernels, which share most of what they call."""
+    """Return the shared translator of all kernels."""
     return Translator(_wrap)
 
 
 def compile_module(
     kernel: Any, arguments: tuple[Any, ...], file: Path | None = None, exports: tuple[str, ...] = ()
 ) -> Module:
-    """Compile a kernel for arguments of these types; takes ten seconds to a minute.
+    """Compile a kernel for the types of arguments; takes ten seconds to a minute.
 
     Args:
-        kernel: a compiled function that Python calls, and which returns an integer or nothing;
-            then the module returns 0.
+        kernel: a compiled function called by Python. It returns an integer or nothing; for nothing,
+            the module returns 0.
         arguments: arrays, numbers, and named tuples of them.
-        file: of the module, which is read if it is of this source, and else written.
-        exports: functions of `MATHEMATICS` that a page calls, too.
+        file: file of the module; it is read if its source is equal, and otherwise written.
+        exports: functions of `MATHEMATICS` that pages call.
     """
     signature = compute_signature(name_arguments(kernel, arguments))
     mathematics = tuple(MATHEMATICS.values())
@@ -127,7 +127,7 @@ def compile_module(
 
 @lru_cache(maxsize=1)
 def _compiler() -> tuple[Any, ...]:
-    """Return what a module depends on beside its kernel."""
+    """Return the dependencies of a module besides its kernel."""
     sources = [Path(each).read_bytes() for each in (__file__, wasm_linker.__file__)]
     return numba.__version__, llvmlite.__version__, *sources
 
@@ -141,13 +141,13 @@ def _compile(kernel: Any, arguments: tuple[Any, ...], exports: tuple[str, ...]) 
             count = len(inspect.signature(function.py_func).parameters)
             method, inner = _lower(function, (float64,) * count)
             parts[0] = called.sub(f"@{own}", parts[0])
-            parts += [_method(own, inner, count), method]  # a call is linked to what comes later
+            parts += [_method(own, inner, count), method]  # calls are linked to later definitions
     modules = [llvm.parse_assembly(part) for part in parts]
     return link(_make_object(modules, name, exports), (*exports, "step"))
 
 
 def _lower(function: Any, kinds: tuple[Any, ...]) -> tuple[str, str]:
-    """Lower a function for arguments of some types; return LLVM's code and the function's name."""
+    """Lower a function for types of arguments; return LLVM code and the function's name."""
     portable = _translator().translate(function)
     with collecting_nothing():
         portable.compile(kinds)
@@ -164,10 +164,10 @@ def _machine() -> Any:
 
 
 def _make_object(modules: list[Any], name: str, exports: tuple[str, ...]) -> bytes:
-    """Optimise LLVM's code of a kernel, the first of some modules, with an entry of our own."""
+    """Optimise the LLVM code of a kernel (the first module) with a custom entry point."""
     machine, module = _machine(), modules[0]
     kernel = module.get_function(name)
-    kernel.add_function_attribute("alwaysinline")  # browsers allow no function so many arguments
+    kernel.add_function_attribute("alwaysinline")  # browsers limit the number of arguments
     entry = llvm.parse_assembly(_entry(name, [str(each.type) for each in kernel.arguments]))
     for each in (*modules, entry):
         each.data_layout, each.triple = str(machine.target_data), TRIPLE
@@ -184,7 +184,7 @@ def _make_object(modules: list[Any], name: str, exports: tuple[str, ...]) -> byt
 
 
 def _method(own: str, inner: str, count: int) -> str:
-    """Write a function of mathematics as C has it, by the lowered function of so many numbers."""
+    """Write a C mathematics function that calls a lowered function of `count` numbers."""
     given = ", ".join(f"double %x{k}" for k in range(count))
     return f"""
 declare i32 @"{inner}"(ptr, ptr, {", ".join(["double"] * count)})
@@ -199,7 +199,7 @@ define double @{own}({given}) noinline {{
 
 
 def _entry(name: str, kinds: list[str]) -> str:
-    """Write the module's function, which reads the kernel's arguments of these types of LLVM's."""
+    """Write the module's entry function, which reads the kernel's arguments by LLVM type."""
     words = "\n".join(
         f"  %p{k} = getelementptr i8, ptr %words, i32 {WORD * k}\n"
         f"  %v{k} = load {kind}, ptr %p{k}, align {WORD}"

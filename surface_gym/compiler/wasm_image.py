@@ -1,9 +1,9 @@
-"""Memory images: the arguments of a kernel as a WebAssembly module reads them.
+"""Memory images: arguments of a kernel in the memory of a WebAssembly module.
 
-An image is a block of bytes and a layout. The block holds the arguments as words of 8 bytes, and
-then the arrays, of which a word is the address. The layout lists every array and number by its
-name, with its type, its shape and where it lies. Scratch, which a kernel writes before it reads,
-comes last: it takes memory, but no bytes of the block.
+An image is a block of bytes and a layout. The block holds the arguments as words of 8 bytes,
+followed by the arrays; an array's word is its address. The layout lists every array and number by
+name, with type, shape and address. Scratch comes last: a kernel writes it before reading it, so it
+needs memory but no bytes in the block.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ NUMBERS = ("float64", "int64")  # types of numbers
 
 
 @dataclass(frozen=True)
-class Field:
+class MemoryField:
     """An array or a number among a kernel's arguments."""
 
     name: str  # such as `parcels.state`
@@ -46,13 +46,13 @@ class Field:
 class Image:
     """A kernel's arguments as bytes."""
 
-    fields: tuple[Field, ...]
+    fields: tuple[MemoryField, ...]
     block: bytes  # of memory from BASE on
     end: int  # [bytes] address past the last array, scratch included
     signature: str  # of the arguments' names and types: a module takes images of one
 
     @cached_property
-    def places(self) -> dict[str, Field]:
+    def places(self) -> dict[str, MemoryField]:
         """Fields by name."""
         return {field.name: field for field in self.fields}
 
@@ -72,7 +72,7 @@ class Image:
 
 
 def name_arguments(kernel: Any, arguments: tuple[Any, ...]) -> dict[str, Any]:
-    """Name arrays and numbers of a kernel's arguments, those in named tuples too, in order."""
+    """Name the arrays and numbers of a kernel's arguments in order, including named tuples."""
     names = inspect.signature(kernel.py_func).parameters
     return dict(_leaves("", dict(zip(names, arguments, strict=True))))
 
@@ -108,12 +108,12 @@ def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
             end += -(-arrays[name].nbytes // ALIGNMENT) * ALIGNMENT
             block = block if is_scratch(name) else end
     memory = np.zeros(block - BASE, dtype=np.uint8)
-    fields: list[Field] = []
+    fields: list[MemoryField] = []
     words: list[int] = []
     for name, values in arrays.items():
         _check(name, values)
         address = addresses.get(name, BASE + WORD * len(words))
-        fields.append(Field(name, values.dtype.name, values.shape, address))
+        fields.append(MemoryField(name, values.dtype.name, values.shape, address))
         if values.ndim == 0:
             words.append(int(values.view(np.int64)))
             continue

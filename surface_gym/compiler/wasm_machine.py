@@ -1,4 +1,4 @@
-"""A module run by wasmtime, in Python: as a browser runs it, where tests can look."""
+"""A module run by wasmtime in Python, like in a browser, for tests."""
 
 import ctypes
 from typing import Any
@@ -29,7 +29,7 @@ class Machine:
         self._image: Image | None = None
 
     def _import(self, kind: Any, name: str) -> wasmtime.Func:
-        """Make a function that the module imports of the one of C that the CPU's code calls."""
+        """Make an import of the module from the C function that the CPU's code calls."""
         function = ctypes.CFUNCTYPE(ctypes.c_double, *[ctypes.c_double] * len(kind.params))
         return wasmtime.Func(self._store, kind, function(llvm.address_of_symbol(name)))
 
@@ -46,7 +46,7 @@ class Machine:
         self._image = image
 
     def step(self) -> int:
-        """Call the kernel; return what it returns, or -1 where an index was out of bounds."""
+        """Call the kernel; return its result, or -1 if an index was out of bounds."""
         return int(self._step(self._store, BASE))
 
     def view(self, name: str) -> NDArray[Any]:

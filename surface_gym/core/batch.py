@@ -27,11 +27,11 @@ Infos = dict[str, NDArray[Any]]
 
 
 class Snapshot(NamedTuple):
-    """States of some environments, copied: enough to go on from, whatever has become of them."""
+    """Copied states of some environments, sufficient to continue from them."""
 
     arrays: dict[str, NDArray[Any]]  # by name, (count, ...)
-    parcels: Any  # of each environment, as its kind of batch keeps them
-    generators: list[Mapping[str, Any]]  # states of these, where sensors draw noise in an episode
+    parcels: Any  # parcels of each environment, in the form of the batch
+    generators: list[Mapping[str, Any]]  # states of generators, if sensors draw noise in an episode
 
     def __len__(self) -> int:
         return len(self.parcels)
@@ -41,16 +41,16 @@ class BaseBatch(ABC):
     """Environments of one configuration: reset, stepped and observed together.
 
     Args:
-        config: of each environment.
-        num_envs: their number.
-        threads: that share them; results do not depend on their number.
+        config: configuration of each environment.
+        num_envs: number of environments.
+        threads: number of threads; results do not depend on it.
         max_episode_steps: control periods after which an episode is truncated; None: no limit.
         compiles: whether to make the kernel; a batch without one only holds memory.
     """
 
     parcels: ParcelState  # state of every parcel
     surfaces: SurfaceState  # state of every surface
-    params: EnvParams  # what all environments have in common
+    params: EnvParams  # parameters common to all environments
     rows: int = 1  # of each environment in `parcels`
 
     def __init__(
@@ -77,21 +77,21 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def _make_memory(self) -> None:
-        """Make what is beside the state arrays of surfaces and parcels."""
+        """Allocate memory beyond the state arrays of surfaces and parcels."""
 
     @abstractmethod
     def _make_scratch(self) -> Any:
-        """Make the physics' scratch of one thread."""
+        """Allocate the physics' scratch of one thread."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of what `reset(options=...)` may fix."""
+        """Names of the values that `reset(options=...)` may set."""
         return self.task.options
 
     @property
     @abstractmethod
     def bodies(self) -> BodyTable:
-        """Bodies of all parcels, and rotors and zones that they meet."""
+        """Bodies of all parcels, with the rotors and zones for each."""
 
     @property
     @abstractmethod
@@ -100,7 +100,7 @@ class BaseBatch(ABC):
 
     @property
     def outcome(self) -> Integers:
-        """(num_envs,) how each episode stands, a place in `outcomes`."""
+        """(num_envs,) state of each episode, an index into `outcomes`."""
         return self.episodes.outcome
 
     @property
@@ -110,7 +110,7 @@ class BaseBatch(ABC):
 
     @property
     def terms(self) -> Array:
-        """(num_envs, terms) of these rewards, as the task names them."""
+        """(num_envs, terms) terms of these rewards, named by the task."""
         return self.episodes.terms
 
     @property
@@ -120,7 +120,7 @@ class BaseBatch(ABC):
 
     @property
     def truncated(self) -> Booleans:
-        """(num_envs,) whether time is over."""
+        """(num_envs,) whether the time limit is reached."""
         late: Booleans = self.outcome == st.OUT_OF_TIME
         return late if self._limit is None else late | (self._steps_remaining <= 0)
 
@@ -131,7 +131,7 @@ class BaseBatch(ABC):
 
     @property
     def arguments(self) -> tuple[Any, ...]:
-        """What the kernel takes to step all environments in one thread."""
+        """Arguments of the kernel to step all environments in one thread."""
         return (*self._arrays, *self._workers.scratches, self._all)
 
     @abstractmethod
@@ -140,15 +140,15 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def _fault(self) -> ValueError:
-        """Describe what a function has done wrong in the first environment that has a fault."""
+        """Return an error that describes the fault of the first faulty environment."""
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each of the chosen environments (count,), from its generator."""
+        """Draw an episode for each chosen environment (count,) from its generator."""
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
-        """Draw an environment's episodes from a generator; one that it has already goes on."""
+        """Set the generator of an environment; its present generator continues unchanged."""
 
     @abstractmethod
     def generator(self, env_index: int) -> np.random.Generator | None:
@@ -156,14 +156,14 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        """Raise the errors of a reset with options, each of one environment; draw nothing."""
+        """Check reset options, one per environment, without drawing random numbers."""
 
     @abstractmethod
     def infos(self) -> Infos:
-        """Collect the infos of all environments by name, arrays (num_envs, ...) of their own."""
+        """Return the infos of all environments by name, as copied arrays (num_envs, ...)."""
 
     def info(self, env_index: int) -> dict[str, Any]:
-        """Collect the same of one environment: numbers, and arrays of their own."""
+        """Return the info of one environment, with copied arrays."""
         return {
             name: values[env_index].copy() if values.ndim > 1 else values[env_index].item()
             for name, values in self.infos().items()
@@ -171,27 +171,27 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def parcel(self, env_index: int, row: int = 0) -> Parcel:
-        """Get the parcel, of a stream the one in a row, after the randomisation."""
+        """Return the parcel after randomisation; for a stream, the parcel in a row."""
 
     def is_seeded(self, env_index: int) -> bool:
         return self.generator(env_index) is not None
 
     def reset(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Begin an episode in the chosen environments (count,), which are seeded."""
+        """Begin an episode in the chosen, seeded environments (count,)."""
         self.place_drawn(chosen, options)
         self.begin(chosen)
 
     def begin(self, chosen: Integers) -> None:
-        """Sense and observe the chosen environments (count,), in which starts were placed."""
+        """Sense and observe the chosen environments (count,) after placing starts."""
         self._restart_clock(chosen)
         self._run(chosen)
 
     def step(self, commands: NDArray[Any], anew: Integers = NO_ENVS) -> None:
-        """Step every environment by one control period, but those that have ended.
+        """Step every running environment by one control period.
 
         Args:
-            commands: (num_envs, command size), of those that have ended without effect.
-            anew: (count,) of those that have ended, to begin another episode instead.
+            commands: (num_envs, command size), without effect for ended environments.
+            anew: (count,) ended environments that begin a new episode instead.
         """
         self.surfaces.command[:] = commands
         if self._draws:
@@ -210,8 +210,10 @@ class BaseBatch(ABC):
             self._steps_remaining[chosen] = self._limit
 
     def _draw_noise_ahead(self) -> None:
-        """Draw noise for parcels that may use up theirs; not in environments that have ended, whose
-        next start must find the generator as a single environment would.
+        """Draw noise for parcels that may run out of it.
+
+        Ended environments are left out, so that their next start finds the generator unchanged, as
+        in a single environment.
         """
         used = self.parcels.noise_row.reshape(-1, self.rows)
         running = (self.outcome == st.RUNNING)[:, np.newaxis]
@@ -227,7 +229,7 @@ class BaseBatch(ABC):
         """Copy the states of the chosen environments (count,), or of all.
 
         Args:
-            chosen: an index or indices, in any order, repeated or not; None: all.
+            chosen: one index or several, in any order, possibly repeated; None: all.
             axes: whether axes and commands come with them.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
@@ -238,11 +240,12 @@ class BaseBatch(ABC):
         return Snapshot(arrays, self._copy_parcels(chosen), states)
 
     def restore(self, snapshot: Snapshot, chosen: Integers | int | None = None) -> None:
-        """Put environments into the states of a snapshot, from this batch or one of the same
-        configuration: they go on as those would have. Later resets draw as if nothing had happened.
+        """Restore environments from a snapshot of this batch or a batch of equal configuration.
+
+        They continue exactly like the copied environments. Later resets are not affected.
 
         Args:
-            snapshot: of as many environments, or of one, whose state they all get.
+            snapshot: states of as many environments, or one state for all.
             chosen: an index, or indices (count,); None: all.
         """
         chosen = self._all if chosen is None else np.atleast_1d(chosen)
@@ -252,7 +255,7 @@ class BaseBatch(ABC):
             )
         for name, array in self._state(axes=True).items():
             held = snapshot.arrays.get(name)
-            if held is not None and array.ndim > 1:  # of streams, arrays may have got wider since
+            if held is not None and array.ndim > 1:  # arrays of streams may have grown since
                 array[chosen, : held.shape[1]] = held
             elif held is not None:
                 array[chosen] = held
@@ -261,10 +264,10 @@ class BaseBatch(ABC):
             self._generator(i).bit_generator.state = snapshot.generators[k % len(snapshot)]
 
     def fork(self, parents: Integers, axes: bool = True) -> None:
-        """Make the first environments copies of their parents (count,), and stop the others.
+        """Copy parents (count,) into the first environments, and stop the others.
 
         Args:
-            parents: indices to go on from, at most as many as there are environments.
+            parents: indices of environments, at most `num_envs`.
             axes: whether axes and commands come with them.
         """
         count = len(parents)
@@ -272,7 +275,7 @@ class BaseBatch(ABC):
         self.outcome[count:] = st.OUT_OF_TIME
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
-        """Collect views of the arrays that hold the environments' states, a row an environment."""
+        """Return views of the state arrays, one row per environment."""
         found: dict[str, NDArray[Any]] = {"steps_remaining": self._steps_remaining}
         for name, array in self.parcels._asdict().items():
             if array.size:
@@ -288,14 +291,14 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def _put_parcels(self, chosen: Integers, parcels: Any) -> None:
-        """Give the chosen environments (count,), whose state is restored, parcels of a snapshot."""
+        """Restore the parcels of the chosen environments (count,) from a snapshot."""
 
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
         return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
-        """View a parcel as compiled functions see it, between two control periods."""
+        """Return the `EnvState` of a parcel between two control periods."""
         place = env_index * self.rows + row
         elements = self.params.elements
         seen: EnvState = st.env_state.py_func(
@@ -322,7 +325,7 @@ class BaseBatch(ABC):
         return f"{type(self.task).__name__} with {type(self.config.sensors).__name__}"
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
-        """Step the chosen environments (count,), or begin those just placed."""
+        """Step the chosen environments (count,), or begin newly placed ones."""
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
         except IndexError as error:
@@ -346,7 +349,7 @@ class Batch(BaseBatch):
         self._varies = config.randomisation.varies
         shared = self._varies or self._draws > 0 or config.actuators.stuck_share > 0.0
         self.reset_cache = resets.ResetCache(self.num_envs, self.task.draws, shared)
-        # A path takes too much memory to lay it out ahead.
+        # Paths need too much memory to be prepared ahead.
         self._lays_out = not (shared or self.task.has_path)
         place, shape = partial(resets.place_in, config), (line.rows, line.columns)
         self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
@@ -396,7 +399,7 @@ class Batch(BaseBatch):
     def info(self, env_index: int) -> dict[str, Any]:
         if self.config.info:
             return super().info(env_index)
-        state = self.parcels  # the same without arrays of all: a single environment is fast by it
+        state = self.parcels  # faster for a single environment than arrays of all
         truth = state.truth[env_index].copy()
         return {
             "is_success": state.outcome.item(env_index) == st.SUCCESS,
@@ -424,7 +427,7 @@ class Batch(BaseBatch):
             )
             return
         rows = self.reset_cache.take_rows(chosen, self._lay_out)
-        if rows.body.min() < 0:  # the task's starts come with parcels of their own
+        if rows.body.min() < 0:  # the starts have other parcels than the task's
             self._lays_out = False
             self.place(
                 chosen, resets.draw_starts(self.config, self.reset_cache.taken(chosen), options)
@@ -433,17 +436,16 @@ class Batch(BaseBatch):
             self._put(chosen, rows)
 
     def _lay_out(self, numbers: Array) -> resets.StartRows:
-        """Lay out starts of the task's own parcels, by numbers (starts, draws)."""
+        """Prepare starts of the task's own parcels from numbers (starts, draws)."""
         start = resets.draw_starts(self.config, numbers, ())
         parcels = resets.each_parcel(start.parcel, len(numbers))
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
-        """Put a start into each of the chosen environments (count,), every axis at 90 deg as the
-        conveyor's; then `begin` them.
+        """Place starts into the chosen environments (count,), axes at 90 deg; then `begin`.
 
-        The randomisation, the stuck modules and the sensor's noise are drawn from an environment's
-        generator, in that order.
+        An environment's generator draws randomisation, stuck modules and sensor noise, in this
+        order.
         """
         count = len(chosen)
         parcels = resets.each_parcel(start.parcel, count)
@@ -473,7 +475,7 @@ class Batch(BaseBatch):
     def _vary(
         self, chosen: Integers, parcels: Parcels, start: Start, factors: Array
     ) -> tuple[Parcels, Start]:
-        """Draw parcels and start by the randomisation; write the friction's factors (count, 3)."""
+        """Randomise parcels and start, and write factors of friction (count, 3)."""
         kinds, aside, turned = [], np.zeros(len(chosen)), np.zeros(len(chosen))
         x, y, theta = start.pose
         _, _, low, high = self.config.chosen_line.extent
@@ -500,8 +502,9 @@ class Batch(BaseBatch):
             self.parcels.body[i] = self._plan.draw_stuck(i, parcel, working)
 
     def _on_request(self) -> Infos:
-        """Collect the infos asked for by name, each (num_envs, rows, columns): axis angles [rad],
-        and the normal force [N] of the parcel on each element.
+        """Return the requested infos by name, each (num_envs, rows, columns).
+
+        They are axis angles [rad], and the parcel's normal force [N] on each element.
         """
         found = {}
         if "axes" in self.config.info:

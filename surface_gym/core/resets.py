@@ -1,4 +1,4 @@
-"""Resets: parcels placed on the surface, starts drawn ahead, noise drawn for sensors."""
+"""Resets: placing parcels, drawing starts ahead, and drawing noise for sensors."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Parcels, Start
 
 
 def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator) -> None:
-    """Draw noise, three standard normals and a uniform a row, for a row of `parcels`."""
+    """Draw noise for a row of `parcels`: three standard normals and one uniform per frame."""
     noise = parcels.noise[row]
     noise[:, :3] = generator.standard_normal((st.NOISE_ROWS, 3))
     noise[:, 3] = generator.random(st.NOISE_ROWS)
@@ -27,10 +27,10 @@ def draw_noise(parcels: st.ParcelState, row: int, generator: np.random.Generator
 
 
 class Placement(NamedTuple):
-    """Rows of the state arrays that follow from the parcel and the line alone."""
+    """Rows of the state arrays that depend on the parcel and the line only."""
 
     rotor: Booleans  # (rows, columns)
-    obeys: Booleans  # (rows, columns) but for those that are drawn to be stuck
+    obeys: Booleans  # (rows, columns) without randomly stuck modules
     zone: Integers  # (4,) first row, rows, first column, columns
     body: Array  # (7,) as `Bodies.body`
     edges: Array  # (edges, 3)
@@ -67,7 +67,7 @@ def place_in(config: EnvConfig, parcel: Parcel) -> Placement:
 
 
 FEWEST_EDGES = 4
-_NEW = count(1)  # a number for every content that a row gets
+_NEW = count(1)  # a new number for every content of a row
 
 
 class HeldParcels(NamedTuple):
@@ -75,15 +75,15 @@ class HeldParcels(NamedTuple):
 
     body: Integers  # (count,)
     parcel: np.ndarray  # (count,) of `Parcel`
-    obeys: Booleans  # (count, rows, columns), or none where all share their rows
-    content: Integers  # (count,) number of what the row held
+    obeys: Booleans  # (count, rows, columns), or empty if all share their rows
+    content: Integers  # (count,) number of the row's content
 
     def __len__(self) -> int:
         return len(self.body)
 
 
 class BodyPlan:
-    """The body table of a batch: a row a parcel of the task, and one an environment for others."""
+    """The body table of a batch: one row per parcel of the task, and one per environment."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class BodyPlan:
             self._write(body, parcel)
 
     def shared_bodies_of(self, parcels: Parcels) -> Integers:
-        """Return the rows (count,) of parcels that the task draws; -1 for any other."""
+        """Return the rows (count,) of the task's parcels; -1 for other parcels."""
         found = np.array([self._row_of.get(parcel, -1) for parcel in parcels.kinds])
         return found[parcels.which]
 
@@ -117,7 +117,7 @@ class BodyPlan:
         return bodies
 
     def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
-        """Return the own row of environment i, where only working modules (rows, columns) obey."""
+        """Return environment i's own row, in which only working modules (rows, columns) obey."""
         body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
         self._content[body] = next(_NEW)
@@ -136,7 +136,7 @@ class BodyPlan:
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Give the chosen environments (count,) copied parcels; return their rows (count,)."""
+        """Set copied parcels in the chosen environments (count,); return their rows (count,)."""
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
             source = k if len(held) > 1 else 0
@@ -174,7 +174,7 @@ class BodyPlan:
 
 
 def with_body(bodies: st.BodyTable, body: int, placement: Placement) -> st.BodyTable:
-    """Return a body table with a placement in one of its rows, wider if its edges need room."""
+    """Return a body table with a placement in one row, widened for its edges if necessary."""
     wide = bodies.edges.shape[1]
     more = placement.sides - wide
     if more > 0:
@@ -202,7 +202,7 @@ def _make_bodies(count: int, shape: tuple[int, ...], edges: int) -> st.BodyTable
 
 
 class StartRows(NamedTuple):
-    """Rows that starts put into the state arrays."""
+    """Rows of the state arrays for starts."""
 
     body: Integers  # (starts,)
     state: Array  # (starts, STATE_SIZE)
@@ -211,7 +211,7 @@ class StartRows(NamedTuple):
 
 
 def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str, Any]]) -> Start:
-    """Let a task draw starts from numbers (starts, draws) and the options of each."""
+    """Return a task's starts from numbers (starts, draws) and options."""
     task = config.task
     start = task.displaced_start(Draw(numbers, options, config.chosen_line, config.zone))
     if not isinstance(start, Start):
@@ -220,7 +220,7 @@ def draw_starts(config: EnvConfig, numbers: Array, options: Sequence[Mapping[str
 
 
 def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> StartRows:
-    """Return the rows of starts of these parcels, whose rows in the body table are (starts,)."""
+    """Return the rows of starts of parcels with rows `bodies` (starts,) in the body table."""
     count = len(bodies)
     pose = _columns(task, "pose", start.pose, 3, count)
     _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
@@ -235,7 +235,7 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
 
 
 def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: int) -> Array:
-    """Return a start's numbers of a name as (count, wanted), or raise an error."""
+    """Return a named field of a start as (count, wanted), or raise an error."""
     expected = f"{type(task).__name__}.start must give a {name} of"
     if len(values) != wanted:
         raise ValueError(f"{expected} {wanted} numbers, got {len(values)}")
@@ -251,7 +251,7 @@ def _columns(task: Task, name: str, values: Sequence[Any], wanted: int, count: i
 
 
 def _check_physical(task: Task, name: str, columns: Array, most: tuple[float, ...]) -> None:
-    """Raise a ValueError for starts whose numbers (count, 3) are farther from 0 than `most`."""
+    """Raise a ValueError if absolute values (count, 3) exceed `most`."""
     if (np.abs(columns) > most).any():
         raise ValueError(
             f"{type(task).__name__}.start must give a {name} of numbers up to {most}, "
@@ -271,19 +271,19 @@ def start_paths(task: Task, start: Start, count: int) -> Array:
 
 
 def each_parcel(parcel: Parcel | Parcels, count: int) -> Parcels:
-    """Return one parcel for all starts as one for each."""
+    """Return parcels for all starts, from one parcel or several."""
     if isinstance(parcel, Parcels):
         return parcel
     return Parcels((parcel,), np.zeros(count, dtype=np.int64))
 
 
-# Starts of an environment drawn at a time, where nothing else is drawn from its generator.
+# Number of starts drawn at a time, if nothing else uses the environment's generator.
 MOST_AHEAD = 64
-MOST_KEPT = 65536  # starts of all environments
+MOST_KEPT = 65536  # maximum number of starts over all environments
 
 
 class ResetCache:
-    """Numbers drawn ahead for each environment's starts, in its generator's order, and these."""
+    """Cache of numbers for each environment's starts, in the order of its generator."""
 
     def __init__(self, num_envs: int, draws: int, shared: bool, most_kept: int = MOST_KEPT) -> None:
         ahead = 1 if shared else min(MOST_AHEAD, max(1, most_kept // num_envs))
@@ -291,21 +291,22 @@ class ResetCache:
         self._numbers = np.zeros((num_envs, ahead, draws))
         self._used = np.full(num_envs, ahead)
         self._ahead = ahead
-        self._rows: StartRows | None = None  # of all environments' starts, one after another
-        self._laid = np.zeros(num_envs, dtype=np.bool_)  # whether an environment's are up to date
+        self._rows: StartRows | None = None  # starts of all environments, one after another
+        # whether an environment's starts are up to date
+        self._laid = np.zeros(num_envs, dtype=np.bool_)
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Draw an environment's numbers from a generator; one that it has already goes on."""
+        """Set the generator of an environment; its present generator continues unchanged."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead
 
     def take(self, chosen: Integers) -> Array:
-        """Return the next numbers (count, draws) of the chosen, seeded environments (count,)."""
+        """Return the next numbers (count, draws) of the chosen environments (count,)."""
         return self._numbers[chosen, self._next(chosen)]
 
     def taken(self, chosen: Integers) -> Array:
-        """Return the numbers (count, draws) that the chosen environments (count,) took last."""
+        """Return the last numbers (count, draws) of the chosen environments (count,)."""
         return self._numbers[chosen, self._used[chosen] - 1]
 
     def take_rows(self, chosen: Integers, lay_out: Callable[[Array], StartRows]) -> StartRows:

@@ -56,7 +56,7 @@ class BaseCudaBatch(ABC):
         return self._episodes.reward
 
     def step(self, mask: torch.Tensor) -> None:
-        """Step the environments in the mask (num_envs,) by one period, or begin those placed."""
+        """Step the environments in the mask (num_envs,) by one period, or begin placed ones."""
         self._mask.copy_(mask)
         self._step()
         fault = torch.where(mask, self._episodes.fault, NO_FAULT)
@@ -82,7 +82,7 @@ class BaseCudaBatch(ABC):
 
     @abstractmethod
     def check(self, options: Sequence[dict[str, Any]]) -> None:
-        """Raise the errors of a reset with options, each of one environment; draw nothing."""
+        """Check reset options, one per environment, without drawing random numbers."""
 
     @abstractmethod
     def place_drawn(
@@ -93,7 +93,7 @@ class BaseCudaBatch(ABC):
     ) -> None:
         """Put the next start into some environments; `step` begins it.
 
-        There are new generators by environment, and options of each chosen one, or none at all.
+        `generators` are new generators by environment; options are empty or one per environment.
         """
 
     @abstractmethod
@@ -194,7 +194,7 @@ class CudaBatch(BaseCudaBatch):
         self.prefetch.close()
 
     def _sort(self) -> None:
-        """Sort environments by parcel, so that loops of neighbouring threads are as long."""
+        """Sort environments by parcel, so that neighbouring threads have equally long loops."""
         if len(self._bodies.zone) > 1:
             self._order.copy_(torch.argsort(self._parcels.body, stable=True))
 
@@ -220,7 +220,7 @@ class CudaBatch(BaseCudaBatch):
         return resets.start_rows(self._task, start, parcels, bodies), path
 
 
-# The arrays that drawing an episode writes; the kernel begins the others.
+# Arrays written by drawing an episode; the kernel initialises the others.
 DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
@@ -234,7 +234,7 @@ TALLIED = {"entered": ENTERED, "right": CORRECT, "wrong": WRONG, "touches": TOUC
 class CudaStreamBatch(BaseCudaBatch):
     """The environments of `flow.batch.StreamBatch` on a device.
 
-    Episodes are long, so the host draws the arrivals when an environment begins, and waits to know
+    Episodes are long. The host draws the arrivals when an environment begins, and waits to learn
     which environments have ended.
     """
 
@@ -325,7 +325,7 @@ class CudaStreamBatch(BaseCudaBatch):
         self._episodes = self._episodes._replace(**wider)
 
     def _send(self, chosen: Integers) -> None:
-        """Send what was drawn for the chosen environments (count,)."""
+        """Send the drawn episodes of the chosen environments (count,)."""
         host, rows = self._host, self._task.rows
         env_indices = send(chosen, self._device)
         for state, source, names in (

@@ -19,15 +19,17 @@ from surface_gym.state import NO_FAULT, OUT_OF_TIME, RUNNING
 
 
 def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) -> BaseCudaBatch:
-    """Make the batch of a device: of one parcel for each environment, or of streams."""
+    """Make a device batch of environments with one parcel each, or of streams."""
     check_config(config)
     kind = CudaStreamBatch if config.task.is_stream else CudaBatch
     return kind(config, num_envs, device)
 
 
 def check_config(config: EnvConfig) -> None:
-    """Raise a ValueError for what a GPU does not support yet: noise, infos on request, and for one
-    parcel randomisation and stuck modules that are drawn.
+    """Raise a ValueError for configurations that a GPU does not support.
+
+    These are noise and requested infos. With one parcel, also randomisation and randomly stuck
+    modules.
     """
     if config.draws > 0:
         raise ValueError(
@@ -47,10 +49,10 @@ def check_config(config: EnvConfig) -> None:
 
 
 class TensorActions:
-    """Converts actions of all environments to commands, as `ActionKind.commands` does.
+    """Conversion of actions of all environments to commands, like `ActionKind.commands`.
 
-    To look at values, the host would have to wait for the device. So a value out of range is
-    recorded in `wrong` and not raised at once: the environment gets the first choice, or 0 rad.
+    Checking values on the host would wait for the device. So a value out of range is recorded in
+    `wrong` and raised later. The environment then gets the first choice, or 0 rad.
     """
 
     def __init__(self, space: spaces.Space[Any], num_envs: int, device: torch.device) -> None:
@@ -58,7 +60,7 @@ class TensorActions:
         # () whether a value was out of range
         self.wrong = torch.zeros((), dtype=torch.bool, device=device)
         self._continuous = isinstance(space, spaces.Box)
-        self._paired = isinstance(space, spaces.Discrete)  # a number stands for two choices
+        self._paired = isinstance(space, spaces.Discrete)  # one number encodes two choices
         if isinstance(space, spaces.Box):
             self._max_angle = float(space.high.max())
             self.allowed = "-pi/2 and pi/2"
@@ -101,37 +103,38 @@ class TensorActions:
         return torch.stack([choices // self._per_side, choices % self._per_side], dim=1)
 
 
-CHECK_EVERY = 32  # control periods between two checks for errors; a check raises the last one's
+# control periods between checks for errors; a check raises errors of the previous one
+CHECK_EVERY = 32
 
 
 class CudaVectorEnv(BaseVectorEnv):
     """`SmartSurfaceVectorEnv` on a GPU; `gym.make_vec(..., device="cuda")` makes it. Experimental.
 
-    The source of physics, sensors and tasks is the CPU's, compiled for the GPU, and environment i
-    seeded s + i begins as on the CPU. What follows agrees with the CPU except for the last digits:
-    a GPU rounds a product and a sum once, and has other sines.
+    Physics, sensors and tasks are compiled from the CPU's source. Environment i seeded s + i begins
+    as on the CPU. Later states agree with the CPU except for the last digits, since a GPU uses
+    fused multiply-add and other sines.
 
-    Actions, observations, rewards and infos are torch tensors on the device; none passes through
-    the host, and `step` does not wait for the device. Returned tensors are copies.
+    Actions, observations, rewards and infos are torch tensors on the device. They do not pass
+    through the host, and `step` does not wait for the device. Returned tensors are copies.
     Differences from `SmartSurfaceVectorEnv`:
 
     - infos are tensors (num_envs, ...); "outcome" is only a number, an index into `outcomes`;
-    - in SAME_STEP mode "final_obs" and "final_info" are there at every step, and hold for the
+    - in SAME_STEP mode "final_obs" and "final_info" exist at every step, and are valid for the
       environments in "_final_obs";
-    - an action out of range, or a number of a custom task that is not finite, is an error within
-      64 control periods; an index of a custom task beyond an array is not detected: try a task on
-      the CPU first;
-    - there are no pictures, noise, randomisation or infos on request; parcels are the task's;
-    - episodes of a stream are drawn by the host as environments begin, so that `step` waits for the
-      device to say which do; they may vary, and give no figures at the end.
+    - an action out of range, or a number of a custom task that is not finite, raises an error
+      within 64 control periods; an index of a custom task beyond an array is not detected, so test
+      a task on the CPU first;
+    - pictures, noise, randomisation and requested infos are not supported; parcels are the task's;
+    - the host draws episodes of a stream when environments begin, so `step` waits for the device;
+      they may be randomised, and report no metrics at the end.
 
     Args:
-        num_envs: number of environments; 30 000 and more fill a data-centre card.
-        device: where it runs.
+        num_envs: number of environments; a data-centre GPU is fully used from about 30 000.
+        device: CUDA device.
         max_episode_steps: control periods after which an episode is truncated; None for no limit.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED, which makes the host
             wait for the device in every step.
-        config: the other arguments, those of `SmartSurfaceEnv`.
+        config: the other arguments of `SmartSurfaceEnv`.
     """
 
     def __init__(
@@ -148,7 +151,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=device)
         self._steps_remaining = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._steps = 0
-        self._last_errors: DelayedCopy | None = None  # as of the last check
+        self._last_errors: DelayedCopy | None = None  # at the last check
 
     def reset(
         self,
@@ -156,12 +159,12 @@ class CudaVectorEnv(BaseVectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | Sequence[dict[str, Any] | None] | None = None,
     ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """Begin an episode in all environments, or in those of `options["reset_mask"]`."""
+        """Begin an episode in all environments, or in the mask `options["reset_mask"]`."""
         batch = self.batch
         if isinstance(options, dict) and torch.is_tensor(options.get("reset_mask")):
             options = {**options, "reset_mask": options["reset_mask"].cpu().numpy()}
         given = self._check_reset(seed, options, batch.options)
-        if given.options:  # a bad option of one environment leaves all as they were
+        if given.options:  # an invalid option of one environment changes no environment
             batch.check(given.options)
         self._raise_errors()
         generators = {
@@ -218,7 +221,7 @@ class CudaVectorEnv(BaseVectorEnv):
         self._raise_errors()
 
     def _reset_ended(self, ended: torch.Tensor) -> dict[str, Any]:
-        """Reset the environments whose episodes have ended, and return the infos of these."""
+        """Reset the ended environments, and return the infos of their ended episodes."""
         final = {
             "final_obs": self._observation(),
             "_final_obs": ended,

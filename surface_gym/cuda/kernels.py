@@ -1,4 +1,4 @@
-"""CUDA kernels, compiled from the functions of the CPU's kernels."""
+"""CUDA kernels compiled from the functions of the CPU's kernels."""
 
 from functools import lru_cache
 from typing import Any
@@ -22,14 +22,14 @@ from surface_gym.physics.collision import WorldScratch, make_world_scratch, worl
 from surface_gym.physics.types import Booleans, Integers, Scratch
 from surface_gym.state import STARTING, BodyTable, ParcelState, SurfaceState
 
-THREADS = 64  # of a block; a thread takes so many registers that more would not run at a time
+THREADS = 64  # per block; threads use many registers, so more would not run at a time
 
 
 class Launch:
-    """A kernel that is called with the same arguments each time, on torch's current stream.
+    """A kernel with fixed arguments, called on torch's current stream.
 
-    Analysing dozens of arrays takes longer than a control period of many environments, so it is
-    done once. The kernel is compiled at the first call, which takes tens of seconds.
+    Analysing dozens of arrays takes longer than a control period, so it is done once. The kernel is
+    compiled at the first call, which takes tens of seconds.
     """
 
     def __init__(self, kernel: Any, arguments: tuple[Any, ...], num_envs: int) -> None:
@@ -40,7 +40,7 @@ class Launch:
 
     def set_arguments(self, arguments: tuple[Any, ...]) -> None:
         """Use other arguments of the same types from now on."""
-        self._tensors = arguments  # kept as long as kernels read their memory
+        self._tensors = arguments  # keeps the memory alive for kernels
         self._arguments = tuple(map(kernel_view, arguments))
 
     def __call__(self) -> None:
@@ -59,7 +59,7 @@ def _stream() -> Any:
 
 @lru_cache(maxsize=16)
 def device_translator(capacity: int) -> Translator:
-    """Return the translator for scratch with room for so many contacts; tasks share it."""
+    """Return the shared translator for scratch with a capacity of contacts."""
     return Translator(lambda copy, _: cuda.jit(device=True)(copy), scratch_layout(capacity), types)
 
 
@@ -72,8 +72,8 @@ def step_kernel(config: EnvConfig) -> Any:
 def make_step_kernel(functions: KernelFunctions, capacity: int) -> Any:
     """Build `step(params, surfaces, parcels, bodies, order, mask)`, compiled at its first call.
 
-    Thread t steps environment order[t], if it is in the mask (num_envs,), as
-    `core.kernel.make_kernel` says.
+    Thread t steps environment order[t], if it is in the mask (num_envs,), like
+    `core.kernel.make_kernel`.
     """
     layout = scratch_layout(capacity)
     step_envs = device_translator(capacity).translate(make_kernel(functions))
@@ -115,7 +115,7 @@ def place_starts(
     starts_taken: Integers,
     mask: Booleans,
 ) -> None:
-    """Put the next start into each environment in the mask (num_envs,), as `Batch.place` does."""
+    """Place the next start into each environment in the mask (num_envs,), like `Batch.place`."""
     i = cuda.grid(1)
     if i >= mask.shape[0] or not mask[i]:
         return
@@ -134,7 +134,7 @@ def place_starts(
 
 
 def stream_capacity(config: EnvConfig, kinds: tuple[Parcel, ...]) -> int:
-    """Return the room for the contacts and edges of some parcels at their largest size."""
+    """Return the capacity for contacts and edges of parcels at their largest size."""
     bases = [config.randomisation.largest(parcel.base) for parcel in kinds]
     return required_capacity(bases, config.chosen_line)
 
@@ -150,8 +150,8 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
     """Build `step(params, stream_params, surfaces, parcels, bodies, streams, scratches, order,
     mask)`, compiled at its first call.
 
-    Thread t steps surface order[t], if it is in the mask (num_envs,), as
-    `flow.kernel.make_stream_kernel` says.
+    Thread t steps surface order[t], if it is in the mask (num_envs,), like
+    `flow.kernel.make_stream_kernel`.
     """
     layout = scratch_layout(capacity)
     translator = device_translator(capacity)
@@ -188,6 +188,6 @@ def make_stream_step_kernel(functions: StreamFunctions, capacity: int) -> Any:
 
 
 def make_stream_scratch(capacity: int, parcels: int) -> WorldScratch:
-    """Make a surface's scratch for some parcels, with room for so many contacts of each."""
+    """Make a surface's scratch for parcels, with a capacity of contacts for each."""
     translator = Translator(lambda copy, _: copy, scratch_layout(capacity), types)
     return translator.translate(make_world_scratch)(parcels)

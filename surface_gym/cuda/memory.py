@@ -1,12 +1,12 @@
 """State arrays and scratch in a device's memory, and transfers between host and device.
 
-Arrays with a row for each environment are stored with the environments adjacent, so that
-neighbouring threads read neighbouring numbers. The grids of axes are the exception: each
-environment reads another part of them, so that an environment's elements are adjacent.
+Arrays with one row per environment are stored with environments adjacent, so neighbouring threads
+read neighbouring numbers. Grids of axes are an exception: environments read different parts of
+them, so an environment's elements are adjacent.
 
-`physics.types` gives a scratch room for as many contacts as any parcel may have. On a GPU each of
-many thousands of environments has its own scratch in its thread's local memory, with room for the
-parcels at hand only.
+`physics.types` allocates scratch for the largest possible parcels. On a GPU, each of many thousands
+of environments has its own scratch in its thread's local memory, with capacity for the task's
+parcels only.
 """
 
 import math
@@ -28,7 +28,8 @@ from surface_gym.physics import types
 from surface_gym.state import ParcelState, SurfaceState
 
 GRIDS = ("axis", "angle", "target", "stiffness")  # an environment's elements are adjacent
-PATTERN = 2  # environments of the pattern: an array with as many rows has one for each
+# environments of the pattern, whose arrays with this many rows have one per environment
+PATTERN = 2
 
 
 def make_device_state(
@@ -46,7 +47,7 @@ def make_device_state(
 
 
 def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> torch.Tensor:
-    """Return the one row that all environments share, or a row for each."""
+    """Return one row shared by all environments, or one row per environment."""
     row = to_device(values[:1], device)
     return row if len(values) == 1 else layout(row[0], num_envs)
 
@@ -64,7 +65,7 @@ def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
 def to_device(values: Any, device: torch.device) -> Any:
     """Return a tuple of arrays and numbers, nested ones included, with the arrays as tensors.
 
-    An empty array becomes a zero that nobody reads: a kernel takes no empty one.
+    An empty array becomes an unused zero, since kernels take no empty arrays.
     """
     if isinstance(values, np.ndarray):
         filled = values if values.size else np.zeros(np.maximum(values.shape, 1), values.dtype)
@@ -85,7 +86,7 @@ def _map(function: Callable[[Any], Any], values: Any) -> Any:
     return kind._make(map(function, values)) if isinstance(values, tuple) else values
 
 
-# By name, as in `physics.types`.
+# Named as in `physics.types`.
 TABLE_ROWS = (
     "ARM_X", "ARM_Y", "AXIS_X", "AXIS_Y", "STIFFNESS", "MU_ALONG", "MU_ACROSS", "PRESSURE",
     "NORMAL", "MOST_ALONG", "MOST_ACROSS", "SLIP_ALONG", "SLIP_ACROSS", "FORCE_X", "FORCE_Y",
@@ -99,7 +100,7 @@ OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
 
 def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
-    """Return constants of `physics.types`, by name, for scratch of a number of contacts."""
+    """Return constants of `physics.types` by name, for a capacity of contacts."""
     table = {name: getattr(types, name) // types.STRIDE * capacity for name in TABLE_ROWS}
     marks = {name: getattr(types, name) // types.STRIDE * capacity for name in MARK_ROWS}
     counts = marks["COUNTS"]
@@ -118,19 +119,19 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
 
 
 def task_capacity(config: EnvConfig) -> int:
-    """Return the room for the contacts and edges of every parcel that the task draws."""
+    """Return the capacity for contacts and edges of all parcels of the task."""
     return required_capacity([parcel.base for parcel in config.task.parcels], config.chosen_line)
 
 
 def required_capacity(bases: Sequence[Base], line: BaseLine) -> int:
-    """Return the room for the contacts and edges of any of some bases on a line."""
+    """Return the capacity for contacts and edges of bases on a line."""
     pitches = (line.geometry.pitch_x, line.geometry.pitch_y)
     contacts = [max_contacts(base, pitches) for base in bases]
     return max(FEWEST_EDGES, *contacts, *(len(base.edges) for base in bases))
 
 
 def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
-    """Return the most elements that a base covers in any pose.
+    """Return the maximum number of elements under a base in any pose.
 
     A convex figure of area A and perimeter P covers at most A + P / 2 + 1 points of the unit
     lattice (Nosarzewska, Evaluation de la difference entre l'aire d'une region plane convexe et le
@@ -144,7 +145,7 @@ def max_contacts(base: Base, pitches: tuple[float, float]) -> int:
 
 
 class DelayedCopy:
-    """A copy of a tensor's value on the host, for which the host waits only when it reads it."""
+    """A copy of a tensor on the host; only reading it waits for the device."""
 
     def __init__(self, values: torch.Tensor) -> None:
         self._event: Any = None

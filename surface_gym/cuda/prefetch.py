@@ -1,7 +1,6 @@
-"""Starts for environments on a GPU, drawn on the host ahead of need.
+"""Starts for environments on a GPU, drawn ahead on the host.
 
-Each environment's starts come in the order of its own generator, so that they are those of the
-CPU's batch.
+Each environment's starts follow its own generator, so they equal the starts of a CPU batch.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,15 +16,14 @@ from surface_gym.physics.types import STATE_SIZE, Array, Integers
 from surface_gym.state import CONDITION_COLUMNS, PATH_POINTS
 from surface_gym.tasks.base import Task
 
-# Control periods between two checks of how many starts the environments have taken. The counts
-# copied at one check are read at the next, the starts prepared then are sent at the one after, so
-# that nobody waits.
+# Control periods between two checks of the number of used starts. Counts copied at one check are
+# read at the next check, and new starts are sent at the check after that. So neither side waits.
 CHECK_EVERY = 8
 STARTS_AHEAD = 3 * CHECK_EVERY  # starts of each environment on the device
 
 
 class StartRings(NamedTuple):
-    """Starts on the device, a ring of them for each environment."""
+    """Starts on the device, one ring per environment."""
 
     body: Any  # (num_envs, STARTS_AHEAD)
     state: Any  # (num_envs, STARTS_AHEAD, STATE_SIZE)
@@ -35,7 +33,7 @@ class StartRings(NamedTuple):
 
 
 class PreparedStarts(NamedTuple):
-    """Starts on the host, with their places in the rings."""
+    """Starts on the host, with their positions in the rings."""
 
     env_indices: Integers  # (starts,)
     slots: Integers  # (starts,) in the ring of the environment
@@ -44,7 +42,7 @@ class PreparedStarts(NamedTuple):
 
 
 class Prefetch:
-    """Rings of starts, kept full by a thread of the host: 1 us a start, 0.3 ms one of Track."""
+    """Rings of starts, filled by a host thread: 1 us per start, 0.3 ms per start of Track."""
 
     def __init__(
         self,
@@ -57,12 +55,12 @@ class Prefetch:
             num_envs, task.draws, shared=False, most_kept=MOST_AHEAD * num_envs
         )
         self._make_rows = make_rows
-        # Of the starts in the rings.
+        # State of the starts in the rings.
         self._numbers = np.zeros((num_envs, STARTS_AHEAD, task.draws))
         self._prepared = np.zeros(num_envs, dtype=np.int64)  # starts of each environment so far
         self._pool = ThreadPoolExecutor(1, "starts")
         self._pending: Future[PreparedStarts | None] | None = None
-        self._checked: DelayedCopy | None = None  # starts taken, as of the last check
+        self._checked: DelayedCopy | None = None  # used starts at the last check
         self._steps = 0
         path = PATH_POINTS if task.has_path else 0
         self.rings = StartRings(
@@ -85,7 +83,7 @@ class Prefetch:
         options: Sequence[dict[str, Any]],
     ) -> None:
         """Fill the rings before a reset; a new generator discards the starts of its environment."""
-        self._send_pending()  # drawn by the generators before these
+        self._send_pending()  # drawn by earlier generators
         self._checked = None
         taken = DelayedCopy(self.starts_taken).read()
         for i, generator in generators.items():
@@ -100,7 +98,7 @@ class Prefetch:
             self._send(PreparedStarts(chosen, slots, rows, path))
 
     def update(self) -> None:
-        """Keep the rings full, after every control period; an environment takes one start in it."""
+        """Refill the rings after every control period, in which at most one start is used."""
         self._steps += 1
         if self._steps % CHECK_EVERY > 0:
             return
@@ -114,7 +112,7 @@ class Prefetch:
         self._pool.shutdown()
 
     def _prepare(self, wanted: Integers) -> PreparedStarts | None:
-        """Draw starts until every environment has had as many as wanted (num_envs,)."""
+        """Draw starts until every environment has as many as `wanted` (num_envs,)."""
         env_indices, slots, numbers = [], [], []
         while (short := np.nonzero(self._prepared < wanted)[0]).size:
             slot = self._prepared[short] % STARTS_AHEAD

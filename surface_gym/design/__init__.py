@@ -1,17 +1,25 @@
-"""Answers to the question which surface a parcel needs.
+"""Design of the surface that a parcel needs.
 
-Functions take a `Case`, and may be given `columns` of the zone (None: the fewest that all but 5 %
-of the draws need), `rows` of rotors (None: as many as lie under the parcel), `workers`, threads
-that share the runs, or a cluster, and `on_progress`, called with the runs done and their total.
+Functions take a `Case`. Optional arguments are: `columns` of the zone (None: the fewest for 95 % of
+the draws), `rows` of rotors (None: the rows under the parcel), `workers` (threads or a cluster),
+and `on_progress`, called with the finished and the total number of runs.
 
-A name is imported from its module when it is first asked for.
+Names are imported from their modules on first use.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from surface_gym.design.case import Case, Purpose, Slow, Sort, Stop, Turn, Unknown
+    from surface_gym.design.case import (
+        Case,
+        Purpose,
+        SlowPurpose,
+        SortPurpose,
+        StopPurpose,
+        TurnPurpose,
+        Unknown,
+    )
     from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
     from surface_gym.design.fixed_layout import BestLayout, EveryLayout, best_layout, every_layout
     from surface_gym.design.limits import (
@@ -26,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BestLayout", "Case", "Columns", "DesignLine", "EveryLayout", "FrictionRange",
-    "Limits", "Purpose", "Slow", "Sort", "Span", "Stop", "Turn",
+    "Limits", "Purpose", "SlowPurpose", "SortPurpose", "Span", "StopPurpose", "TurnPurpose",
     "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "every_layout",
     "friction_range", "least_columns", "least_speed", "least_tilt", "line_for",
 ]  # fmt: skip

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks, files, parallel
 from surface_gym.design import runs as running
-from surface_gym.design.runs import DesignLine, Ends, OnProgress, Runs
+from surface_gym.design.runs import DesignLine, Ends, OnProgress, RunRequests
 from surface_gym.layouts import ROLLING
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.types import Array, Booleans
 from surface_gym.randomisation import RandomDraw, Randomisation
 
-CHECKPOINT = 2**26  # [bytes] of an array in a checkpoint: far more than a search's population
+CHECKPOINT = 2**26  # [bytes] maximum size of an array in a checkpoint
 EIGHTH = math.pi / 4  # [rad] 45 deg
 
 
@@ -34,10 +34,10 @@ class Purpose(ABC):
     """Task of a surface, for parcels that enter along the line towards +x."""
 
     name: str
-    participle: str = ""  # of `name`; "": `name` alone describes the purpose
+    participle: str = ""  # participle of `name`; "": `name` alone describes the purpose
     unit: str  # of `measure`
     measured: str  # description of `measure`
-    scale: float  # from SI to `unit`
+    scale: float  # factor from SI to `unit`
 
     @property
     def detail(self) -> str:
@@ -46,12 +46,12 @@ class Purpose(ABC):
 
     @property
     def action(self) -> str:
-        """The purpose as it follows "to": "sort it"."""
+        """The purpose after "to", e.g. "sort it"."""
         return f"{self.name} it{self.detail}" if self.participle else self.name
 
     @property
     def passive(self) -> str:
-        """The purpose as it follows "for it to": "be sorted"."""
+        """The purpose after "for it to", e.g. "be sorted"."""
         return f"be {self.participle}{self.detail}" if self.participle else self.action
 
     @abstractmethod
@@ -61,7 +61,7 @@ class Purpose(ABC):
     @property
     @abstractmethod
     def leaves_zone(self) -> bool:
-        """Whether a run ends where the parcel has passed the columns that are used."""
+        """Whether a run ends after the parcel has passed the used columns."""
 
     @abstractmethod
     def succeeds(self, ends: Ends) -> Booleans:
@@ -69,24 +69,24 @@ class Purpose(ABC):
 
     @abstractmethod
     def measure(self, ends: Ends) -> Array:
-        """Return the measured result (runs,) in SI units; nan where a run has none."""
+        """Return the measured result (runs,) in SI units; NaN if a run has none."""
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the distance (runs,) [-] from success, 0 to 1: the slope that a search descends.
+        """Return the distance (runs,) [-] from success, from 0 to 1, which a search minimises.
 
-        By default success alone counts.
+        The default counts success only.
         """
         return np.where(self.succeeds(ends), 0.0, 1.0)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return further axes (rows, columns) [rad] with which a search for a layout begins."""
+        """Return additional initial axes (rows, columns) [rad] for a search."""
         del line
         return []
 
 
 @dataclass(frozen=True)
-class Sort(Purpose):
-    """Lead the parcel off the line to one side, Section 5.1."""
+class SortPurpose(Purpose):
+    """Purpose: lead the parcel off the line to one side (Section 5.1)."""
 
     side: int = -1  # -1: to y < 0; +1: to y > 0
 
@@ -113,14 +113,14 @@ class Sort(Purpose):
         return np.where(self.succeeds(ends), ends.time, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the rest of the way across, to a line's width past the last rotor."""
+        """Return the remaining lateral distance, up to a line's width past the last rotor."""
         enough = 1.5 * ends.line.pitch_y * ends.line.rows  # ample for any parcel
         across = self.side * (ends.pose[:, 1] - ends.line.line_y)
         left = 1.0 - np.clip(across / enough, 0.0, 1.0)
         return np.where(self.succeeds(ends), 0.0, left)
 
     def search_starts(self, line: DesignLine) -> list[Array]:
-        """Return axes that turn from column to column, which lead a parcel aside bit by bit."""
+        """Return axes that turn gradually from column to column."""
         starts = []
         for turned in np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0]).tolist():
             for over in range(1, line.columns + 1):
@@ -131,12 +131,12 @@ class Sort(Purpose):
 
 
 class _Braking(Purpose):
-    """Purpose that takes speed off the parcel, on the zone."""
+    """Base class of purposes that brake the parcel on the zone."""
 
     leaves_zone = True
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return Figure 6b and 6c: columns at 0 deg, or at 45 and -45 deg from row to row."""
+        """Return Figure 6b and 6c: columns at 0 deg, or at alternately 45 and -45 deg by row."""
         straight = np.full((line.rows, line.columns), ROLLING)
         straight[:, :columns] = 0.0
         signs = np.where(np.arange(line.rows) % 2, 1.0, -1.0)
@@ -146,14 +146,15 @@ class _Braking(Purpose):
 
 
 @dataclass(frozen=True)
-class Slow(_Braking):
-    """Let the parcel leave the zone at a share of its entry speed or less, Section 5.2.
+class SlowPurpose(_Braking):
+    """Purpose: reduce the parcel's speed to a share of its entry speed (Section 5.2).
 
-    With a tolerance, at that share.
+    Without a tolerance, any smaller share above 0 is a success too.
     """
 
-    ratio: float = 0.5  # [-] of exit and entry speed
-    tolerance: float | None = None  # [-] of the ratio; None: any ratio above 0 that is no greater
+    ratio: float = 0.5  # [-] exit speed / entry speed
+    # [-] tolerance of the ratio; None: any ratio from above 0 to `ratio`
+    tolerance: float | None = None
 
     name = "slow"
     participle = "slowed"
@@ -184,18 +185,18 @@ class Slow(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the ratio; at rest on the zone, half plus half the way to go."""
+        """Return the error of the ratio; at rest on the zone, 0.5 plus half the remaining share."""
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
 
 
 @dataclass(frozen=True)
-class Stop(_Braking):
-    """Bring the parcel to rest on the zone, Section 5.3; near a place on it, if one is given."""
+class StopPurpose(_Braking):
+    """Purpose: stop the parcel on the zone (Section 5.3), optionally near a place."""
 
     place: float | None = None  # [m] from the zone's start to the base's middle at rest
-    tolerance: float = 0.05  # [m] off the place
+    tolerance: float = 0.05  # [m] allowed distance from the place
 
     name = "stop"
     participle = "stopped"
@@ -227,7 +228,7 @@ class Stop(_Braking):
     def shortfall(self, ends: Ends) -> Array:
         """Return the error of the place over the zone's length.
 
-        Past the zone, half plus half the share of the speed that is left.
+        Past the zone, it is 0.5 plus half the remaining share of the speed.
         """
         rest = self.measure(ends)
         off = np.zeros(len(rest)) if self.place is None else np.abs(rest - self.place)
@@ -239,8 +240,8 @@ class Stop(_Braking):
 
 
 @dataclass(frozen=True)
-class Turn(Purpose):
-    """Let the parcel leave the zone turned by an angle."""
+class TurnPurpose(Purpose):
+    """Purpose: turn the parcel by an angle until it leaves the zone."""
 
     angle: float = math.radians(30.0)  # [rad] anti-clockwise
     tolerance: float = math.radians(5.0)  # [rad]
@@ -262,7 +263,7 @@ class Turn(Purpose):
         return f" by {math.degrees(self.angle):g} +- {math.degrees(self.tolerance):g} deg"
 
     def layouts(self, line: DesignLine, columns: int) -> tuple[Layout, ...]:
-        """Return layouts of which one half of the rows turns; see also `best_layout`."""
+        """Return layouts in which half of the rows turn the parcel; see also `best_layout`."""
         found = []
         left = np.arange(line.rows) >= (line.rows + 1) // 2
         turning = left if self.angle > 0.0 else left[::-1]
@@ -279,23 +280,23 @@ class Turn(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the angle over 180 deg; at rest, half plus half the way to go."""
+        """Return the error of the angle / 180 deg; at rest, 0.5 plus half the remaining share."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
 
 
 def _way_to_go(ends: Ends) -> Array:
-    """Return half plus half the share of the zone left to a parcel at rest; 1 for all others."""
+    """Return 0.5 plus half the remaining share of the zone for a parcel at rest; 1 for others."""
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
     return np.where(ends.reason == running.AT_REST, 0.5 + 0.5 * np.clip(to_go, 0.0, 1.0), 1.0)
 
 
-WORST = 0.05  # share of the draws that may fail in a figure for the worst draws
-SURE = f"{1.0 - WORST:.0%}"  # share of the draws that must succeed
-MOST_DRAWS = 1_000_000  # of unknown quantities: a run each
+WORST = 0.05  # allowed share of failing draws
+SURE = f"{1.0 - WORST:.0%}"  # required share of successful draws
+MOST_DRAWS = 1_000_000  # maximum number of draws, with one run each
 
-# Fields of `Unknown` in the groups that are reported, each varied by itself.
+# Fields of `Unknown` in reported groups, which are varied one at a time.
 GROUPS = {
     "friction": ("friction", "rolling"),
     "load": ("com_offset", "mass"),
@@ -310,14 +311,14 @@ NOMINAL = "nominal"  # nothing unknown
 class Unknown(Randomisation):
     """Spreads of the quantities that are unknown when a surface is designed.
 
-    Friction, load and unevenness vary by default; 0.35 stands for supports uneven by about 1
-    micrometre (docs/validation.md).
+    Friction, load and unevenness vary by default. A stiffness spread of 0.35 corresponds to
+    supports uneven by about 1 micrometre (docs/validation.md).
     """
 
     friction: float = 0.2  # [-] mu_max times uniform(1 - friction, 1 + friction)
     rolling: float = 0.2  # [-] mu_min and mu_support, each times uniform(1 - rolling, 1 + rolling)
     com_offset: float = 0.1  # [-] centre of mass, within this share of half the base's extent
-    stiffness: float = 0.35  # [-] log-normal spread of each element's
+    stiffness: float = 0.35  # [-] log-normal spread of each element's stiffness
     speed: float = 0.0  # [m/s] normal spread of the entry speed
     tilt: float = 0.0  # [rad] normal spread of the surface's tilt
 
@@ -329,7 +330,7 @@ class Unknown(Randomisation):
         checks.angle("tilt", self.tilt, 0.0, math.pi / 4)
 
     def only(self, group: str) -> "Unknown":
-        """Return the spreads of one group of `GROUPS`, or of all of them for `TOGETHER`."""
+        """Return the spreads of one group of `GROUPS`, or all spreads for `TOGETHER`."""
         if group == TOGETHER:
             return self
         names = GROUPS[checks.one_of("group", group, (*GROUPS, TOGETHER))]
@@ -337,7 +338,7 @@ class Unknown(Randomisation):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups in which something varies, and `TOGETHER`; none if nothing does."""
+        """Groups with variation, and `TOGETHER`; empty if nothing varies."""
         varying = tuple(group for group in GROUPS if self.only(group) != NOTHING)
         return (*varying, TOGETHER) if varying else ()
 
@@ -354,12 +355,12 @@ class Case:
     """A parcel, its entry, its purpose and the unknown quantities of a design."""
 
     parcel: Parcel
-    purpose: Purpose = field(default_factory=Sort)
+    purpose: Purpose = field(default_factory=SortPurpose)
     speed: float = 1.0  # [m/s] at entry, along the line
     tilt: float = 0.0  # [rad] of the surface, downhill towards +x
     unknown: Unknown = field(default_factory=Unknown)
-    draws: int = 100  # of unknown quantities
-    seed: int = 0  # of the draws
+    draws: int = 100  # number of draws of unknown quantities
+    seed: int = 0  # seed of the draws
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     mu_max: float = 0.5  # [-] friction along a rotor's axis
     mu_min: float = 0.01  # [-] friction across it
@@ -382,7 +383,7 @@ class Case:
         checks.within("step", self.step, 1e-5, 0.02)
 
     def line(self, columns: int, rows: int | None = None) -> DesignLine:
-        """Return a line with so many columns in its zone; `rows` None: by the parcel's width."""
+        """Return a line with `columns` in its zone; by default, rows fit the parcel."""
         return running.line_for(
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
@@ -393,22 +394,22 @@ class Case:
 
     @property
     def parcel_text(self) -> str:
-        """The parcel in words: "0.3 x 0.4 m parcel"."""
+        """Description of the parcel, e.g. "0.3 x 0.4 m parcel"."""
         return describe_base(self.parcel.base)
 
     @property
     def entry_text(self) -> str:
-        """The entry of the parcel in words: "at 1.2 m/s"."""
+        """Description of the entry, e.g. "at 1.2 m/s"."""
         tilt = f" down {math.degrees(self.tilt):g} deg" if self.tilt else ""
         return f"at {self.speed:g} m/s{tilt}"
 
     def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
-        """Draw unknown quantities on a line; one draw where nothing is unknown."""
+        """Draw unknown quantities on a line; one draw if nothing is unknown."""
         count = self.draws if unknown.groups else 1
         return draw(unknown, self.parcel, line, count, self.seed)
 
     def run(
-        self, line: DesignLine, axes: Array, runs: Runs, drawn: "Draws | None" = None,
+        self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
         workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
     ) -> Ends:  # fmt: skip
         """Simulate runs of the parcel, or of draws, over layouts (layouts, rows, columns) [rad]."""
@@ -419,7 +420,7 @@ class Case:
         )
 
     def identity(self, **others: object) -> dict[str, str]:
-        """Return text for each field, and for others, that differs where the field differs."""
+        """Return a text for each field and each extra value, to identify the case."""
         parcel = self.parcel
         outline = (type(parcel.base).__name__, parcel.base.outline.tolist())
         load = (parcel.moment_of_inertia, parcel.mass, parcel.com_height, parcel.com_offset)
@@ -430,7 +431,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Draws of the unknown quantities: the same wherever a case is evaluated."""
+    """Draws of the unknown quantities, equal in all evaluations of a case."""
 
     parcels: tuple[Parcel, ...]  # (draws,)
     stiffness: Array | None  # (draws, rows, columns) [-]; None: all elements alike
@@ -446,10 +447,11 @@ class Draws:
     def runs(
         self, speed: float | Array, tilt: float | Array, columns: int, layout: int = 0,
         friction: ArrayLike = 1.0,
-    ) -> Runs:  # fmt: skip
+    ) -> RunRequests:  # fmt: skip
         """Build one run for each draw, over a layout; `columns` -1: the zone has no end.
 
-        Of speeds and tilts (points, 1), and factors of friction (points, 1, 3): for each in turn.
+        Speeds and tilts (points, 1) and factors of friction (points, 1, 3) add one set of runs per
+        point.
         """
         every = np.arange(len(self))
         return running.make_runs(
@@ -466,9 +468,9 @@ class Draws:
 
 
 def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: int) -> Draws:
-    """Draw the unknown quantities, draw k by a generator of its own with the seed (seed, k).
+    """Draw the unknown quantities; draw k uses its own generator with the seed (seed, k).
 
-    A draw therefore does not depend on their number; on a longer line it is a different one.
+    So a draw does not depend on the number of draws. It does depend on the length of the line.
     """
     drawn: list[RandomDraw] = []
     extra: list[tuple[float, float]] = []
@@ -501,7 +503,7 @@ def describe_base(base: Base) -> str:
 
 
 def is_reliable(share: ArrayLike) -> Booleans:
-    """Return whether all but `WORST` of the draws succeed, for shares of the draws that do."""
+    """Return whether shares of successful draws are sufficient (at most `WORST` fail)."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 
@@ -514,7 +516,7 @@ def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str
 def load_checkpoint(
     file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
 ) -> dict[str, NDArray[Any]]:
-    """Load the values that `save_checkpoint` has saved, of a kind of computation as "search"."""
+    """Load values saved by `save_checkpoint` for a kind of computation, e.g. "search"."""
     try:
         with files.ArrayFile(file) as kept:
             texts = (kept.read(name, CHECKPOINT) for name in ("_names", "_identity"))

@@ -23,7 +23,7 @@ from surface_gym.cli import typed
 from surface_gym.design.flow_question import AskFlow
 
 if TYPE_CHECKING:
-    from surface_gym.design.report import Answer, Table
+    from surface_gym.design.report import Answer, ReportTable
     from surface_gym.design.runs import OnProgress
     from surface_gym.parcel import Base
 
@@ -48,8 +48,10 @@ class Question:
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
-    """A rectangular base, length along the line by width, in m: 0.3x0.4. S and B are the study's
-    boxes."""
+    """A rectangular base, length along the line by width, in m:
+
+    0.3x0.4. S and B are the study's boxes.
+    """
     disc: Annotated[float | None, tyro.conf.arg(metavar="RADIUS")] = None
     """A round base of this radius [m]."""
     polygon: Annotated[str | None, tyro.conf.arg(metavar="'X,Y X,Y X,Y'")] = None
@@ -226,7 +228,12 @@ class Question:
             for name in ("ratio", "place", "angle_deg", "tolerance")
             if getattr(self, name) is not None
         }
-        kinds: tuple[Any, ...] = (design.Sort, design.Slow, design.Stop, design.Turn)
+        kinds: tuple[Any, ...] = (
+            design.SortPurpose,
+            design.SlowPurpose,
+            design.StopPurpose,
+            design.TurnPurpose,
+        )
         kind = next(kind for kind in kinds if kind.name == self.purpose)
         own = {each.name for each in fields(kind)}
         for name in given:
@@ -362,7 +369,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import_module("matplotlib.figure")  # is needed last, but a missing library is known first
     try:
         ask(question)
-    except (ValueError, OSError, ImportError, parallel.WorkFailed) as error:
+    except (ValueError, OSError, ImportError, parallel.WorkError) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
@@ -414,7 +421,7 @@ def _find_answer(question: Question | AskFlow) -> "Answer":
         )
 
 
-def _screen_table(table: "Table") -> ScreenTable:
+def _screen_table(table: "ReportTable") -> ScreenTable:
     from surface_gym.design.report import format_cell
 
     screen = ScreenTable(

@@ -1,4 +1,4 @@
-"""The columns and rows that a purpose takes: Tables 3 and 4 for any parcel."""
+"""Columns and rows that a purpose needs: Tables 3 and 4 for any parcel."""
 
 import math
 from collections.abc import Sequence
@@ -19,22 +19,22 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 @dataclass(frozen=True)
 class Worst:
-    """The columns needed where a group of quantities is unknown."""
+    """Number of columns needed if a group of quantities is unknown."""
 
     group: str  # of `case.GROUPS`, or `TOGETHER`
-    columns: int | None  # enough for all but `WORST` of the draws; None: no number is
-    success: float  # share of the draws in which the nominal columns are enough
+    columns: int | None  # enough for all but `WORST` of the draws; None: no number is enough
+    success: float  # share of the draws for which the nominal columns are enough
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The fewest columns of a line with so many rows."""
+    """The smallest number of columns of a line with a number of rows."""
 
-    rows: int  # of rotors in the line
-    columns: int | None  # of the zone; None: no number of them is enough
-    layout: str  # of the zone's axes
-    # Sort: columns beyond which the parcel touches none, as Table 3 counts, are `columns`; with
-    # these it is sorted as well, over columns that roll again. Else the same.
+    rows: int  # rows of rotors
+    columns: int | None  # columns of the zone; None: no number is enough
+    layout: str  # name of the zone's layout
+    # Sort: `columns` is the last touched column as in Table 3. With fewer columns, this field, the
+    # parcel is also sorted while it rolls on behind them. Other purposes: equal to `columns`.
     fewest: int | None
     measure: float  # by the purpose's `measured`; nan: none
     tipping: float  # [-] share of the steps in which a real parcel would tip
@@ -46,7 +46,7 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """The columns needed where all quantities are unknown; None: nothing is unknown."""
+        """The number of columns needed if all quantities are unknown; None: nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
@@ -115,7 +115,7 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
 
 
 def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Workers) -> int:
-    """Return the count of columns from which on each count up to those touched sorts."""
+    """Return the number of columns from which every number up to `touched` sorts."""
     counts = np.arange(1, touched + 1)
     axes = np.stack([case.purpose.layouts(line, count)[0].axis for count in counts.tolist()])
     runs = make_runs(case.speed, case.tilt, layout=counts - 1)
@@ -125,7 +125,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Take the first layout that serves the case, of each kind and each number of columns."""
+    """Find the first sufficient layout over numbers of columns and kinds."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -151,7 +151,7 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first layout, from the nominal one on, that serves all but `WORST` of the draws."""
+    """Find the first layout from the nominal one that serves all but `WORST` of the draws."""
     drawn = case.draw(line, case.unknown.only(group))
 
     def share(which: int) -> float:
@@ -206,12 +206,12 @@ class ColumnsReport(report.Answer):
             return f"{needs}; no number does it in {SURE} of the draws ({success} do it here)"
         return f"{needs}; for {SURE} of the draws, {own.together.columns}"
 
-    def tables(self) -> tuple[report.Table, ...]:
+    def tables(self) -> tuple[report.ReportTable, ...]:
         purpose, own = self.case.purpose, self.own
         together = [each.group for each in own.worst[-1:]]
         groups = [each.group for each in own.worst]
         return (
-            report.Table(
+            report.ReportTable(
                 "columns",
                 f"With {own.rows} rows",
                 ("unknown", "columns it takes", f"success with {report.format_cell(own.columns)}"),
@@ -223,13 +223,13 @@ class ColumnsReport(report.Answer):
                     ),
                 ),
             ),
-            report.Table(
+            report.ReportTable(
                 "columns_by_rows",
                 "By the rows of the line",
                 _header(purpose, together),
                 tuple(_row(purpose, each, together) for each in self.by_rows),
             ),
-            report.Table(
+            report.ReportTable(
                 "columns_by_speed",
                 "By entry speed",
                 ("speed [m/s]", *_header(purpose, groups)),

@@ -17,7 +17,7 @@ from surface_gym.design.runs import LONGEST, DesignLine, Ends, OnProgress, make_
 from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.physics.types import Array, Booleans
 
-NEAR, HASTE = 0.9, 0.09  # [-] greatest costs of shortfall and of time, over that of a failure
+NEAR, HASTE = 0.9, 0.09  # [-] maximum cost of shortfall and of time relative to a failure
 AT_ONCE = 4096  # runs of `every_layout` in one go, about
 STROKE = 0.38  # [-] of the pitch: half the stroke that shows an axis
 
@@ -36,17 +36,17 @@ class LayoutResult:
 
     @property
     def successes(self) -> float:
-        """Share of the speeds at which it succeeds [-]."""
+        """[-] share of the speeds with success."""
         return float(self.success.mean())
 
     @property
     def least_speed(self) -> float:
-        """Speed from which on it succeeds at every speed [m/s]; nan: not at the greatest."""
+        """[m/s] speed from which every speed succeeds; NaN: the largest fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """Speed from which on all but `WORST` of the draws succeed [m/s]; nan: never."""
+        """[m/s] speed from which all but `WORST` of the draws succeed; NaN: none."""
         return self._least(is_reliable(self.share))
 
     @property
@@ -68,7 +68,7 @@ class BestLayout(report.Answer):
     best: LayoutResult
     study: LayoutResult
     evaluations: int  # layouts compared, each at every speed
-    seconds: float  # that the search took
+    seconds: float  # [s] computing time
 
     name = "layout"
 
@@ -93,7 +93,7 @@ class BestLayout(report.Answer):
             f"{study.successes:.1%}; without a failure {since}, the study's {study_since}"
         )
 
-    def tables(self) -> tuple[report.Table, ...]:
+    def tables(self) -> tuple[report.ReportTable, ...]:
         both, purpose = (self.best, self.study), self.case.purpose
         axes = np.degrees(self.best.axis)
         columns = (f"column {k + 1} [deg]" for k in range(axes.shape[1]))
@@ -105,7 +105,7 @@ class BestLayout(report.Answer):
             )
         ]
         return (
-            report.Table(
+            report.ReportTable(
                 "layout",
                 f"{self.changed} of {self.best.axis.size} modules differ from the study's",
                 ("layout", "speeds that succeed", "all from [m/s]",
@@ -116,7 +116,7 @@ class BestLayout(report.Answer):
                     for each in both
                 ),
             ),
-            report.Table(
+            report.ReportTable(
                 "layout_speeds",
                 "By entry speed",
                 ("layout", "speed [m/s]", "nothing unknown", "success",
@@ -124,7 +124,7 @@ class BestLayout(report.Answer):
                 tuple(speeds),
                 shown=False,
             ),
-            report.Table(
+            report.ReportTable(
                 "layout_axes",
                 "Axes, the row at the greatest y first",
                 ("row", *columns),
@@ -186,15 +186,15 @@ def best_layout(
     workers: parallel.Workers = 1, checkpoint: Path | str | None = None,
     on_progress: OnProgress = lambda *_: None,
 ) -> BestLayout:  # fmt: skip
-    """Search the axes of a zone for those that do best over all the speeds.
+    """Search for the zone's axes with the best result over all speeds.
 
-    First, a better layout succeeds at more speeds; then its runs come nearer to success, by
-    `Purpose.shortfall`; then they take less time. Modules that change nothing are as in the study's
-    layout. `search` describes the method.
+    The criteria are, in this order: success at more speeds, a smaller `Purpose.shortfall`, and a
+    shorter time. Modules without an effect stay as in the study's layout. See `search` for the
+    method.
 
-    The case's own entry speed does not count. A parcel past the columns has failed to be sorted.
-    Orientations are the axes on offer [rad]; None: any. A search whose checkpoint exists is
-    resumed. The result does not depend on the workers.
+    The case's own entry speed is not used. A parcel that passes the columns is not sorted.
+    `orientations` are the allowed axes [rad]; None: any. An existing checkpoint is resumed. The
+    result does not depend on the workers.
     """
     begun = time.perf_counter()
     checks.integer("columns", columns, least=1)
@@ -206,7 +206,7 @@ def best_layout(
     if orientations is not None:
         offered = tuple(sorted(checks.orientations("orientations", np.array(orientations))))
     line = case.line(columns, rows)
-    # Of layouts with equal results, the one of the most columns counts as the study's.
+    # Among the study's layouts with equal results, take the one with the most columns.
     kinds = [kind for used in range(columns, 0, -1) for kind in case.purpose.layouts(line, used)]
     score = _make_score(case, line, over, workers)
     study = kinds[int(score(np.stack([kind.axis for kind in kinds])).argmin())]
@@ -253,7 +253,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return a layout (rows, columns) [rad] with the study's axes wherever they cost nothing."""
+    """Return the layout (rows, columns) [rad] with the study's axes where these cost nothing."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):
@@ -279,7 +279,7 @@ def _run_layouts(
 
 
 def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.Workers) -> Score:
-    """Return the cost of layouts: a failure outweighs all shortfalls, and these all time."""
+    """Return the cost function: a failure outweighs all shortfalls, which outweigh all times."""
 
     def score(axes: Array) -> Array:
         ends = _run_layouts(case, line, axes, speeds, workers)
@@ -299,9 +299,9 @@ class EveryLayout:
     """Result of trying every layout."""
 
     speed: float  # [m/s] at entry
-    axis: Array | None  # (rows, columns) [rad] of one that succeeds; None: none does
-    complete: bool  # whether one was found or every one was tried: else the answer is not known
-    runs: int  # that were simulated
+    axis: Array | None  # (rows, columns) [rad] a successful layout; None: none
+    complete: bool  # whether a layout was found or all were tried; otherwise the answer is unknown
+    runs: int  # number of simulated runs
 
 
 def every_layout(
@@ -311,10 +311,9 @@ def every_layout(
 ) -> EveryLayout:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
-    A zone of two rows and 16 columns has 4^32 layouts, but those that agree in the columns that the
-    parcel has touched are one. So columns are arranged one after another, and the next one only
-    where the parcel came farther. Slow parcels soon come to rest. Beyond `most` runs, about, the
-    answer is not known.
+    A zone of two rows and 16 columns has 4^32 layouts, but layouts with the same touched columns
+    are equivalent. So columns are set one after another, and the next column only if the parcel
+    reaches it. Slow parcels soon stop. After about `most` runs, the answer is unknown.
 
     >>> from surface_gym import layouts
     >>> every_layout(Case(layouts.box("S"), speed=0.6)).axis is None  # no layout sorts it
@@ -344,7 +343,7 @@ def every_layout(
             ends = case.run(line, axes, runs, workers=workers)
             done += len(axes)
             on_progress(done, most)
-            # A parcel that touched no more columns moves alike whatever these are.
+            # A parcel's motion does not depend on columns that it does not touch.
             final = (ends.touched <= column + 1) | (column + 1 == columns)
             found = np.nonzero(final & case.purpose.succeeds(ends))[0]
             if len(found):

@@ -1,4 +1,4 @@
-"""`surface-gym design flow`: its flags, and what they say."""
+"""`surface-gym design flow`: flags and their parsing."""
 
 import json
 import re
@@ -24,19 +24,20 @@ _SPAN = re.compile(r"((?P<side>left|right)[^:]*):(?P<first>[^-:]+)-(?P<last>[^-:
 
 @dataclass(frozen=True)
 class AskFlow:
-    """Find the shortest line and the fewest actuators that carry a rate of parcels."""
+    """Find the shortest line and the fewest actuators for a rate of parcels."""
 
     rate: Annotated[float, tyro.conf.arg(metavar="PER_HOUR")]
-    """Parcels an hour, to be delivered by their own exits."""
+    """Throughput in parcels per hour, each delivered to its own exit."""
     mix: Annotated[str, tyro.conf.arg(metavar="S=1,B=1")] = "S"
     """Parcels and their odds: S and B are the study's boxes, 0.3x0.4 is length by width in m."""
     exits: Annotated[str, tyro.conf.arg(metavar="EXITS")] = "sides"
     """At equal odds: sides, chutes, or a list as left:1.0-2.5,right:1.0-2.5,straight, in m from the
-    line's entry; sides and chutes are as long as the line."""
+    line's entry; sides and chutes are as long as the line.
+    """
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SPEED [SPEED]")] = (1.5,)
     """[m/s] at entry; or the least and the greatest."""
     longest: float = 6.0
-    """[m] line that is tried."""
+    """[m] longest line to try."""
 
     workers: int = field(default_factory=parallel.usable_cores)
     """Processes that share the work; results do not depend on their number."""
@@ -70,7 +71,7 @@ class AskFlow:
         return found
 
     def write(self, answer: Any) -> list[Path]:
-        """Write the answer as JSON, where it is asked for."""
+        """Write the answer as JSON if requested."""
         if self.json is None:
             return []
         text = json.dumps(answer.as_json(), indent=1) + "\n"

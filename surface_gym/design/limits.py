@@ -26,18 +26,18 @@ from surface_gym.physics.types import Array, Booleans
 
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
-FACTOR_RANGE = 16.0  # [-] greatest factor on friction that is tried, and one over the least
+FACTOR_RANGE = 16.0  # [-] largest factor of friction to try, and inverse of the smallest
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors to a doubling, likewise
 
 
 class Quantity(NamedTuple):
     """A quantity whose limits are found."""
 
-    name: str  # of its files; of speed and tilt, the field of a case
+    name: str  # name of files; for speed and tilt, the field of a case
     description: str
     unit: str
     scale: float  # from SI to `unit`
-    question: str  # that its limits answer, as it precedes "be sorted?"
+    question: str  # question answered by its limits, before "be sorted?"
 
 
 SPEED = Quantity("speed", "entry speed", "m/s", 1.0, "How slow may it come to")
@@ -69,7 +69,7 @@ class Arrangement:
     def run(
         self,
         drawn: Draws,
-        asked: runs.Runs,
+        asked: runs.RunRequests,
         workers: parallel.Workers = 1,
         on_progress: runs.OnProgress = lambda *_: None,
     ) -> runs.Ends:
@@ -80,20 +80,20 @@ class Arrangement:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Values around the case's own for which the purpose is met."""
+    """Range of values around the case's own with success."""
 
     group: str  # of unknown quantities: `NOMINAL`, one of `GROUPS`, or `TOGETHER`
-    # Every tried value from the least to the most succeeds, the case's own among them; in all but
-    # `WORST` of the draws. None: not even the case's own does.
+    # All tried values from `least` to `most` succeed in all but `WORST` of the draws, including the
+    # case's own value. None: the case's own value fails.
     least: float | None
     most: float | None
-    values: Array  # (values,) that were tried
-    share: Array  # (values,) of the draws that succeed
+    values: Array  # (values,) tried values
+    share: Array  # (values,) share of successful draws
 
 
 @dataclass(frozen=True, eq=False)
 class Limits(report.Answer):
-    """Limits of one quantity between which the purpose is met."""
+    """Limits of one quantity for success."""
 
     quantity: Quantity
     own: float  # the case's own value; values are in SI units
@@ -136,16 +136,16 @@ class Limits(report.Answer):
             return f"{high}{unit} or less"
         return f"{low} to {high}{unit}"
 
-    def tables(self) -> tuple[report.Table, ...]:
+    def tables(self) -> tuple[report.ReportTable, ...]:
         name, what, unit, *_ = self.quantity
         return (
-            report.Table(
+            report.ReportTable(
                 name,
                 f"Limits of {what}",
                 ("unknown", f"least [{unit}]", f"most [{unit}]", "success as it comes"),
                 tuple(self.limit_rows()),
             ),
-            report.Table(
+            report.ReportTable(
                 f"{name}_curve",
                 f"Success by {what}",
                 ("unknown", f"{what} [{unit}]", "success"),
@@ -212,7 +212,7 @@ class Limits(report.Answer):
 
 @dataclass(frozen=True, eq=False)
 class FrictionRange(report.Answer):
-    """Limits of the factors on friction between which the purpose is met, each alone."""
+    """Limits of the factors of friction for success, varied one at a time."""
 
     along: Limits  # of mu_max
     across: Limits  # of mu_min
@@ -236,16 +236,16 @@ class FrictionRange(report.Answer):
             text += f"; for {SURE} of the draws of what else is unknown, {' and '.join(worst)}"
         return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
 
-    def tables(self) -> tuple[report.Table, ...]:
+    def tables(self) -> tuple[report.ReportTable, ...]:
         both = [(limits.quantity.description, limits) for limits in (self.along, self.across)]
         return (
-            report.Table(
+            report.ReportTable(
                 "friction",
                 "Limits of friction, as factors",
                 ("varied", "unknown", "least [-]", "most [-]", "success as it comes"),
                 tuple((what, *row) for what, limits in both for row in limits.limit_rows()),
             ),
-            report.Table(
+            report.ReportTable(
                 "friction_curve",
                 "Success by friction",
                 ("varied", "unknown", "factor [-]", "success"),
@@ -290,8 +290,8 @@ def least_speed(
 ) -> Limits:  # fmt: skip
     """Find the least and the greatest entry speed, at the case's tilt.
 
-    Tried are speeds up to `highest` [m/s], every 0.01 with nothing unknown, every 0.02 with draws,
-    and the case's own. None: up to 3, or to half as much again as the case's.
+    Tries the case's speed and speeds up to `highest` [m/s], every 0.01 with nothing unknown, and
+    every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed.
 
     >>> from surface_gym import layouts
     >>> from surface_gym.design.case import NOTHING
@@ -311,8 +311,8 @@ def least_tilt(
 ) -> Limits:  # fmt: skip
     """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
 
-    Tried are tilts up to `highest` [rad], every 0.1 deg with nothing unknown, every 0.2 deg with
-    draws, and the case's own. None: up to 15 deg, or to half as much again as the case's.
+    Tries the case's tilt and tilts up to `highest` [rad], every 0.1 deg with nothing unknown, and
+    every 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's tilt.
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
@@ -332,9 +332,9 @@ def friction_range(
     workers: parallel.Workers = 1,
     on_progress: runs.OnProgress = lambda *_: None,
 ) -> FrictionRange:
-    """Find the limits of friction, alike everywhere: of mu_max along the axes, of mu_min across.
+    """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
 
-    Factors are tried from 1/16 to 16, 48 to a doubling; 8 with draws.
+    Tries factors from 1/16 to 16, with 48 factors per doubling, or 8 with draws.
     """
     arrangement = arrange(case, columns, rows, workers)
     unknown = replace(case.unknown, friction=0.0, rolling=0.0)
@@ -348,7 +348,7 @@ def friction_range(
         question = f"How far may {name} be off for it to"
         quantity = Quantity(f"friction_{name}", f"factor on {name}", "-", 1.0, question)
 
-        def at(values: Array) -> runs.Runs:
+        def at(values: Array) -> runs.RunRequests:
             friction = np.ones((len(values), 3))
             friction[:, place] = values
             return runs.make_runs(np.full(len(values), case.speed), case.tilt, friction=friction)
@@ -362,7 +362,7 @@ def friction_range(
 
 
 def span_around(done: Booleans, own: int) -> tuple[int, int] | None:
-    """Return the first and last index of the successes around an index; None: it fails there."""
+    """Return the first and last index of successes around an index; None if the index fails."""
     if not done[own]:
         return None
     fails = np.nonzero(~done)[0]
@@ -386,7 +386,7 @@ def _sweep(
         apart = np.abs(multiples - own) > 0.01 * step
         grids.append(np.unique(np.append(multiples[apart].round(9), own)))
 
-    def at(values: Array) -> runs.Runs:
+    def at(values: Array) -> runs.RunRequests:
         swept: dict[str, Any] = {"speed": case.speed, "tilt": case.tilt, quantity.name: values}
         return runs.make_runs(**swept)
 
@@ -394,9 +394,15 @@ def _sweep(
 
 
 def _limits(
-    arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
-    at: Callable[[Array], runs.Runs], workers: parallel.Workers, on_progress: runs.OnProgress,
-) -> Limits:  # fmt: skip
+    arrangement: Arrangement,
+    quantity: Quantity,
+    own: float,
+    grids: list[Array],
+    unknown: Unknown,
+    at: Callable[[Array], runs.RunRequests],
+    workers: parallel.Workers,
+    on_progress: runs.OnProgress,
+) -> Limits:
     """Find the span of each group, on the first grid with nothing unknown, else on the second."""
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
@@ -451,7 +457,7 @@ def arrange(
 def success_shares(
     arrangement: Arrangement,
     drawn: Draws,
-    points: runs.Runs,
+    points: runs.RunRequests,
     workers: parallel.Workers = 1,
     on_progress: runs.OnProgress = lambda *_: None,
 ) -> Array:

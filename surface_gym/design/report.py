@@ -1,4 +1,4 @@
-"""Answers as sentences, tables and figures: what all of them share."""
+"""Base classes and helpers of answers as sentences, tables and figures."""
 
 import csv
 import math
@@ -29,7 +29,7 @@ LINES: dict[str, tuple[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """A header and rows; shown in a terminal, written as CSV, or both."""
 
     name: str  # of the file, without the ending
@@ -54,7 +54,7 @@ class Answer(ABC):
         """The answer in one sentence."""
 
     @abstractmethod
-    def tables(self) -> tuple[Table, ...]:
+    def tables(self) -> tuple[ReportTable, ...]:
         """Return the answer as tables."""
 
     @abstractmethod
@@ -62,8 +62,8 @@ class Answer(ABC):
         """Draw the answer, by matplotlib."""
 
 
-def write_csv(table: Table, folder: Path) -> Path:
-    """Write a table into a folder, numbers in full and missing cells empty; return the file."""
+def write_csv(table: ReportTable, folder: Path) -> Path:
+    """Write a table to a folder with full precision and empty missing cells; return the file."""
     path = folder / f"{table.name}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

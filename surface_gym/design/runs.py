@@ -1,7 +1,7 @@
-"""Lines sized for a parcel, and runs over them, shared among threads or the nodes of a cluster.
+"""Lines sized for a parcel, and runs over them on threads or a cluster.
 
-A run takes the implicit step of `simulate`, to the bit, until the parcel has left the line, passed
-the zone or come to rest. Results do not depend on the number of workers.
+A run uses the implicit step of `simulate`, equal to the bit, until the parcel has left the line,
+passed the zone or stopped. Results do not depend on the number of workers.
 """
 
 import math
@@ -32,10 +32,10 @@ RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's lengt
 
 @dataclass(frozen=True)
 class DesignLine(ElementGrid):
-    """A line of rotors amid supports: a lead-in, a zone with task axes, and a run-out.
+    """A line of rotors among supports: a lead-in, a zone with task axes, and a run-out.
 
-    Lead-in and run-out roll along x. The supports on either side carry a parcel that has left the
-    line. The first column and the first row lie half a pitch from 0.
+    Lead-in and run-out roll along x. Supports on both sides carry a parcel that has left the line.
+    The first column and the first row are half a pitch from 0.
     """
 
     rows: int  # of rotors
@@ -116,10 +116,10 @@ def line_for(
     parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
     mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
 ) -> DesignLine:  # fmt: skip
-    """Size a line for a parcel by the rule that the study's two boxes follow.
+    """Size a line for a parcel by the rule of the study's two boxes.
 
-    The rows of rotors are the greatest even number that lies under the parcel. The lead-in is as
-    long as the parcel, which therefore starts wholly on it.
+    The number of rotor rows is the largest even number under the parcel. The lead-in is as long as
+    the parcel, so the parcel starts wholly on it.
 
     >>> from surface_gym import layouts
     >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]
@@ -141,13 +141,13 @@ OnProgress = Callable[[int, int], None]  # called with the work done and the tot
 
 STEP = 0.005  # [s] default time step of a run
 LONGEST = 20.0  # [s] limit of a run
-REST_SPEED = 1e-4  # [m/s] below which a parcel may be at rest: rolling takes it in 1 ms
-REST_CHANGE = 1e-3  # [m/s^2] below which it stays at rest
+REST_SPEED = 1e-4  # [m/s] slower parcels may be at rest: rolling losses stop them within 1 ms
+REST_CHANGE = 1e-3  # [m/s^2] a parcel with a smaller acceleration stays at rest
 
-CHUNK = 32  # runs that a thread takes at a time
-MOST_STEPS = 128_000  # limit of the steps in a chunk: Ctrl-C waits for no more
-BUNDLE = 5000  # runs that a node takes at a time, at most: some tenths of a second
-LEAST_BUNDLE = 500  # below which runs are not distributed
+CHUNK = 32  # runs per task of a thread
+MOST_STEPS = 128_000  # maximum steps in a chunk, so that Ctrl-C does not wait long
+BUNDLE = 5000  # maximum runs per task of a node: some tenths of a second
+LEAST_BUNDLE = 500  # fewer runs are not distributed
 
 # Reasons for the end of a run, and their descriptions.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
@@ -165,8 +165,8 @@ REASON, TOUCHED, DONE, TIPPED = range(4)
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
-    """Requested runs, a row each; built by `make_runs`."""
+class RunRequests:
+    """Requested runs, one row per run; built by `make_runs`."""
 
     speed: Array  # (runs,) [m/s] along x at the start
     tilt: Array  # (runs,) [rad]
@@ -186,14 +186,14 @@ def make_runs(
     speed: ArrayLike, tilt: ArrayLike = 0.0, layout: ArrayLike = 0, stiffness: ArrayLike = 0,
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
-) -> Runs:  # fmt: skip
+) -> RunRequests:  # fmt: skip
     """Build runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [
         np.array(values, dtype=np.float64).reshape(-1).astype(np.int64) for values in given[4:]
     ]
-    return Runs(
+    return RunRequests(
         speed=numbers[0], tilt=numbers[1], lateral=numbers[2], heading=numbers[3], layout=whole[0],
         stiffness=whole[1], parcel=whole[2], columns=whole[3],
         friction=np.broadcast_to(np.asarray(friction, dtype=np.float64), (len(numbers[0]), 3)),
@@ -202,10 +202,10 @@ def make_runs(
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Results of runs, a row each."""
+    """Results of runs, one row per run."""
 
     line: DesignLine
-    runs: Runs  # that were requested
+    runs: RunRequests  # that were requested
     reason: Integers  # (runs,) index into `ENDS`
     touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
     time: Array  # (runs,) [s] until the end
@@ -230,14 +230,14 @@ def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnPro
 
 
 def run_all(
-    line: DesignLine, layouts: Array, parcels: Sequence[Parcel], runs: Runs,
+    line: DesignLine, layouts: Array, parcels: Sequence[Parcel], runs: RunRequests,
     stiffness: Array | None = None, dt: float = STEP, workers: Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> Ends:  # fmt: skip
     """Simulate parcels over layouts (layouts, rows, columns) [rad] of the zone of a line.
 
-    Each has its rear at x = 0 at the start. Stiffness (maps, rows, columns) [-] is the whole
-    surface's elements; None: all alike.
+    Each parcel starts with its rear at x = 0. Stiffness (maps, rows, columns) [-] covers the whole
+    surface; None: equal.
     """
     for parcel in parcels:
         line.check_capacity(parcel.base, line.shape[::-1])
@@ -396,7 +396,9 @@ def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) ->
     )  # fmt: skip
 
 
-def _make_arrays(line: DesignLine, parcels: Sequence[Parcel], runs: Runs, dt: float) -> RunArrays:
+def _make_arrays(
+    line: DesignLine, parcels: Sequence[Parcel], runs: RunRequests, dt: float
+) -> RunArrays:
     count = len(runs)
     number = np.empty((count, 5), dtype=np.int64)
     number[:, LAYOUT] = runs.layout

@@ -1,6 +1,6 @@
-"""The best fixed layouts for sorting, as they ship with the package.
+"""The best fixed layouts for sorting, which are shipped with the package.
 
-`python -m surface_gym.design.sorting_layouts` searches them anew.
+`python -m surface_gym.design.sorting_layouts` repeats the search.
 """
 
 import json
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from surface_gym import checks, files, lines, parallel
 from surface_gym.design import runs, search
-from surface_gym.design.case import Case, Sort
+from surface_gym.design.case import Case, SortPurpose
 from surface_gym.design.fixed_layout import BestLayout, best_layout
 from surface_gym.layouts import box
 
-SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] at which a layout has to sort, as many as it can
+SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] speeds of the search
 COLUMNS = 16  # of the zone
-SIDE = -1  # to which they sort: y < 0
+SIDE = -1  # sorting direction: y < 0
 FILE = "data/sorting.json"
-# [rad] axes on offer: the study's, every 22.5 deg, or any.
+# [rad] allowed axes: the study's, every 22.5 deg, or any.
 OFFERS: dict[str, tuple[float, ...] | None] = {
     "four": lines.ORIENTATIONS,
     "eight": tuple(math.pi / 2.0 - math.pi / 8.0 * place for place in range(8)),
@@ -34,27 +34,27 @@ SIZES = ("S", "B")
 
 @dataclass(frozen=True, eq=False)
 class SortingLayout:
-    """A layout that leads a box to y < 0, and the least speed at which it does."""
+    """A layout that leads a box to y < 0, with its smallest speeds of success."""
 
     box: str  # "S" or "B", the study's
-    offer: str  # a key of `OFFERS`: the orientations it chooses from
+    offer: str  # key of `OFFERS`: the allowed orientations
     axis: NDArray[np.float64]  # (rows, columns) [rad], the first row at the least y
-    least_speed: float  # [m/s] from which on it sorts at all of `SPEEDS`
-    least_sure_speed: float  # [m/s] likewise for all but 5 % of the draws of unknown quantities
-    mean_time: float  # [s] of those that it sorts
+    least_speed: float  # [m/s] smallest speed from which all of `SPEEDS` succeed
+    least_sure_speed: float  # [m/s] the same for 95 % of the draws of unknown quantities
+    mean_time: float  # [s] mean time of successful runs
     study_least_speed: float  # [m/s] of the study's layout
     study_least_sure_speed: float  # [m/s]
     study_mean_time: float  # [s]
 
     @property
     def half_length(self) -> float:
-        """Half the length of the box [m]."""
+        """[m] half the length of the box."""
         return float(box(self.box).base.outline.max())
 
 
 @lru_cache(maxsize=1)
 def sorting_layouts() -> tuple[SortingLayout, ...]:
-    """Load the layouts that ship with the package."""
+    """Load the shipped layouts."""
     text = resources.files("surface_gym.design").joinpath(FILE).read_text("utf-8")
     return tuple(
         SortingLayout(**{**each, "axis": np.radians(each["axis"])}) for each in json.loads(text)
@@ -66,7 +66,7 @@ def find_sorting_layouts(
     effort: search.Effort = search.Effort(), workers: parallel.Workers = 1, seed: int = 0,
     checkpoints: Path | str | None = None, on_progress: runs.OnProgress = lambda *_: None,
 ) -> dict[tuple[str, str], BestLayout]:  # fmt: skip
-    """Search the layouts that ship anew, by box and offer; a folder of checkpoints resumes them."""
+    """Repeat the search of shipped layouts by box and offer, resuming from checkpoints."""
     wanted = [
         (checks.one_of("sizes", size, SIZES), checks.one_of("offers", offer, OFFERS))
         for offer in offers
@@ -76,7 +76,7 @@ def find_sorting_layouts(
     progress = runs.split_progress(on_progress, [steps] * len(wanted))
     return {
         (size, offer): best_layout(
-            Case(box(size), Sort(SIDE), seed=seed),
+            Case(box(size), SortPurpose(SIDE), seed=seed),
             SPEEDS,
             COLUMNS,
             orientations=OFFERS[offer],
@@ -90,7 +90,7 @@ def find_sorting_layouts(
 
 
 def write_sorting_layouts(file: Path | str, found: dict[tuple[str, str], BestLayout]) -> None:
-    """Write layouts in the form of the file that ships; an interrupted write changes nothing."""
+    """Write layouts in the format of the shipped file; an interrupted write changes nothing."""
     rows = [
         {
             "box": size,
@@ -116,16 +116,16 @@ def main(
     workers: int = parallel.usable_cores(),
     cluster: str | None = None,
 ) -> None:
-    """Search the fixed layouts that sort the study's boxes best, and write them to a file.
+    """Search for the best fixed sorting layouts of the study's boxes, and write them to a file.
 
     Takes about six minutes on two cores. An interrupted search is resumed from its checkpoints.
 
     Args:
-        file: to write; else the one that ships.
+        file: file to write; the default is the shipped file.
         offers: orientations to choose from, "four", "eight" or "any".
-        checkpoints: folder of the searches' states.
-        workers: threads that share the runs; the result does not depend on their number.
-        cluster: address of a Ray cluster that shares the runs instead, "auto" for this machine's.
+        checkpoints: folder for the states of the searches.
+        workers: number of threads; the result does not depend on it.
+        cluster: address of a Ray cluster to use instead; "auto" for a local cluster.
     """
     from rich.console import Console
     from rich.progress import Progress

@@ -26,7 +26,7 @@ Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 HOUR = 3600.0  # [s]
-LATEST = 1e9  # [s] latest change of a rate or arrival in a trace: 30 years
+LATEST = 1e9  # [s] maximum time of an arrival or a change of rate: 30 years
 FASTEST = 5.0  # [m/s] at arrival
 
 
@@ -40,21 +40,22 @@ class Arrivals:
     speed: Numbers  # (parcels,) [m/s] along the line
     exit: Places  # (parcels,) index among the exits
     inlet: Places  # (parcels,) index among the inlets
-    # (parcels,) [-] across the inlet, as a parcel comes: -1 at its right, 0 in the middle, 1 left
+    # (parcels,) [-] lateral position in the inlet: -1 right, 0 middle, 1 left, seen along the
+    # motion
     aside: Numbers
-    turned: Numbers  # (parcels,) [rad] from the way it comes
-    number: Places  # (parcels,) 0, 1, 2 ...: the order in which they are to leave, if in any
+    turned: Numbers  # (parcels,) [rad] angle from the direction of motion
+    number: Places  # (parcels,) 0, 1, 2 ...: required order of departure, if there is one
 
     def __len__(self) -> int:
         return len(self.time)
 
 
 class Law(ABC):
-    """A law of arrival times."""
+    """Base class of laws of arrival times."""
 
     @abstractmethod
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
-        """Draw the times (parcels,) [s], ascending, of an episode of a duration [s]."""
+        """Draw ascending arrival times (parcels,) [s] of an episode."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Spread(Law):
 
 @dataclass(frozen=True)
 class Poisson(Law):
-    """Gaps of `least_gap` and an exponential number beyond it, their mean 3600 / rate in all.
+    """Gaps are `least_gap` plus an exponential number; their mean is 3600 / rate.
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
@@ -120,7 +121,7 @@ class Schedule(Law):
     """A rate that changes at given times; the last one holds to the end of the episode.
 
     Parcel k arrives when the integral of the rate reaches the sum of k numbers, each uniform
-    between 1 - spread and 1 + spread. At a constant rate the gaps are those of `Spread`.
+    between 1 - spread and 1 + spread. At a constant rate, the law equals `Spread`.
     """
 
     rates: tuple[tuple[float, float], ...]  # [s] start of a rate, and the rate [parcels/h]
@@ -142,7 +143,7 @@ class Schedule(Law):
 
     @cached_property
     def _steps(self) -> tuple[Numbers, Numbers, Numbers]:
-        """Start [s] and rate [parcels/s] of each step, and the parcels due by its start."""
+        """Return start [s], rate [parcels/s] and expected earlier parcels of each step."""
         time, rate = np.array(self.rates).T
         rate = rate / HOUR
         return time, rate, np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time))])
@@ -153,23 +154,23 @@ class Schedule(Law):
         all_due = due[last] + rate[last] * (duration - time[last])
         low, high = 1.0 - self.spread, 1.0 + self.spread
         count = _sums(lambda number: rng.uniform(low, high, number), 1.0, all_due)
-        # The last step by whose start fewer are due: after steps of rate 0, the one that follows.
+        # The last step with fewer expected earlier parcels; after steps of rate 0, the next one.
         step = np.searchsorted(due, count, side="right") - 1
         return _before(duration, time[step] + (count - due[step]) / rate[step])
 
 
 def check_speed(name: str, value: Any) -> float:
-    """Return a speed [m/s] at which a parcel may arrive."""
+    """Check the speed [m/s] of an arriving parcel."""
     return checks.within(name, checks.positive(name, value), 0.0, FASTEST)
 
 
 def check_aside(name: str, value: Any) -> float:
-    """Return where [-] across an inlet a parcel may arrive."""
+    """Check the lateral position [-] of a parcel in an inlet."""
     return checks.within(name, value, -1.0, 1.0)
 
 
 def check_turned(name: str, value: Any) -> float:
-    """Return how far [rad] a parcel may be turned as it arrives."""
+    """Check the angle [rad] of an arriving parcel."""
     return checks.angle(name, value, -math.pi, math.pi)
 
 
@@ -180,9 +181,9 @@ def _spread(value: Any) -> float:
 
 
 def _sums(draw: Callable[[int], Numbers], mean: float, end: float) -> Numbers:
-    """Return 0 and the sums of the first 1, 2, ... gaps drawn that are below an end; (n,).
+    """Return 0 and the sums of the first 1, 2, ... random gaps below `end` (n,).
 
-    The gaps are drawn in blocks; one block is nearly always enough.
+    Gaps are drawn in blocks; one block is almost always enough.
     """
     block = int(1.1 * end / mean) + 16
     sums = np.concatenate([[0.0], np.cumsum(draw(block))])
@@ -196,7 +197,7 @@ def _before(end: float, rising: Numbers) -> Numbers:
 
 
 COLUMNS = ("time", "length", "width", "mass", "speed", "exit")  # [s, m, m, kg, m/s], a name
-MORE_COLUMNS = ("inlet", "aside", "turned")  # that may be left out: a name, [-], [rad]
+MORE_COLUMNS = ("inlet", "aside", "turned")  # optional columns: a name, [-], [rad]
 
 
 @dataclass(frozen=True)
@@ -207,9 +208,9 @@ class Arrival:
     parcel: Parcel
     speed: float  # [m/s] along the line
     exit: str  # name of its destination
-    inlet: str | None = None  # name of where it comes from; None: the first
-    aside: float = 0.0  # [-] across the inlet, as it comes: -1 at its right, 1 at its left
-    turned: float = 0.0  # [rad] from the way it comes
+    inlet: str | None = None  # name of the inlet; None: the first
+    aside: float = 0.0  # [-] lateral position in the inlet: -1 right, 1 left, seen along the motion
+    turned: float = 0.0  # [rad] angle from the direction of motion
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", checks.not_negative("time", self.time, LATEST))
@@ -242,17 +243,17 @@ class Trace:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the destinations, each once."""
+        """Distinct names of the destinations."""
         return tuple(dict.fromkeys(each.exit for each in self.arrivals))
 
     @property
     def kinds(self) -> tuple[Parcel, ...]:
-        """The different parcels, each once."""
+        """Distinct parcels."""
         return self._recorded.kinds
 
     @cached_property
     def _recorded(self) -> Arrivals:
-        """All arrivals; their exits are indices among the names."""
+        """All arrivals; exits are indices into `names`."""
         kinds = tuple(dict.fromkeys(each.parcel for each in self.arrivals))
         kind = {parcel: place for place, parcel in enumerate(kinds)}
         name = {name: place for place, name in enumerate(self.names)}
@@ -269,7 +270,7 @@ class Trace:
         )
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError if a destination is not among the exits, or an inlet not there."""
+        """Raise a ValueError for unknown destinations or inlets."""
         for name in self.names:
             exits.place(name)
         for each in self.arrivals:
@@ -277,7 +278,7 @@ class Trace:
                 inlets.place(each.inlet)
 
     def within(self, duration: float, exits: Exits, inlets: Inlets = EDGE) -> Arrivals:
-        """Return the arrivals before a duration [s]; their numbers are those of their order."""
+        """Return the arrivals before `duration` [s], renumbered in order."""
         recorded = self._recorded
         count = int(np.searchsorted(recorded.time, duration))
         place = np.array([exits.place(name) for name in self.names])
@@ -301,17 +302,17 @@ class Trace:
 
 
 def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
-    """Read a trace from a file of comma-separated values (UTF-8).
+    """Read a trace from a .csv file (UTF-8).
 
-    The first line names the columns, in any order: time [s], length [m], width [m], mass [kg],
-    speed [m/s] and exit, a name; and, where parcels come in several ways, inlet, a name, aside [-]
-    and turned [rad]. Each further line is a parcel, in order of time; blank ones are skipped. With
+    The first line names the columns in any order: time [s], length [m], width [m], mass [kg], speed
+    [m/s], and the name of the exit. Optional columns are the name of the inlet, aside [-] and
+    turned [rad]. Each further line is one parcel, sorted by time; blank lines are skipped. With
     `exits`, every destination must be among them.
 
-    A line must end in a line break: the last one shows by that that it is whole.
+    Every line must end in a line break, so that an incomplete last line is detected.
 
     Raises:
-        ValueError: what the file holds is not allowed; the error names the file and the line.
+        ValueError: the file is invalid; the message names the file and the line.
         FileNotFoundError: there is no such file.
     """
     arrivals: list[Arrival] = []
@@ -338,11 +339,14 @@ def read_trace(path: str | PathLike[str], exits: Exits | None = None) -> Trace:
 def write_trace(
     path: str | PathLike[str], arrivals: Arrivals, exits: Exits, inlets: Inlets = EDGE
 ) -> None:
-    """Write the arrivals of an episode, drawn with these exits and inlets, in the format of
-    `read_trace`. The numbers of an order are not written: those of a trace are as it comes.
+    """Write the arrivals of an episode in the format of `read_trace`.
+
+    Exits and inlets are the ones used for drawing. The order of departure is not written, since a
+    trace is numbered by arrival.
 
     Raises:
-        ValueError: no arrivals, or a parcel that is more than a length, a width and a mass.
+        ValueError: there are no arrivals, or a parcel has more properties than length, width and
+            mass.
         OSError: the file cannot be written.
     """
     if len(arrivals) == 0:
@@ -363,7 +367,7 @@ def write_trace(
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
-    """Return the length [m], width [m] and mass [kg] of a parcel that has nothing else."""
+    """Return the length [m], width [m] and mass [kg] of a parcel without other properties."""
     base = parcel.base
     if not isinstance(base, Rectangle) or parcel != Parcel(base, parcel.mass):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""The line that a stream runs on, and its exits, to either side or straight on."""
+"""The line of a stream, and its exits to both sides and straight ahead."""
 
 import math
 from collections.abc import Iterator
@@ -12,23 +12,24 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.lines import Pattern
 
-LINE_ROWS = 20  # of the whole surface
-RUN_OUT = 6  # columns of supports after the last rotors, for parcels that go straight on
+LINE_ROWS = 20  # rows of the whole surface
+RUN_OUT = 6  # columns of supports after the last rotors, for parcels that exit straight ahead
 PITCH = 0.1  # [m]
 
-SIDES = (-1, 0, 1)  # y < 0 (right), straight on, y > 0 (left)
-NOWHERE = -1  # index of a parcel that leaves between two exits
+SIDES = (-1, 0, 1)  # y < 0 (right), straight ahead, y > 0 (left)
+NOWHERE = -1  # index for parcels that leave between exits
 
 
 @dataclass(frozen=True)
 class Exit:
-    """A place where parcels may leave; its span holds `first` and not `last`.
+    """An exit for parcels; its span includes `first` and excludes `last`.
 
-    The span is of a parcel's centre: to a side of x, and straight on of y from the line's middle.
+    The span limits a parcel's centre: in x at a side, and in y from the line's middle straight
+    ahead.
     """
 
     name: str  # "left 1"
-    side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight on, at the line's end
+    side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight ahead, at the line's end
     first: float = -math.inf  # [m]
     last: float = math.inf  # [m]
 
@@ -38,7 +39,7 @@ class Exit:
 
 @dataclass(frozen=True)
 class Exits:
-    """The exits of a line, counted by their index.
+    """The exits of a line, indexed in order.
 
     >>> exits = Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)])
     >>> exits.at(1, 1.2), exits.at(1, 2.5), exits.at(0, 0.1)
@@ -71,21 +72,21 @@ class Exits:
 
     @cached_property
     def table(self) -> NDArray[np.float64]:
-        """(exits, 3) side, first [m] and last [m] of each, as compiled code reads them."""
+        """(exits, 3) side, first [m] and last [m] of each exit, for compiled code."""
         table = np.array([(each.side, each.first, each.last) for each in self.exits])
         table.setflags(write=False)
         return table
 
     def place(self, name: str) -> int:
-        """Return the index of the exit of a name."""
+        """Return the index of the exit with a name."""
         return self.names.index(checks.one_of("exit", name, self.names))
 
     def at(self, side: int, where: float) -> int:
         """Return the index of the exit that a parcel takes, or -1 between exits.
 
         Args:
-            side: on which the parcel leaves: +1 left, -1 right, 0 at the line's end.
-            where: [m] x of its centre, or at the line's end its y from the line's middle.
+            side: side of the departure: +1 left, -1 right, 0 at the line's end.
+            where: [m] x of the centre; at the line's end, y of the centre from the line's middle.
         """
         for place, each in enumerate(self.exits):
             if each.side == side and each.first <= where < each.last:
@@ -94,7 +95,7 @@ class Exits:
 
 
 def chutes(length: float = 6.0) -> Exits:
-    """Make two chutes on either side and an exit straight on, for a line of a length [m]."""
+    """Make two chutes on each side and an exit straight ahead, for a line of a length [m]."""
     scale = checks.positive("length", length, *checks.LENGTH) / 6.0
     spans = ((0.6 * scale, 2.8 * scale), (3.2 * scale, 5.8 * scale))
     aside = tuple(
@@ -106,22 +107,22 @@ def chutes(length: float = 6.0) -> Exits:
 
 
 def sides(length: float = 6.0) -> Exits:
-    """Make a chute on either side, as long as the line [m], and an exit straight on."""
+    """Make one chute on each side, as long as the line [m], and an exit straight ahead."""
     last = checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("left", 1, 0.0, last), Exit("right", -1, 0.0, last), Exit("straight", 0)))
 
 
 def end(length: float = 6.0) -> Exits:
-    """Make one exit straight on, anywhere across the end of a line of any length [m]."""
+    """Make one exit straight ahead over the whole end of a line of any length [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("end", 0),))
 
 
-MOUTH = 0.6  # [m] wide
+MOUTH = 0.6  # [m] width
 
 
 def mouth(length: float = 6.0) -> Exits:
-    """Make one exit straight on, a mouth of 0.6 m in the middle of a line of any length [m]."""
+    """Make one exit straight ahead, a mouth of 0.6 m in the middle of a line of any length [m]."""
     checks.positive("length", length, *checks.LENGTH)
     return Exits((Exit("mouth", 0, -0.5 * MOUTH, 0.5 * MOUTH),))
 
@@ -132,13 +133,13 @@ def mouths(length: float = 6.0) -> Exits:
     return Exits((Exit("left", 0, 0.05, 0.05 + MOUTH), Exit("right", 0, -0.05 - MOUTH, -0.05)))
 
 
-EXITS = {  # presets by name, each of the line's length [m]
+EXITS = {  # presets by name, functions of the line's length [m]
     "chutes": chutes, "sides": sides, "end": end, "mouth": mouth, "mouths": mouths,
 }  # fmt: skip
 
 
 def exits_option(value: Any, length: float) -> Exits:
-    """Return the exits of an argument: a preset by name, for a line of a length [m], or Exits."""
+    """Return the exits of an argument: the name of a preset, or Exits."""
     if isinstance(value, Exits):
         return value
     if isinstance(value, (tuple, list)):
@@ -147,7 +148,7 @@ def exits_option(value: Any, length: float) -> Exits:
 
 
 def check_place(place: Any) -> None:
-    """Check and set the name, the side and the span of an exit or an inlet, which are frozen."""
+    """Check and set the name, the side and the span of a frozen exit or inlet."""
     set_field = object.__setattr__
     check_name("name", place.name)
     set_field(place, "side", checks.one_of("side", place.side, SIDES))
@@ -163,7 +164,7 @@ def check_place(place: Any) -> None:
 
 
 def check_name(name: str, value: Any) -> str:
-    """Return the name of an exit: text without spaces at its ends, not empty, as files hold it."""
+    """Check the name of an exit: not empty, without spaces at its ends, writable to files."""
     if not isinstance(value, str) or not value or value != value.strip():
         raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
     if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
@@ -189,9 +190,9 @@ def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pat
 
     Args:
         length: [m] of the rotors along x.
-        rotor_rows: rows of them, in the middle of 20.
-        lead_in: columns that stay at 90 deg, as the conveyor's before them: as many as the longest
-            parcel is long, 5 for the B-box.
+        rotor_rows: number of rotor rows, in the middle of 20 rows.
+        lead_in: columns that stay at 90 deg, like the conveyor before them. They should be as long
+            as the longest parcel, 5 for the B-box.
     """
     checks.integer("lead_in", lead_in, least=0, most=checks.ELEMENTS)
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)

@@ -1,4 +1,4 @@
-"""The inlets of a surface: where on its edges parcels come onto it."""
+"""The inlets of a surface: spans of its edges where parcels enter."""
 
 import math
 from collections.abc import Iterator
@@ -10,23 +10,23 @@ from surface_gym import checks
 from surface_gym.flow.exits import check_place
 from surface_gym.lines import BaseLine
 
-# Where an inlet lies: at the upper end, from where parcels go towards +x, or at a side.
+# Position of an inlet: at the start, where parcels move towards +x, or at a side.
 START, LEFT, RIGHT = 0, 1, -1
 MOST_INLETS = 32
 
 
 @dataclass(frozen=True)
 class Inlet:
-    """A span of an edge over which parcels come onto the surface.
+    """A span of an edge over which parcels enter the surface.
 
-    At the start, x = 0, it is a span of y from the line's middle, and parcels go towards +x; at a
-    side it is a span of x, and they go across.
+    At the start (x = 0), the span is in y from the line's middle, and parcels move towards +x. At a
+    side, the span is in x, and parcels move across the line.
     """
 
     name: str  # "line 1"
     side: int = START  # 0: at the start; +1: at the edge y > 0 (left); -1: at y < 0 (right)
-    first: float = -math.inf  # [m] without end: to the first row or column of rotors
-    last: float = math.inf  # [m] the same, to the last
+    first: float = -math.inf  # [m] infinite: from the first row or column of rotors
+    last: float = math.inf  # [m] infinite: to the last row or column of rotors
 
     def __post_init__(self) -> None:
         check_place(self)
@@ -37,13 +37,13 @@ class Entrance(NamedTuple):
 
     x: float  # [m] middle of the span, on the edge
     y: float  # [m]
-    heading: float  # [rad] in which parcels come
+    heading: float  # [rad] direction of motion
     width: float  # [m] of the span
 
 
 @dataclass(frozen=True)
 class Inlets:
-    """The inlets of a surface, counted by their index.
+    """The inlets of a surface, indexed in order.
 
     >>> side_by_side(2).names
     ('line 1', 'line 2')
@@ -75,16 +75,16 @@ class Inlets:
         return tuple(each.name for each in self.inlets)
 
     def place(self, name: str) -> int:
-        """Return the index of the inlet of a name."""
+        """Return the index of the inlet with a name."""
         return self.names.index(checks.one_of("inlet", name, self.names))
 
 
 EDGE = Inlets((Inlet("edge"),))  # the whole upper edge
-SPACING = 0.46  # [m] from the middle of a line to that of the next
+SPACING = 0.46  # [m] distance between the middles of neighbouring lines
 
 
 def side_by_side(count: int) -> Inlets:
-    """Make lines side by side at the start, counted from y > 0, at most 0.45 m wide."""
+    """Make inlets side by side at the start, from y > 0 down, at most 0.45 m wide."""
     checks.integer("count", count, least=1, most=MOST_INLETS)
     middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
     return Inlets(
@@ -96,15 +96,15 @@ def side_by_side(count: int) -> Inlets:
 
 
 def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int]) -> Entrance:
-    """Find where an inlet lies on a line.
+    """Find the position of an inlet on a line.
 
     Args:
-        inlet: to find.
-        line: of which surface.
-        rotors: first row, rows, first column and columns with rotors.
+        inlet: inlet to find.
+        line: line of the surface.
+        rotors: first row, rows, first column and columns of the rotors.
 
     Raises:
-        ValueError: it does not lie beside the rotors.
+        ValueError: the inlet is not beside the rotors.
     """
     first_row, rows, first_column, columns = rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)

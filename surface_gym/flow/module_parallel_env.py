@@ -1,4 +1,4 @@
-"""Streams in PettingZoo: each module an agent that sees itself and what its neighbours pass on."""
+"""Streams in PettingZoo: each module is an agent with local observations."""
 
 from typing import Any
 
@@ -19,26 +19,27 @@ REWARDS = ("parcel", "team")
 
 
 class ModuleParallelEnv(StreamParallelEnv):
-    """`SmartSurfaceEnv` of a stream on a slope with `actions="modules"`, each module an agent.
+    """`SmartSurfaceEnv` of a stream on a slope with `actions="modules"`, with one agent per module.
 
-    All modules with a rotor are there for the whole episode, 700 by default; "module_3_7" is that
-    in row 3 and column 7, rows from y < 0. Each sees only itself and what the modules around pass
-    on: see `surface_gym.flow.module_view`.
+    All modules with a rotor exist for the whole episode, 700 by default. "module_3_7" is in row 3
+    and column 7, with rows from y < 0. Each sees only its own state and messages of neighbours: see
+    `surface_gym.flow.module_view`.
 
     ## Agents
 
-    - observation: (60,) float32: where the module is; the parcel on it, or about to be, and where
-      the module lies under it; the nearest parcels in eight directions, 1 m far.
-    - action: the choice of its axis; with `orientations="any"` an array (1,) of its angle.
-    - reward: that of the parcel that it bore as it acted, 0 without one; with `reward="team"` that
-      of the whole surface, the same for all.
-    - terminated: all are, by a jam. Truncated: the time is over.
-    - info: `parcel`, the number in the order of arrival of the one on it or about to be, else -1;
-      as the episode ends also `outcome`: "jam" or "out of time".
+    - observation: (60,) float32: the module's position; the parcel on it (now or soon) and the
+      module's position under it; the nearest parcels in eight directions within 1 m.
+    - action: choice of the axis; with `orientations="any"`, an array (1,) with the angle.
+    - reward: the reward of the parcel on the module at the action, 0 without one; with
+      `reward="team"`, the reward of the whole surface for all.
+    - terminated: all agents, after a jam. Truncated: at the time limit.
+    - info: `parcel`, the arrival number of the parcel on the module (now or soon), else -1; at the
+      end of the episode also `outcome`: "jam" or "out of time".
 
-    Arguments are those of `SmartSurfaceEnv` and of the task, `task="singulate"` by default, "merge"
-    or "sequence", but `actions`, `gate` and `queue`; and `reward`. `reset(options={"stream": ...})`
-    gives an episode a stream of its own; other options are ignored, as PettingZoo's tests have it.
+    Takes the arguments of `SmartSurfaceEnv` and of the task except `actions`, `gate` and `queue`,
+    and `reward`. The task is "singulate" (default), "merge" or "sequence".
+    `reset(options={"stream": ...})` sets the stream of an episode; other options are ignored, as
+    PettingZoo's tests require.
 
     >>> env = ModuleParallelEnv(duration=4.0)
     >>> observations, infos = env.reset(seed=0)
@@ -82,7 +83,7 @@ class ModuleParallelEnv(StreamParallelEnv):
         return self._look(observation)
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Move all parcels over a control period, by an action of every module."""
+        """Step by one control period with the actions of all modules."""
         self._check_agents(actions)
         said = np.array([actions[agent] for agent in self.agents])
         action = np.zeros(self._view.modules, said.dtype)
@@ -107,7 +108,7 @@ class ModuleParallelEnv(StreamParallelEnv):
         )
 
     def _look(self, observation: NDArray[np.float32]) -> tuple[Observations, Infos]:
-        """Collect what each module sees, and its info."""
+        """Return the observation and the info of each module."""
         seen = self._view(observation[np.newaxis])
         self._owner = seen.owner[0]
         owner = self._owner[self._places]

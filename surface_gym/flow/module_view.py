@@ -1,11 +1,11 @@
-"""What each module sees of a stream on a slope: itself, and what its neighbours pass on.
+"""Local observations of modules for streams on a slope.
 
-An idle rotor senses whether a parcel lies on it and how fast it is turned. The modules below one
-parcel pass that on to each other, so that they agree on where its base ends and how it moves. From
-there it goes on to the modules around, in eight directions, `REACH` far. And from one parcel to the
-next behind it goes how soon the take-away is free. Nothing else comes from afar.
+An idle rotor senses whether a parcel is on it, and its speed. Modules under one parcel exchange
+this, so they agree on its base and its motion. They send it to modules around in eight directions,
+up to `REACH`. The time until the take-away is free is passed from each parcel to the next one
+behind. There is no other long-range information.
 
-All of it is computed from the table of parcels, so as the sensors have it.
+All observations are computed from the table of parcels reported by the sensors.
 """
 
 import math
@@ -26,10 +26,10 @@ from surface_gym.tasks.features import read
 
 Singles = NDArray[np.float32]
 
-REACH = 1.0  # [m] clear between two parcels up to which the modules below them hear of each other
+REACH = 1.0  # [m] maximum gap between two parcels whose modules communicate
 MOST = 20.0  # bound of every feature
 
-# Features of a module's own, of the parcel over it, and of each of the parcels around that.
+# Features of a module, of the parcel on it, and of each neighbouring parcel.
 OWN = (
     "to the end, from the module along x / 1 m",
     "the module's y / 0.5 m, from the line's middle",
@@ -62,38 +62,38 @@ NEIGHBOUR = (
     "1: it is to leave before this one; -1: after it; 0: there is none",
 )
 DIRECTIONS = 8  # behind right, behind, behind left, right, left, ahead right, ahead, ahead left
-EARLY = 11  # place in `PARCEL`
-PASSED = len(PARCEL) + DIRECTIONS * len(NEIGHBOUR)  # features that modules below a parcel share
+EARLY = 11  # index in `PARCEL`
+PASSED = len(PARCEL) + DIRECTIONS * len(NEIGHBOUR)  # features shared by modules under a parcel
 SIZE = len(OWN) + PASSED
 
-# Columns of a parcel that is decoded from its row, in SI units.
+# Columns of a decoded parcel, in SI units.
 _X, _Y, _VX, _VY, _FRONT, _REAR, _LEFT, _RIGHT, _READY, _NEXT_IN_ORDER = range(10)
 _DECODED = 10
 
 
 class _Surface(NamedTuple):
-    """The surface and its modules, as compiled code reads them."""
+    """The surface and its modules, for compiled code."""
 
-    x: Array  # (columns,) [m] of the modules from the end, negative
+    x: Array  # (columns,) [m] x of the modules from the end, negative
     y: Array  # (rows,) [m] from the line's middle
-    rotor: Booleans  # (rows, columns) a rotor, else a support, which sees nothing of parcels
-    mouths: Array  # (mouths, 2) [m] y of their sides from the line's middle
+    rotor: Booleans  # (rows, columns) a rotor, else a support, which senses no parcels
+    mouths: Array  # (mouths, 2) [m] y of both sides from the line's middle
     take_away: float  # [m/s]
     gap: float  # [m]
-    ahead: float  # [s] within which a parcel must be about to bear on a module
-    place: int  # feature by which parcels are to leave in an order; negative: by x
-    own: int  # feature of the table that only the task has; negative: none
+    ahead: float  # [s] time before a parcel's arrival at which a module sees it
+    place: int  # feature with the order of departure; negative: order by x
+    own: int  # task-specific feature of the table; negative: none
 
 
 class ModuleObservations(NamedTuple):
-    """What the modules of surfaces see."""
+    """Observations of the modules of surfaces."""
 
-    owner: Integers  # (num_envs, modules) row of the parcel on a module or about to be, or NOBODY
+    owner: Integers  # (num_envs, modules) row of the parcel on a module (now or soon), or NOBODY
     own: Singles  # (num_envs, modules, len(OWN))
-    passed: Singles  # (num_envs, rows, PASSED) what the modules below each parcel pass on
+    passed: Singles  # (num_envs, rows, PASSED) shared features of the modules under each parcel
 
     def of_modules(self) -> Singles:
-        """Join what each module sees (num_envs, modules, SIZE); 0 of the parcel if it has none."""
+        """Return each module's observation (num_envs, modules, SIZE); zeros without a parcel."""
         num_envs, _modules = self.owner.shape
         passed = self.passed[np.arange(num_envs)[:, np.newaxis], self.owner]
         passed[self.owner == NOBODY] = 0.0
@@ -107,7 +107,7 @@ def _within(value: float) -> float:
 
 @linked
 def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) -> int:
-    """Decode the parcels of a table, sort them by when they are to leave, and count them."""
+    """Decode the parcels of a table, sorted by required departure; return their number."""
     count = 0
     for k in range(table.shape[0]):
         row = table[k]
@@ -140,7 +140,7 @@ def _decode(surface: _Surface, table: Singles, order: Integers, decoded: Array) 
 def _write_early(
     surface: _Surface, table: Singles, order: Integers, count: int, decoded: Array, seen: Singles
 ) -> None:
-    """Write how early each parcel is, as those that leave before it pass it on."""
+    """Write how early each parcel is, from the parcels that depart before it."""
     for place in range(count):
         k = order[place]
         parcel = decoded[k]
@@ -159,7 +159,7 @@ def _write_early(
 
 @linked
 def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
-    """Write what the modules below a parcel know of it, but how early it is."""
+    """Write the features of a parcel, except how early it is."""
     seen[0] = 1.0
     seen[1] = _within(row[COLUMN.to_the_end.place])
     seen[2] = row[COLUMN.offset.place]
@@ -179,7 +179,7 @@ def _write_parcel(surface: _Surface, row: Singles, seen: Singles) -> None:
 def _write_neighbours(
     table: Singles, k: int, decoded: Array, nearest: Array, seen: Singles
 ) -> None:
-    """Write the nearest parcel in each direction that is within reach."""
+    """Write the nearest parcel within reach in each direction."""
     size = len(NEIGHBOUR)
     first = len(PARCEL)
     for way in range(DIRECTIONS):
@@ -225,7 +225,7 @@ def _claim(
     surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
     own: Singles,
 ) -> None:  # fmt: skip
-    """Let each module that bears a parcel, or soon will, see it, unless another is nearer."""
+    """Assign to each module the nearest parcel that is on it now or soon."""
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
     high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)
@@ -261,7 +261,7 @@ def view_modules(
     tables: Singles, surface: _Surface, order: Integers, decoded: Array, nearest: Array,
     least: Array, owner: Integers, own: Singles, passed: Singles,
 ) -> None:  # fmt: skip
-    """Write what the modules of all surfaces see, from the tables (num_envs, rows, features)."""
+    """Write the observations of all modules from tables (num_envs, rows, features)."""
     columns = len(surface.x)
     for i in range(tables.shape[0]):
         table = tables[i]
@@ -283,15 +283,15 @@ def view_modules(
 
 
 def _count(places: int) -> Array:
-    """Number places (places,) from 0 on."""
+    """Return the numbers 0, 1, ... (places,) as floats."""
     return np.arange(places, dtype=np.float64)
 
 
 class ModuleView:
-    """Conversion of tables of parcels into what every module of the zone sees.
+    """Conversion of tables of parcels to observations of the zone's modules.
 
-    Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) says
-    which places of the zone have one.
+    Modules are in the order of the action, row by row from y < 0. `rotor` (rows, columns) marks the
+    modules of the zone with a rotor.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -316,13 +316,13 @@ class ModuleView:
         )
 
     def __call__(self, tables: Singles) -> ModuleObservations:
-        """Compute what modules see from observations (num_envs, rows, features)."""
+        """Compute modules' observations from tables (num_envs, rows, features)."""
         arguments = self.arguments(tables)
         view_modules(*arguments)
         return ModuleObservations(*arguments[-len(ModuleObservations._fields) :])
 
     def arguments(self, tables: Singles) -> tuple[Any, ...]:
-        """List what `view_modules` takes; the last of it is what modules will see."""
+        """Return the arguments of `view_modules`; the last one is its result."""
         if tables.ndim != 3 or tables.shape[2] != self._features:
             raise ValueError(
                 f"tables must have the shape (num_envs, rows, {self._features}), got {tables.shape}"
@@ -339,5 +339,5 @@ class ModuleView:
 
 
 def module_space() -> spaces.Box:
-    """Make the space of what one module sees."""
+    """Make the observation space of one module."""
     return spaces.Box(-MOST, MOST, (SIZE,), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Streams of parcels: their arrivals, kinds, speeds and destinations."""
+"""Streams of parcels: arrivals, kinds, speeds and destinations."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ EVERY_THREE_SECONDS = Steady(rate=1200.0)
 class Stream:
     """A stream of parcels: kind, destination and speed of each are drawn independently.
 
-    A recorded stream, a `Trace`, has its own parcels, destinations and speeds.
+    A `Trace` (recorded stream) has its own parcels, destinations and speeds.
 
     >>> import numpy as np
     >>> from surface_gym.flow.exits import sides
@@ -157,13 +157,13 @@ def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
 
 
 def _drawn(odds: list[float], number: Numbers) -> Places:
-    """Return indices among the odds, by numbers (n,) uniform in [0, 1)."""
+    """Return indices drawn by odds from uniform numbers (n,) in [0, 1)."""
     shares = np.cumsum(odds)
     return np.searchsorted(shares[:-1], number * shares[-1], side="right")
 
 
 def _check_nothing_beside(stream: Stream) -> None:
-    """Raise a ValueError if anything is given beside a trace that it has itself."""
+    """Raise a ValueError for arguments that a trace already defines."""
     usual = Stream()
     for name in ("parcels", "destinations", "speeds", "origins", "aside", "turned", "window"):
         if getattr(stream, name) != getattr(usual, name):

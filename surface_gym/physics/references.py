@@ -90,8 +90,14 @@ def osqp_normal_forces(
 
 
 def _osqp(cost: Array, linear: Array, rows: Array, low: Array, high: Array) -> Array | None:
-    import osqp
     from scipy import sparse
+
+    try:
+        import osqp
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"normal_forces='osqp' needs OSQP ({error}): pip install 'surface_gym[validation]'"
+        ) from None
 
     problem = osqp.OSQP()
     problem.setup(

@@ -35,7 +35,7 @@ class StopLine:
     x: float  # [m]
 
     def __post_init__(self) -> None:
-        _set(self, x=checks.number("x", self.x))
+        checks.settle(self, x=checks.number)
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ class ExitSpeed:
     speed: float  # [m/s] exit speed
 
     def __post_init__(self) -> None:
-        _set(self, ratio=checks.not_negative("ratio", self.ratio))
-        _set(self, speed=checks.not_negative("speed", self.speed))
+        checks.settle(self, ratio=checks.not_negative, speed=checks.not_negative)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ class Path:
     points: Any  # (points, 2) [m] at least two points, converted to an array
 
     def __post_init__(self) -> None:
-        _set(self, points=checks.array("points", self.points, (None, 2)))
+        checks.settle(self, points=(checks.array, (None, 2)))
         if len(self.points) < 2:
             raise ValueError(f"points must be at least 2, got {len(self.points)}")
 
@@ -69,7 +68,7 @@ class Heading:
     angle: float  # [rad] goal theta
 
     def __post_init__(self) -> None:
-        _set(self, angle=checks.number("angle", self.angle))
+        checks.settle(self, angle=checks.number)
 
 
 Goal: TypeAlias = ExitSide | StopLine | ExitSpeed | Path | Heading
@@ -90,22 +89,17 @@ class SceneParcel:
     wrong: bool = False  # whether it departed by a wrong exit
 
     def __post_init__(self) -> None:
-        _set(self, outline=checks.array("outline", self.outline, (None, 2)))
+        checks.settle(self, outline=(checks.array, (None, 2)))
         if len(self.outline) < 3:
             raise ValueError(f"outline must have at least 3 points, got {len(self.outline)}")
         x, y = self.outline.T
         if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == 0.0:
             raise ValueError(f"outline must enclose an area, got {self.outline.tolist()}")
-        _set(self, pose=_checked_pose("pose", self.pose))
-        if self.exit is not None:
-            _set(self, exit=checks.integer("exit", self.exit, least=0))
-        _set(self, trail=checks.array("trail", self.trail, (None, 2)))
-        if self.sensed_pose is not None:
-            _set(self, sensed_pose=_checked_pose("sensed_pose", self.sensed_pose))
+        checks.settle(self, pose=_checked_pose, exit=(checks.integer, 0))
+        checks.settle(self, trail=(checks.array, (None, 2)), sensed_pose=_checked_pose)
         if not isinstance(self.label, str):
             raise ValueError(f"label must be a text, got {self.label!r}")
-        if self.group is not None:
-            _set(self, group=checks.integer("group", self.group, least=0))
+        checks.settle(self, group=(checks.integer, 0))
 
     @property
     def colour_index(self) -> int | None:
@@ -117,9 +111,7 @@ def _check_mark(mark: Any) -> None:
     """Check and set the name, the side and the ends of a mark."""
     if not isinstance(mark.name, str):
         raise ValueError(f"name must be a text, got {mark.name!r}")
-    _set(mark, side=checks.one_of("side", mark.side, (-1, 0, 1)))
-    _set(mark, first=checks.number("first", mark.first))
-    _set(mark, last=checks.number("last", mark.last))
+    checks.settle(mark, side=(checks.one_of, (-1, 0, 1)), first=checks.number, last=checks.number)
     if mark.last <= mark.first:
         raise ValueError(f"last must be greater than first, {mark.first}, got {mark.last}")
 
@@ -145,7 +137,7 @@ class ExitMark:
                 f"span must be the least and the greatest y of a mouth straight on, or None, "
                 f"got {self.span!r}"
             )
-        _set(self, span=(low, high))
+        checks.set_fields(self, span=(low, high))
 
     def overlaps(self, other: "ExitMark") -> bool:
         """Return whether another exit of the same side overlaps this one."""
@@ -184,7 +176,7 @@ class Traffic:
     runs: bool | None = None
 
     def __post_init__(self) -> None:
-        _set(self, exits=tuple(self.exits), inlets=tuple(self.inlets))
+        checks.set_fields(self, exits=tuple(self.exits), inlets=tuple(self.inlets))
         for mark in self.exits:
             if not isinstance(mark, ExitMark):
                 raise ValueError(f"exits must be ExitMark, got {mark!r}")
@@ -196,20 +188,20 @@ class Traffic:
             if before.overlaps(mark):
                 raise ValueError(f"exits of one side must not overlap, got {before!r} and {mark!r}")
         counts = (checks.integer("delivered", count, least=0) for count in self.delivered)
-        _set(self, delivered=tuple(counts))
+        checks.set_fields(self, delivered=tuple(counts))
         if len(self.delivered) != len(self.exits):
             raise ValueError(
                 f"delivered must be one count for each of the {len(self.exits)} exits, "
                 f"got {self.delivered!r}"
             )
-        _set(self, queues=tuple(checks.integer("queues", each, least=0) for each in self.queues))
+        queues = (checks.integer("queues", count, least=0) for count in self.queues)
+        checks.set_fields(self, queues=tuple(queues))
         if len(self.queues) != len(self.inlets):
             raise ValueError(
                 f"queues must be one count for each of the {len(self.inlets)} inlets, "
                 f"got {self.queues!r}"
             )
-        _set(self, missorted=checks.integer("missorted", self.missorted, least=0))
-        _set(self, waiting=checks.integer("waiting", self.waiting, least=0))
+        checks.settle(self, missorted=(checks.integer, 0), waiting=(checks.integer, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,18 +235,17 @@ class Scene:
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         rotor.setflags(write=False)
-        _set(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
-        _set(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
-        _set(self, tilt=checks.number("tilt", self.tilt))
-        _set(self, tilt_direction=checks.angle("tilt_direction", self.tilt_direction))
+        checks.set_fields(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
+        checks.set_fields(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
+        checks.settle(self, tilt=checks.number, tilt_direction=checks.angle)
         if self.zone is not None:
-            _set(self, zone=_checked_zone(self.zone, self.rows, self.columns))
+            checks.set_fields(self, zone=_checked_zone(self.zone, self.rows, self.columns))
         if self.goal is not None and not isinstance(self.goal, Goal):
             raise ValueError(f"goal must be one of the goals or None, got {self.goal!r}")
         _check_readings(self.readings)
-        _set(self, parcels=tuple(self.parcels))
+        checks.set_fields(self, parcels=tuple(self.parcels))
         self._check_exits()
-        _set(self, touching=tuple(self._checked_pair(pair) for pair in self.touching))
+        checks.set_fields(self, touching=tuple(self._checked_pair(pair) for pair in self.touching))
 
     @property
     def rows(self) -> int:
@@ -317,12 +308,6 @@ class Scene:
                 f"touching must be indices among the {len(self.parcels)} parcels, got {pair}"
             )
         return (first, second)
-
-
-def _set(instance: Any, **fields: Any) -> None:
-    """Set fields of a frozen dataclass during its construction."""
-    for name, value in fields.items():
-        object.__setattr__(instance, name, value)
 
 
 def _checked_pose(name: str, pose: ArrayLike) -> Pose:

@@ -1,4 +1,4 @@
-"""Emulated sensors of the motion of a parcel, each with its compiled half."""
+"""Emulated sensors of a parcel's motion, with their compiled functions."""
 
 from surface_gym.sensors.base import Entry, Exact, Sensor
 from surface_gym.sensors.camera import AdaptiveCamera, Camera

@@ -1,11 +1,10 @@
-"""Kalman filters on pose and velocity, and on friction and load: predicted by the physics.
+"""Kalman filters of pose and velocity, and of friction and load, with the physics as prediction.
 
-It lies in `state.sensor_state`: first the state as the physics has it, then the covariance.
+`state.sensor_state` holds the state of the physics, followed by the covariance.
 
-The observer's state goes on by three constants: the factor of mu_max, and the place of the centre
-of mass in the base's frame. How each changes a step's velocities follows from the step's own
-contacts: friction grows with the factor, and a load that lies elsewhere leans on other elements
-(Eq. 1).
+Three constants follow in the observer's state: the factor of mu_max, and the position of the centre
+of mass in the base's frame. Their effect on a step's velocities follows from the step's contacts.
+Friction grows with the factor, and another position of the load changes the normal forces (Eq. 1).
 """
 
 import math
@@ -23,19 +22,20 @@ from surface_gym.physics.types import Array, Body, Grid, Scratch
 from surface_gym.sensors.base import LEARNED, Entry, Physics, Sensor, enter
 from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, GRAVITY_Y, NOISE_ROWS, EnvState
 
-SIZE = 6  # of pose and velocity
+SIZE = 6  # pose and velocity
 COVARIANCE = ph.STATE_SIZE  # first column; row by row
 GAIN = COVARIANCE + SIZE * SIZE  # first column of a correction's own memory
 DECAY = GAIN + SIZE  # first column of a prediction's own memory, 3 x 3
 LAST = DECAY + 9
 
-# What a prediction doubts, in a sensor's params from some column on: the densities of the
-# physics' error, and the share of an acceleration by friction that it may be off.
+# Process noise in a sensor's params from some column on: densities of the physics' error, and the
+# relative error of accelerations by friction.
 DENSITY, TURN_DENSITY, FRICTION_ERROR, MODEL_SIZE = range(4)
 
-FRICTION_ERROR_TIME = 0.04  # [s] for which friction errs alike, a control period
-FRICTIONS = ("mu_max", "mu_min", "mu_support")  # that an observer may assume; None: the line's own
-STICTION_SPEED = 0.03  # [m/s] a rotor that slips along its axis by less than this holds the parcel
+FRICTION_ERROR_TIME = 0.04  # [s] correlation time of friction errors, a control period
+# coefficients assumed by an observer; None: the line's
+FRICTIONS = ("mu_max", "mu_min", "mu_support")
+STICTION_SPEED = 0.03  # [m/s] a rotor with a smaller slip along its axis holds the parcel
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class Observer(Sensor):
     """A sensor that estimates pose and velocity by prediction and correction."""
 
     watches = True
-    rate: ClassVar[tuple[str, str]]  # the field that holds it [Hz], and what comes at that rate
+    rate: ClassVar[tuple[str, str]]  # name of the field with the rate [Hz], and name of its events
 
     def __post_init__(self) -> None:
-        sensor: Any = self  # with fields that each observer has, defaults of its own
+        sensor: Any = self  # each observer defines these fields with its own defaults
         for name in ("acceleration_density", "turn_density"):
             checks.positive(name, getattr(self, name), *checks.DENSITY)
         checks.not_negative("friction_error", sensor.friction_error, checks.FRICTION_ERROR)
@@ -60,7 +60,7 @@ class Observer(Sensor):
         checks.instance("entry", sensor.entry, Entry, "an Entry")
 
     def frame_steps(self, dt: float) -> int:
-        """Return the physics steps of `dt` [s] from one frame or sample to the next."""
+        """Return the number of physics steps of `dt` [s] between frames or samples."""
         name, each = self.rate
         steps = round(1.0 / (getattr(self, name) * dt))
         if steps == 0:
@@ -71,7 +71,7 @@ class Observer(Sensor):
         return steps
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return one row of noise a frame or sample."""
+        """Return the rows of noise per control period, one per frame or sample."""
         name, each = self.rate
         count = math.ceil(steps / self.frame_steps(dt))
         if count > NOISE_ROWS:
@@ -82,7 +82,7 @@ class Observer(Sensor):
         return count
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the line's friction where a coefficient is None, else the same everywhere."""
+        """Return uniform friction; a coefficient of None means the line's friction."""
         assumed = line.friction.copy()
         for k, name in enumerate(FRICTIONS):
             if getattr(self, name) is not None:
@@ -99,7 +99,7 @@ class Observer(Sensor):
 
 @kernel_function
 def begin(params: Array, first: int, state: EnvState) -> None:
-    """Set estimate and covariance to the Entry, which is in `params` from `first` on."""
+    """Set estimate and covariance to the Entry in `params[first:]`."""
     enter(params, first, state)
     estimate = state.sensor_state
     estimate[ph.AX] = 0.0
@@ -113,9 +113,9 @@ def begin(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
-    """Write how a step damps errors in velocity, (M + dt S)^-1 M, into `estimate` from DECAY on.
+    """Write a step's damping of velocity errors, (M + dt S)^-1 M, to `estimate[DECAY:]`.
 
-    S is the friction's slope over the slip along each rotor's axis: steep where it holds.
+    S is the slope of friction over the slip along rotors' axes, which is steep for held contacts.
     """
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -159,7 +159,7 @@ def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, 
 
 @kernel_function
 def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> None:
-    """Carry the covariance over a step, the velocity's errors damped as `_damp` wrote."""
+    """Propagate the covariance over a step, with velocity errors damped as in `_damp`."""
     half = COVARIANCE + 3  # the column of the first velocity
     low = COVARIANCE + 3 * SIZE  # the row of the first velocity
     for i in range(3):
@@ -199,11 +199,11 @@ def _widen(estimate: Array, dt: float, density: float, turn_density: float) -> N
 
 @kernel_function
 def predict(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict an estimate over one step by the physics: axes as they are, equal stiffness of all
-    elements, nominal friction, a centred load.
+    """Predict an estimate over one step by the physics.
 
-    What is doubted is in `params` from `first` on. Off the surface the estimate moves on at its
-    velocity.
+    It uses the true axes, equal stiffness, nominal friction and a centred load.
+
+    The process noise is in `params[first:]`. Off the surface, the estimate keeps its velocity.
     """
     estimate = state.sensor_state
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
@@ -213,7 +213,7 @@ def predict(params: Array, first: int, state: EnvState, physics: Physics) -> Non
 
 @inlined
 def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
-    """Return the parcel with its centre of mass assumed at a place [m] from the centroid."""
+    """Return the parcel with an assumed centre of mass [m] from the centroid."""
     return Body(
         state.edges,
         state.body[ph.RADIUS],
@@ -226,14 +226,15 @@ def assumed_body(state: EnvState, com_x: float, com_y: float) -> Body:
 
 @kernel_function
 def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Contacts:
-    """Move the state in `state.sensor_state`, the centre of mass's, over one step; write how that
-    damps errors; return the step's contacts.
+    """Move the estimate of the centre of mass over one step; return the step's contacts.
+
+    Also writes the damping of errors.
 
     Args:
-        state: one whose axes stand as they are.
-        physics: as the sensor assumes it.
-        factor: [-] by which the rotors' friction along their axes is multiplied.
-        body: the parcel as it is assumed to be.
+        state: state with the true axes.
+        physics: physics assumed by the sensor.
+        factor: [-] factor of the rotors' friction along their axes.
+        body: assumed parcel.
     """
     estimate, dt = state.sensor_state, physics.dt
     grid = Grid(
@@ -266,8 +267,9 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Con
 def widen_by_doubt(
     params: Array, first: int, estimate: Array, dt: float, vx: float, vy: float, omega: float
 ) -> None:
-    """Carry the covariance over a step that began at a velocity (vx, vy, omega), and add the
-    process noise, in `params` from `first` on.
+    """Propagate the covariance over a step, and add process noise from `params[first:]`.
+
+    The step begins at a velocity (vx, vy, omega).
     """
     doubt = params[first + FRICTION_ERROR] ** 2 * FRICTION_ERROR_TIME / (dt * dt)
     _widen(
@@ -283,7 +285,7 @@ def widen_by_doubt(
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
     """Return the variance of a function of the pose `lead` seconds ago, given by its derivatives.
 
-    Its covariance with the state is left in `estimate` from GAIN on, for `correct`.
+    Its covariance with the state is stored in `estimate[GAIN:]` for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i
@@ -301,33 +303,31 @@ def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: fl
 
 @kernel_function
 def correct(estimate: Array, shift: float, shrink: float) -> None:
-    """Move the estimate by `shift` and shrink its covariance by `shrink`, along what `measure`
-    left, both per unit.
-    """
+    """Move the estimate by `shift` and reduce its covariance by `shrink`, along the gain."""
     for i in range(SIZE):
         estimate[i] += shift * estimate[GAIN + i]
         for j in range(SIZE):
             estimate[COVARIANCE + SIZE * i + j] -= shrink * estimate[GAIN + i] * estimate[GAIN + j]
 
 
-CONSTANT = LAST  # first column of their estimates
-CROSS = CONSTANT + LEARNED  # of their covariances with the state, 6 x 3
-DOUBT = CROSS + SIZE * LEARNED  # of their own covariance, 3 x 3
-PULL = DOUBT + LEARNED * LEARNED  # of a correction's own memory
-EFFECT = PULL + LEARNED  # of a prediction's own memory, velocities by constants, 3 x 3
+CONSTANT = LAST  # first column of the constants' estimates
+CROSS = CONSTANT + LEARNED  # first column of their covariances with the state, 6 x 3
+DOUBT = CROSS + SIZE * LEARNED  # first column of their own covariance, 3 x 3
+PULL = DOUBT + LEARNED * LEARNED  # first column of a correction's memory
+EFFECT = PULL + LEARNED  # first column of a prediction's memory, velocities by constants, 3 x 3
 LEARNING_LAST = EFFECT + 3 * LEARNED
 
-# What is known of the constants before, in a sensor's params from some column on.
+# Prior of the constants in a sensor's params from some column on.
 FRICTION_SPREAD, LOAD_SPREAD = range(2)
 
-LEAST_FACTOR, MOST_FACTOR = 0.25, 4.0  # [-] no estimate goes beyond
-FARTHEST_LOAD = 0.5  # [-] of the half length
-THINNEST = 1e-6  # [m^2] squared extent of the contacts in any direction, at least
+LEAST_FACTOR, MOST_FACTOR = 0.25, 4.0  # [-] limits of the estimate
+FARTHEST_LOAD = 0.5  # [-] maximum offset of the load relative to the half length
+THINNEST = 1e-6  # [m^2] minimum squared extent of the contacts in any direction
 
 
 @kernel_function
 def begin_learning(params: Array, first: int, state: EnvState) -> None:
-    """Begin with nominal friction, a centred load, and variances in `params` from `first` on."""
+    """Begin with nominal friction, a centred load, and variances from `params[first:]`."""
     estimate = state.sensor_state
     estimate[CONSTANT] = 1.0
     for k in range(CONSTANT + 1, LEARNING_LAST):
@@ -339,7 +339,7 @@ def begin_learning(params: Array, first: int, state: EnvState) -> None:
 
 @kernel_function
 def predict_learning(params: Array, first: int, state: EnvState, physics: Physics) -> None:
-    """Predict as `kalman.predict` does, by the estimated constants, and carry on their effect."""
+    """Predict like `kalman.predict`, with the estimated constants, and propagate their effect."""
     estimate, scratch, dt = state.sensor_state, physics.scratch, physics.dt
     vx, vy, omega = estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA]
     body = assumed_body(state, estimate[CONSTANT + 1], estimate[CONSTANT + 2])
@@ -354,7 +354,7 @@ def predict_learning(params: Array, first: int, state: EnvState, physics: Physic
 
 @kernel_function
 def _to_load(estimate: Array, way: float) -> None:
-    """Turn the state of the base's centroid into the centre of mass's; `way` -1: back."""
+    """Convert the state of the centroid to the centre of mass; `way` -1 converts back."""
     cosine, sine = math.cos(estimate[ph.THETA]), math.sin(estimate[ph.THETA])
     arm_x = way * (cosine * estimate[CONSTANT + 1] - sine * estimate[CONSTANT + 2])
     arm_y = way * (sine * estimate[CONSTANT + 1] + cosine * estimate[CONSTANT + 2])
@@ -368,15 +368,15 @@ def _to_load(estimate: Array, way: float) -> None:
 def _effect(
     body: Body, weight: float, estimate: Array, scratch: Scratch, contacts: ph.Contacts, turn: float
 ) -> None:
-    """Write the derivatives of a step's velocities by each constant into `estimate` from EFFECT on.
+    """Write the derivatives of a step's velocities by each constant to `estimate[EFFECT:]`.
 
     Args:
         body: the parcel.
-        weight: [m/s^2] what the contacts bear.
+        weight: [m/s^2] load of the contacts.
         estimate: state of the centre of mass at the step's end.
-        scratch: of the step.
-        contacts: of the step.
-        turn: [rad/s] by which the step changed the speed of turning.
+        scratch: scratch of the step.
+        contacts: contacts of the step.
+        turn: [rad/s] change of the turning speed in the step.
     """
     table = scratch.table
     friction_gradient(scratch, contacts, estimate[ph.VX], estimate[ph.VY], estimate[ph.OMEGA])
@@ -423,7 +423,7 @@ def _effect(
     estimate[EFFECT] = -drag_x * per_factor
     estimate[EFFECT + 3] = -drag_y * per_factor
     estimate[EFFECT + 6] = -drag_turn * per_gyration * per_factor
-    # The centroid moves as the load does, turned by their distance.
+    # The centroid moves with the load, plus the turning of their distance.
     _write_load(estimate, EFFECT + 1, -vx_x, turn - vx_y, cosine, sine)
     _write_load(estimate, EFFECT + 4, -turn - vy_x, -vy_y, cosine, sine)
     _write_load(estimate, EFFECT + 7, -turn_x * per_gyration, -turn_y * per_gyration, cosine, sine)
@@ -433,14 +433,14 @@ def _effect(
 def _write_load(
     estimate: Array, place: int, by_x: float, by_y: float, cosine: float, sine: float
 ) -> None:
-    """Write a derivative by the load's place in the world as those by its place in the base."""
+    """Convert a derivative by the load's world position to its position in the base."""
     estimate[place] = by_x * cosine + by_y * sine
     estimate[place + 1] = by_y * cosine - by_x * sine
 
 
 @kernel_function
 def _widen_by_constants(estimate: Array, dt: float) -> None:
-    """Carry the constants' covariances over a step, and widen the state's by what they add."""
+    """Propagate the constants' covariances over a step, and add their effect to the state's."""
     half = CROSS + 3 * LEARNED  # the row of the first velocity
     for j in range(LEARNED):
         for i in range(3):
@@ -479,8 +479,9 @@ def _widen_by_constants(estimate: Array, dt: float) -> None:
 
 @kernel_function
 def measure_constants(estimate: Array, k: int, lead: float) -> None:
-    """Write the constants' covariance with the pose's coordinate `k` of `lead` seconds ago into
-    `estimate` from PULL on.
+    """Write the constants' covariance with a past pose coordinate to `estimate[PULL:]`.
+
+    The coordinate is `k`, of the pose `lead` seconds ago.
     """
     row, rate = CROSS + LEARNED * k, CROSS + LEARNED * (3 + k)
     for j in range(LEARNED):
@@ -489,7 +490,7 @@ def measure_constants(estimate: Array, k: int, lead: float) -> None:
 
 @kernel_function
 def correct_constants(state: EnvState, shift: float, shrink: float) -> None:
-    """Move the constants by `shift` and shrink their covariances by `shrink`."""
+    """Move the constants by `shift` and reduce their covariances by `shrink`."""
     estimate = state.sensor_state
     for j in range(LEARNED):
         estimate[CONSTANT + j] += shift * estimate[PULL + j]

@@ -12,22 +12,22 @@ from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Obser
 from surface_gym.sensors.switches import agree, mean_of_pressed, take_contradictions, take_switches
 from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
 
-SURE = 3.0  # standard deviations of an entry that count
-# [-] of the energy that a load over the centroid has at most: over one off centre the centroid is
-# faster than the load, and parcels push each other.
+SURE = 3.0  # standard deviations of an entry that are considered
+# [-] factor of the maximum energy of a centred load. With an off-centre load, the centroid is
+# faster than the load, and parcels may push each other.
 MARGIN = 4.0
-# No parcel of any task is faster, and every observation has room for as much.
+# Maximum speeds, larger than in any task and within the bounds of every observation.
 FASTEST = 9.0  # [m/s]
 FASTEST_TURN = 100.0  # [rad/s]
-MOST_TURN = 32.0 * math.pi  # [rad] of theta; whole turns beyond are not counted
+MOST_TURN = 32.0 * math.pi  # [rad] maximum theta; further whole turns are not counted
 
 
 @kernel_function
 def most_energy(state: EnvState) -> float:
-    """Return the most energy [m^2/s^2] of a parcel, vx^2 + vy^2 + (gyration radius x omega)^2.
+    """Return the maximum energy [m^2/s^2], vx^2 + vy^2 + (gyration radius x omega)^2.
 
-    Modules brake and do not push, so that no energy comes on top of that of the entry, which
-    `state.sensor_state` holds, and of the way down the whole surface.
+    Modules brake and do not push. So the energy is at most the entry's energy in
+    `state.sensor_state` plus the potential energy of the whole surface.
     """
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
@@ -41,7 +41,7 @@ def most_energy(state: EnvState) -> float:
 
 @kernel_function
 def keep_possible(state: EnvState, energy: float) -> None:
-    """Bring the estimate back over the surface, and slow it down to an energy [m^2/s^2]."""
+    """Move the estimate back over the surface, and limit its energy [m^2/s^2]."""
     estimate = state.sensor_state
     rows, columns = state.rotor.shape
     elements, reach = state.elements, state.body[RADIUS]
@@ -61,7 +61,7 @@ def keep_possible(state: EnvState, energy: float) -> None:
 
 @kernel_function
 def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
-    """Bring a coordinate back into [low, high]."""
+    """Limit a coordinate to [low, high]."""
     if estimate[k] < low:
         estimate[k] = low
     elif estimate[k] > high:
@@ -70,53 +70,51 @@ def _keep_within(estimate: Array, k: int, low: float, high: float) -> None:
 
 # Columns of the params; the Entry comes last.
 (
-    EVERY,  # physics steps from sample to sample
+    EVERY,  # physics steps between samples
     DROP,
     TOLERANCE,
-    MODEL,  # what the observer doubts
+    MODEL,  # process noise of the observer
 ) = range(4)
 ENTRY = MODEL + MODEL_SIZE
-# Numbers kept after the observer's: the base's pose at the last sample, and its step; and what
-# energy the parcel can have at most. The pattern of that sample is worked out again from the pose,
-# instead of kept module by module.
+# Further numbers after the observer's: the base's pose and the step at the last sample, and the
+# parcel's maximum energy. The switches of that sample are recomputed from the pose instead of being
+# stored.
 SAMPLED, STEP, ENERGY = LAST, LAST + 3, LAST + 4
 
 
 @dataclass(frozen=True)
 class Presence(Observer):
-    """A sensor of which rotors the parcel covers, by an on/off switch in each module; supports have
-    none.
+    """An on/off switch in each rotor module, which senses whether the parcel covers it.
 
-    An observer makes pose and velocity of it. It moves its estimate by the same physics, with the
-    axes as they are and with nominal friction, the load over the base's centroid; and its
-    uncertainty as friction damps it. A module that switches says that the perimeter passed its
-    centre since the last sample; one whose state contradicts the estimate, that the perimeter lies
-    on its other side: each is one equation, as a Kalman filter takes it. Of a start, `entry` is
-    known.
+    An observer estimates pose and velocity from the switches. It predicts by the same physics with
+    the true axes, nominal friction and a centred load, and propagates its uncertainty. A switching
+    module means that the perimeter passed its centre since the last sample. A module that
+    contradicts the estimate means that the perimeter is on its other side. Each is one equation for
+    a Kalman filter. `entry` describes the prior at the start.
 
-    Where that leaves the estimate in contradiction, it is moved, least, until it agrees with every
-    module; where it cannot be, it is looked for around the pressed ones. It stays over the surface,
-    and no faster than a parcel of that entry can be.
+    If contradictions remain, the estimate is moved as little as possible until it agrees with every
+    module. If that fails, a search around the pressed modules restarts it. The estimate stays over
+    the surface, and within the speed that the entry allows.
 
-    What to expect, over all tasks, 37 controllers and both boxes, at a pitch of 100 mm: where the
-    world is as assumed, half of the errors in position are up to 1.3 mm and 99.9 % below 21 mm.
-    With a load off centre by up to half the way to the edge 99.9 % are below 70 mm, the worst is
-    122 mm; with friction 0.8 or 1.2 of the assumed 46 mm and 79 mm. With everything wrong at once,
-    single errors of some 0.3 m remain: of parcels that leave a line, with a rotor or two pressed,
-    or none, which say little. Headings may then err by any angle, and a square's slip by a quarter
-    turn.
+    Accuracy over all tasks, 37 controllers and both boxes at a pitch of 100 mm: with correct
+    assumptions, the median position error is 1.3 mm, and 99.9 % are below 21 mm. With the load off
+    centre by up to half the way to the edge, 99.9 % are below 70 mm, and the maximum is 122 mm.
+    With friction of 0.8 or 1.2 times the assumed value, the numbers are 46 mm and 79 mm. With all
+    of these errors, single errors of about 0.3 m remain for parcels that leave a line with two or
+    fewer pressed rotors. Headings may then have any error, and may be off by a quarter turn for
+    squares.
     """
 
     sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step
     drop: float = 0.0  # [-] probability of a sample to be lost
-    mu_max: float | None = None  # [-] friction the observer assumes; None: the line's own
+    mu_max: float | None = None  # [-] friction assumed by the observer; None: the line's
     mu_min: float | None = None  # [-]
     mu_support: float | None = None  # [-]
-    friction_error: float = 0.0  # [-] share by which what friction does may be off
+    friction_error: float = 0.0  # [-] relative error of friction
     acceleration_density: float = 0.1  # [m^2/s^3] of the physics' error, in x and in y
     turn_density: float = 5.0  # [rad^2/s^3] of the physics' error in turning
-    tolerance: float = 0.001  # [m] of where a sensor switches
-    entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
+    tolerance: float = 0.001  # [m] tolerance of the switching position
+    entry: Entry = field(default_factory=Entry)  # prior of a parcel at its entry
 
     rate = ("sample_rate", "sample")
     sensor_size = ENERGY + 1
@@ -127,7 +125,7 @@ class Presence(Observer):
         checks.positive("tolerance", self.tolerance, *checks.TOLERANCE)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (
             self.frame_steps(dt), self.drop, self.tolerance, self.acceleration_density,
             self.turn_density, self.friction_error, *self.entry.params,
@@ -156,7 +154,7 @@ class Presence(Observer):
         interval = physics.dt * (state.steps - state.sensor_state[STEP])
         tolerance = numbers[TOLERANCE]
         take_switches(state, state.sensor_state[SAMPLED : SAMPLED + 3], interval, tolerance)
-        # Where no switch is pressed it is not known where the parcel has left the rotors to.
+        # Without a pressed switch, the position off the rotors is unknown.
         if mean_of_pressed(state)[0] > 0 and take_contradictions(state, tolerance) > 0.0:
             agree(state, tolerance)
         keep_possible(state, state.sensor_state[ENERGY])

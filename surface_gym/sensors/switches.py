@@ -1,4 +1,4 @@
-"""Switches under a base: which modules it covers, and corrections of an estimate by them."""
+"""Switches under a base: covered modules, and corrections of an estimate by them."""
 
 import math
 
@@ -11,8 +11,9 @@ from surface_gym.state import EnvState
 
 @kernel_function
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    """Return the first and last of the indices 0 ... count - 1 that lie in [low, high]; first >
-    last if none does. The bounds may be any floats.
+    """Return the first and last index among 0 ... count - 1 within [low, high].
+
+    If there is none, first > last. The bounds may be any floats.
     """
     first, last = count, -1
     if low <= 0.0:
@@ -35,9 +36,9 @@ def covered_columns(
     cosine: float,
     sine: float,
 ) -> tuple[int, int]:
-    """Return the first and last column of a row that a base at (x, y), turned by theta, covers.
+    """Return the first and last column of a row under a base at (x, y, theta).
 
-    The first exceeds the last if none is. As for contacts, F_lambda <= 0 up to round-off.
+    If there is none, first > last. As for contacts, F_lambda <= 0 up to round-off.
     """
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     dy = state.elements.y0 + state.elements.pitch_y * row - y
@@ -69,11 +70,12 @@ def covered_columns(
 def outside(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """Return F_lambda, Section 3.2, of the edge that the point (dx, dy) from the centroid is most
-    beyond, and the edge's outward normal; of a disc, those of its circle.
+    """Return the largest F_lambda (Section 3.2) of a point (dx, dy) from the centroid.
+
+    Also returns the outward normal of this edge, or of the circle for a disc.
 
     Returns:
-        [m] how far the point is outside, and the normal (x, y).
+        [m] distance of the point outside, and the normal (x, y).
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -97,13 +99,13 @@ def outside(
             ny = edges[k, 1]
     if farthest > -4.0 * radius:
         return farthest, cosine * nx - sine * ny, sine * nx + cosine * ny
-    # No edge bounds a disc: those it is padded with are far off.
+    # A disc has no edges; its padding edges are far away.
     distance = math.sqrt(dx * dx + dy * dy)
     per_distance = 1.0 / distance if distance > 0.0 else 0.0
     return distance - radius, dx * per_distance, dy * per_distance
 
 
-GATE = 4.0  # standard deviations an equation may be off; beyond it the estimate is mended otherwise
+GATE = 4.0  # maximum residual of an equation in standard deviations; `agree` handles larger ones
 
 
 @kernel_function
@@ -116,14 +118,13 @@ def _take_switch(
     tolerance: float,
     switches: int,
 ) -> None:
-    """Correct by a module at (x, y) that the perimeter passed within the last `interval` [s]."""
+    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s]."""
     estimate = state.sensor_state
     lead = 0.5 * interval
     theta = estimate[THETA] - lead * estimate[OMEGA]
     dx = x - estimate[X] + lead * estimate[VX]
     dy = y - estimate[Y] + lead * estimate[VY]
-    # The module's velocity as the base sees it, turned to point outwards: it shows which edge
-    # passed.
+    # The module's velocity relative to the base, pointing outwards, shows which edge passed.
     outwards = -1.0 if covered else 1.0
     ux = outwards * (-estimate[VX] + estimate[OMEGA] * dy)
     uy = outwards * (-estimate[VY] - estimate[OMEGA] * dx)
@@ -143,12 +144,13 @@ def _take_switch(
 def _take_contradiction(
     state: EnvState, x: float, y: float, covered: bool, tolerance: float
 ) -> float:
-    """Correct by a module at (x, y) that lies on the other side of the perimeter than estimated.
+    """Correct by a module at (x, y) on the other side of the perimeter than estimated.
 
-    It may lie anywhere there, so that the estimate is moved but gets no surer.
+    Its exact position is unknown, so the correction moves the estimate without reducing its
+    variance.
 
     Returns:
-        [m] how far the estimate was on the wrong side; 0 if that is within the tolerance.
+        [m] distance of the estimate on the wrong side; 0 within the tolerance.
     """
     estimate = state.sensor_state
     dx = x - estimate[X]
@@ -170,7 +172,7 @@ def _take_contradiction(
 def covered_by_both(
     state: EnvState, row: int, pose: Array, other: Array
 ) -> tuple[int, int, int, int, int, int]:
-    """Return the columns of a row that a base covers in one pose and in another.
+    """Return the columns of a row under a base in two poses.
 
     Returns:
         First and last column of the first pose, of the second, and of both together.
@@ -186,7 +188,7 @@ def covered_by_both(
 
 @kernel_function
 def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
-    """Return the first and last row that a base can cover from either of two places."""
+    """Return the first and last row that a base can cover from either of two positions."""
     reach = state.body[RADIUS] + EDGE_TOLERANCE
     low = (min(y, other_y) - reach - state.elements.y0) / state.elements.pitch_y
     high = (max(y, other_y) + reach - state.elements.y0) / state.elements.pitch_y
@@ -195,7 +197,7 @@ def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
 
 @kernel_function
 def _count_switches(state: EnvState, sampled: Array) -> int:
-    """Return how many modules switched since the last sample, at the pose `sampled` (3,)."""
+    """Return the number of modules that switched since the last sample at pose `sampled` (3,)."""
     truth = state.truth
     first_row, last_row = rows_of_both(state, truth[1], sampled[1])
     switches = 0
@@ -209,11 +211,11 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 
 @kernel_function
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
-    """Correct the estimate by every module that switched since the base was at the pose `sampled`
-    (3,), within the last `interval` [s]; switches act to within a `tolerance` [m].
+    """Correct the estimate by every module that switched since pose `sampled` (3,).
 
-    Switches of one sample share the error of the estimate they are judged by: together they weigh
-    as one.
+    The time since this pose is `interval` [s]. Switches have a `tolerance` [m].
+
+    Switches of one sample share the error of the estimate, so together they have the weight of one.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)
@@ -232,11 +234,11 @@ def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: f
 
 @kernel_function
 def take_contradictions(state: EnvState, tolerance: float) -> float:
-    """Correct the estimate by every module that it covers and the sensor does not, or the reverse.
+    """Correct the estimate by every module whose switch contradicts it.
 
     Returns:
-        [m] how far the estimate was on the wrong side of one, at most; 0 if that is within the
-        tolerance [m] of where sensors switch.
+        [m] largest distance of the estimate on a wrong side; 0 within the tolerance [m] of
+        switches.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -255,11 +257,11 @@ def take_contradictions(state: EnvState, tolerance: float) -> float:
 
 @kernel_function
 def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
-    """Find the module that the estimate is farthest on the wrong side of.
+    """Find the module with the largest contradiction to the estimate.
 
     Returns:
-        [m] how far, 0 where none is; [m] where that module lies from the estimate's centroid; and
-        1 where it is covered, else -1.
+        [m] size of the contradiction, 0 if there is none; [m] position of the module from the
+        estimate's centroid; and 1 if the module is covered, else -1.
     """
     truth = state.truth
     estimate = state.sensor_state
@@ -282,7 +284,7 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
 
 @kernel_function
 def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
-    """Return how many switches are pressed, and the middle [m] of their modules."""
+    """Return the number of pressed switches, and the mean position [m] of their modules."""
     truth = state.truth
     pressed, x, y = 0, 0.0, 0.0
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
@@ -298,21 +300,21 @@ def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
     return pressed, x * per_module, y * per_module
 
 
-MOVES = 60  # of an estimate, a module each, before it is started over
-# [-] square of the length, over the base's radius, by which a turn counts as a displacement: the
-# longer, the rather a pose is shifted than turned. Headings err less than positions do.
+MOVES = 60  # maximum moves of an estimate, one module each, before a restart
+# [-] square of the length, relative to the base's radius, that converts a turn to a displacement.
+# Larger values prefer shifts to turns, since headings have smaller errors than positions.
 TURN_WEIGHT = 2.0
-BUILD_UP = 0.1  # [s] over which a contradiction is taken to have built up
-MOST_BUILT_UP = 0.03  # [m] of the base's rim; more than that is a start over
-HEADINGS = 36  # over a full turn, tried where an estimate is started over
+BUILD_UP = 0.1  # [s] assumed duration over which a contradiction has built up
+MOST_BUILT_UP = 0.03  # [m] maximum displacement of the base's rim; larger ones cause a restart
+HEADINGS = 36  # number of headings to try in a restart
 
 
 @kernel_function
 def agree(state: EnvState, tolerance: float) -> None:
-    """Move the estimate least, until it contradicts no switch by more than a tolerance [m].
+    """Move the estimate minimally until no contradiction exceeds a tolerance [m].
 
-    The velocity is corrected by what the pose is, as built up over some time, and both are doubted
-    by as much: the estimate was too sure of itself.
+    The velocity is corrected as if the shift had built up over some time. The variances of pose and
+    velocity are increased accordingly, since they were too small.
     """
     estimate = state.sensor_state
     x, y, theta = estimate[X], estimate[Y], estimate[THETA]
@@ -326,7 +328,7 @@ def agree(state: EnvState, tolerance: float) -> None:
 
 @kernel_function
 def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
-    """Correct the velocity by the shift of the pose, and widen both along that."""
+    """Correct the velocity by the shift of the pose, and increase the variance of both."""
     per_time = 1.0 / BUILD_UP
     estimate[VX] += per_time * shift_x
     estimate[VY] += per_time * shift_y
@@ -340,10 +342,10 @@ def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> N
 
 @kernel_function
 def _move(state: EnvState, tolerance: float) -> float:
-    """Move the pose onto the right side of the module that it contradicts most, repeatedly.
+    """Repeatedly move the pose to the correct side of the module with the largest contradiction.
 
     Returns:
-        [m] how far it is still on the wrong side of one.
+        [m] remaining contradiction.
     """
     estimate = state.sensor_state
     square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
@@ -364,14 +366,15 @@ def _move(state: EnvState, tolerance: float) -> float:
 
 @kernel_function
 def _start_over(state: EnvState, tolerance: float, x: float, y: float, theta: float) -> None:
-    """Look for a pose that agrees from the middle of the pressed modules, the heading turned from
-    `theta` further and further; of those that do not agree the best is taken. Where nothing is
-    pressed, the estimate stays at (x, y).
+    """Search for a consistent pose at the middle of the pressed modules.
+
+    Headings are tried with increasing distance from `theta`. If no pose is consistent, the best one
+    is used. Without pressed modules, the estimate stays at (x, y).
     """
     estimate = state.sensor_state
     best_x, best_y, best_theta, least = x, y, theta, math.inf
     pressed, middle_x, middle_y = mean_of_pressed(state)
-    if pressed == 0:  # the parcel has left the rotors, it is not known where to
+    if pressed == 0:  # the parcel has left the rotors to an unknown position
         estimate[X], estimate[Y], estimate[THETA] = x, y, theta
         return
     for k in range(1, HEADINGS + 1):

@@ -1,4 +1,4 @@
-"""The tasks: each owns its starts, observation, reward terms and the end of an episode."""
+"""The tasks: starts, observations, reward terms and ends of episodes."""
 
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.orient import Orient

@@ -1,4 +1,4 @@
-"""Orient: leave the zone turned by an asked angle."""
+"""Orient: leave the zone turned by a goal angle."""
 
 import math
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_colu
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
-ANGLE = 0  # place in the goal: [rad] asked theta
-LEFT_TO_TURN = 0  # place in the memory: [rad] at the last decision
-ANGLE_ERROR = 0  # index in the metrics: [rad] theta - the asked angle
+ANGLE = 0  # index in the goal: [rad] goal theta
+LEFT_TO_TURN = 0  # index in the memory: [rad] remaining angle at the last decision
+ANGLE_ERROR = 0  # index in the metrics: [rad] theta - goal angle
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
 MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
-EXIT_SPEED = 0.1  # [m/s] that a planner is to leave the zone with
-# [m/s^2] of a turn, times the half length: what a radian takes of v^2 / 2
+EXIT_SPEED = 0.1  # [m/s] exit speed for planners
+# [m/s^2] loss of v^2 / 2 per radian, times the half length
 TURN_LOSS = 2.5
 
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("turn", "precision", "success", "failure")
-TURN_REWARD = 1.0  # per radian nearer to the asked angle
-PRECISION_REWARD = 1.0  # for leaving at the asked angle, falling with the error by
-PRECISION_SCALE = math.radians(1.0)  # [rad] a factor e
+TURN_REWARD = 1.0  # per radian nearer to the goal angle
+PRECISION_REWARD = 1.0  # for leaving at the goal angle, decreasing with the error
+PRECISION_SCALE = math.radians(1.0)  # [rad] error that divides the reward by e
 SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
@@ -45,26 +45,26 @@ COLUMN = columns(FEATURES)
 
 @dataclass(frozen=True)
 class Orient(base.Task):
-    """Turn the parcel by an asked angle by the time its rear leaves the zone.
+    """Turn the parcel by a goal angle before its rear leaves the zone.
 
-    A parcel enters a line of rotors amid supports at theta = 0 and is to leave the zone at an asked
-    theta, to 2 deg.
+    A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
+    theta, within 2 deg.
 
-    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
-    pushes. What turns the parcel is the difference between modules left and right of its centre,
-    and what that costs in speed, and in drift to the side, is gone. Turned, it covers other modules
-    than before.
+    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
+    pushes. The difference between modules left and right of its centre turns the parcel. Turning
+    costs speed and causes lateral drift, which cannot be recovered. A turned parcel covers other
+    modules.
 
     ### Start
 
-    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
-    in `speeds`. Asked angle: uniform in `angles`. Parcel: equal odds.
+    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
+    uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
 
     ### Goal and end
 
-    The episode ends with the physics step that takes the rearmost point of the base past the zone's
-    end. "success": theta is then within 2 deg of the asked angle; a full turn counts as one. Each
-    failure ends the episode as `terminated`:
+    The episode ends when the rearmost point of the base passes the zone's end. "success": theta is
+    then within 2 deg of the goal angle; full turns are not removed. Each failure ends the episode
+    as `terminated`:
 
     - "missed": left the zone at another angle;
     - "stalled": no point of the base moves faster than 1 mm/s before that;
@@ -75,16 +75,13 @@ class Orient(base.Task):
 
     ### Reward
 
-    | term | scale | meaning |
-    | --- | --- | --- |
-    | `turn` | 1 a radian | by which theta came nearer to the asked angle |
-    | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) |
-    | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure |
+    | term | scale | meaning | | --- | --- | --- | | `turn` | 1 a radian | decrease of the angle to
+    the goal | | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) | | `success`
+    | 1 | once, at success | | `failure` | -1 | once, at any failure |
 
     ### Info
 
-    - `angle_error` [rad]: theta - the asked angle, at present; signed.
+    - `angle_error` [rad]: current theta - goal angle; signed.
 
     ### Example
 
@@ -101,7 +98,7 @@ class Orient(base.Task):
     """
 
     speeds: tuple[float, float] = (1.3, 1.7)  # [m/s] entry speed
-    angles: tuple[float, float] = (-math.pi / 4, math.pi / 4)  # [rad] asked
+    angles: tuple[float, float] = (-math.pi / 4, math.pi / 4)  # [rad] goal angle
 
     features = FEATURES
     terms = TERMS
@@ -123,7 +120,7 @@ class Orient(base.Task):
         )
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, parcel and asked angle, each uniform."""
+        """Draw entry speed, parcel and goal angle, all uniform."""
         pace, size, turn = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
         parcel = draw.parcel(self.parcels, size)
@@ -134,7 +131,7 @@ class Orient(base.Task):
         checks.within("goal", goal[ANGLE], -math.pi, math.pi)
 
     def decode_start(self, seen: planning.Observed) -> Start:
-        """Decode the first observation into the start that it shows, the asked angle its goal."""
+        """Decode the start from the first observation; the goal is the goal angle."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))
 
@@ -144,7 +141,7 @@ class Orient(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Every entry speed, some angles and both boxes, by the error of the angle."""
+        """Benchmark: every entry speed, some angles and both boxes; error of the angle."""
         degrees = 180.0 / math.pi
         return Benchmark(
             self,
@@ -177,7 +174,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Remember the angle to turn."""
+        """Store the remaining angle."""
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
         state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
 
@@ -194,7 +191,7 @@ class Orient(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for turning to the asked angle, and for leaving at it."""
+        """Reward turning to the goal angle, and leaving at it."""
         left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
         terms = state.terms
@@ -217,7 +214,7 @@ class Orient(base.Task):
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the angle [rad] left to turn, with a lack of speed and the offset on top."""
+    """Compute the remaining angle [rad], plus costs of missing speed and of the offset."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     vx = nodes.vx
     left = np.abs(nodes.parcels.goal[:, ANGLE] - theta - planning.SETTLING * omega)

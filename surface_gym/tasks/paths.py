@@ -1,4 +1,4 @@
-"""Paths y(x) to follow across a field."""
+"""Paths y(x) on a field."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from surface_gym.layouts import LINE_Y
 
 Numbers = NDArray[np.float64]
 
-START, END = 0.4, 5.6  # [m] where a path begins and ends, where nothing else is said
+START, END = 0.4, 5.6  # [m] default start and end of a path
 
 
 class Path(Protocol):
@@ -59,11 +59,11 @@ class Sine:
 
 @dataclass(frozen=True)
 class LaneChange:
-    """A lane change, with neither slope nor curvature at its two ends."""
+    """A lane change without slope and curvature at both ends."""
 
     offset: float = 0.4  # [m] in y from its start to its end
     length: float = 1.5  # [m] of the change, along x
-    change: float = 2.0  # [m] x where it begins
+    change: float = 2.0  # [m] x of its start
     start: float = START  # [m]
     end: float = END  # [m]
     middle: float = LINE_Y  # [m] y halfway
@@ -83,9 +83,9 @@ class LaneChange:
 
 @dataclass(frozen=True)
 class _Through:
-    """A path through points given by rising x."""
+    """Base class of paths through points with increasing x."""
 
-    points: tuple[tuple[float, float], ...]  # (points, 2) [m]; an array is taken as well
+    points: tuple[tuple[float, float], ...]  # (points, 2) [m] points, as tuples or an array
 
     def __post_init__(self) -> None:
         points = checks.array("points", self.points, (None, 2))
@@ -105,7 +105,7 @@ class _Through:
 
 @dataclass(frozen=True)
 class Polyline(_Through):
-    """A path straight from point to point."""
+    """A path of straight segments."""
 
     def y(self, x: Numbers) -> Numbers:
         along, across = np.array(self.points).T
@@ -114,7 +114,7 @@ class Polyline(_Through):
 
 @dataclass(frozen=True)
 class Spline(_Through):
-    """A natural cubic spline through the points: no curvature at its two ends."""
+    """A natural cubic spline through the points, without curvature at both ends."""
 
     def y(self, x: Numbers) -> Numbers:
         from scipy.interpolate import CubicSpline  # half of the package's import time
@@ -163,14 +163,14 @@ _RANDOM: dict[str, Callable[[Numbers], Path]] = {
     "spline": _random_spline,
 }
 KINDS = tuple(_RANDOM)
-DRAWS = 12  # numbers that a random path is made of
+DRAWS = 12  # random numbers per path
 
 
 def random_path(kind: str, numbers: Numbers) -> Path:
     """Draw a path of a kind from `DRAWS` numbers, uniform in [0, 1).
 
-    - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, upwards or downwards first.
-    - "lane change": by 0.2 to 0.6 m, within 1 to 2 m from x = 1 to 2.5 m on, to either side.
+    - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting upwards or downwards.
+    - "lane change": 0.2 to 0.6 m to either side over 1 to 2 m, starting at x = 1 to 2.5 m.
     - "polyline": 0.4 to 0.8 m along the line, then at 45 deg to a y within 0.3 m of the
       middle, and so on.
     - "spline": through six points, evenly spaced in x, within 0.2 m of the middle.
@@ -182,7 +182,7 @@ _CLASSES = (Sine, LaneChange, Polyline, Spline)
 
 
 def path_option(value: Any) -> Path:
-    """Return the path an option asks for: one of this module's, or points (n, 2) [m] of a polyline."""
+    """Return the path of an option: a path of this module, or points (n, 2) [m] of a polyline."""
     if isinstance(value, _CLASSES):
         return value
     try:

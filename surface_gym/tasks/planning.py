@@ -18,7 +18,7 @@ Numbers = NDArray[np.float64]
 
 
 def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
-    """Compute the reach [m] along x, and along y, of a square base turned by theta [rad]."""
+    """Compute the extent [m] in x and y of a square base turned by theta [rad]."""
     return half_length * (np.abs(np.cos(theta)) + np.abs(np.sin(theta)))
 
 
@@ -29,8 +29,8 @@ class Observed:
     shown: Numbers  # (num_envs, features)
     columns: Mapping[str, Column]  # by the features' names
     line: BaseLine
-    zone: tuple[int, int] | None  # first and last column that obey; None: the line's own
-    friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 where nothing is learned
+    zone: tuple[int, int] | None  # first and last column that obey; None: the line's
+    friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 without estimation
     load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
 
     def __contains__(self, name: str) -> bool:
@@ -47,29 +47,29 @@ class Observed:
 
     @property
     def theta(self) -> Numbers:
-        """(num_envs,) [rad] as shown."""
+        """(num_envs,) [rad] observed theta."""
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
     @property
     def pitch(self) -> tuple[float, float]:
-        """[m] between modules, along x and along y."""
+        """[m] distance between modules, in x and y."""
         return self.line.pitch_x, self.line.pitch_y
 
     @property
     def zone_length(self) -> float:
-        """[m] along x of the widest zone."""
+        """[m] length of the widest zone in x."""
         line, zone = self.line, self.zone
         return line.pitch_x * (line.zone_columns if zone is None else zone[1] - zone[0] + 1)
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
-        """(num_envs,) [m] the position within a pitch, from -pitch / 2 to pitch / 2."""
+        """(num_envs,) [m] position within a pitch, from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
 
 
 @dataclass(frozen=True, eq=False)
 class LineObservation:
-    """Parcels on a line, decoded; arrays (num_envs,)."""
+    """Decoded observations of parcels on a line; arrays (num_envs,)."""
 
     into_zone: Numbers  # [m] x of the base's centre past the zone's first edge
     offset: Numbers  # [m] y of the base's centre from the line's middle
@@ -77,47 +77,47 @@ class LineObservation:
     vx: Numbers  # [m/s]
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
-    half_length: Numbers  # [m] of the base, taken as a square
+    half_length: Numbers  # [m] half length of the base, modelled as a square
     pitch: tuple[float, float]  # [m] of the line, in x and in y
-    side: Numbers  # asked: +1 for y > 0, -1 for y < 0, 0 for straight through or no side
-    ratio: Numbers  # [-] asked of the entry speed; else 0
-    entry_speed: Numbers  # [m/s] where a ratio is asked; else 0
-    to_go: Numbers  # [m] to the asked x; else 0
-    angle: Numbers  # [rad] asked theta; else 0
+    side: Numbers  # goal side: +1 for y > 0, -1 for y < 0, 0 for straight ahead or none
+    ratio: Numbers  # [-] goal ratio of exit and entry speed; else 0
+    entry_speed: Numbers  # [m/s] entry speed if there is a goal ratio; else 0
+    to_go: Numbers  # [m] distance to the goal x; else 0
+    angle: Numbers  # [rad] goal theta; else 0
     front_in_zone: Numbers  # [m] foremost point past the zone's first edge
     rear_to_go: Numbers  # [m] from the rearmost point to the zone's end
-    half_width: Numbers  # [m] of the base; taken as a square where it is not shown
-    fill: Numbers  # [-] share of the base in the rectangle around it; 1 where it is not shown
-    friction: Numbers  # [-] factor of mu_max, as the sensors have learned it; 1 where they do not
-    load_ahead: Numbers  # [m] along x from the base's centre to the load, likewise; 0
+    half_width: Numbers  # [m] half width of the base; equal to `half_length` if not observed
+    fill: Numbers  # [-] filled share of the base's bounding rectangle; 1 if not observed
+    friction: Numbers  # [-] estimated factor of mu_max; 1 without estimation
+    load_ahead: Numbers  # [m] estimated x from the base's centre to the load; 0 without estimation
 
     @property
     def reach(self) -> Numbers:
-        """(num_envs,) [m] reach of the base along x, and along y, from its centre."""
+        """(num_envs,) [m] extents of the base in x and in y from its centre."""
         return square_reach(self.half_length, self.theta)
 
     @property
     def wholly_in_zone(self) -> NDArray[np.bool_]:
-        """Return whether no module of the lead-in bears the parcel, (num_envs,)."""
+        """Return (num_envs,) whether no lead-in module carries the parcel."""
         return self.into_zone - self.reach > -self.pitch[0] / 2.0
 
 
 def decode_line(seen: Observed) -> LineObservation:
-    """Decode observations that show the features of `tasks.base` or of Sort."""
+    """Decode observations with the features of `tasks.base` or of Sort."""
     side = seen.get("side")
-    # A parcel that is to go to y < 0 is shown in a mirror.
+    # The observation of a parcel with goal y < 0 is mirrored.
     mirror = np.where(side < 0.0, -1.0, 1.0)
     theta = mirror * seen.theta
     half_length = seen["size"]
     reach = square_reach(half_length, theta)
-    if "distance into zone" in seen:  # no more of the front and the rear than of a square
+    if "distance into zone" in seen:  # front and rear are observed as for a square
         into_zone = seen["distance into zone"] + reach
         front_in_zone = into_zone + reach
         rear_to_go = seen.zone_length - into_zone + reach
     else:
         front_in_zone, rear_to_go = seen["front in zone"], seen["rear to go"]
         into_zone = front_in_zone - reach
-    # A mirror turns both theta and the load's y round, and so leaves its x as it is.
+    # Mirroring changes the sign of theta and of the load's y, and keeps its x.
     load_x, load_y = seen.get("load learned, x"), seen.get("load learned, y")
     load_ahead = np.cos(seen.theta) * load_x - np.sin(seen.theta) * load_y
     ratio = seen.get("asked ratio")
@@ -145,14 +145,14 @@ def decode_line(seen: Observed) -> LineObservation:
 
 
 def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
-    """Find the parcel whose size comes nearest to a half length [m], from centroid to rear."""
+    """Return the parcel with the size closest to a half length [m], from centroid to rear."""
     return min(parcels, key=lambda parcel: abs(parcel.rear + parcel.base.centroid[0] - half_length))
 
 
 def line_start(
     seen: Observed, line: LineObservation, parcels: tuple[Parcel, ...], goal: tuple[float, ...]
 ) -> Start:
-    """Build the start that the first observation shows, its parcel one of some."""
+    """Build the start from the first observation, with the closest of some parcels."""
     base_line = seen.line
     parcel = nearest_parcel(parcels, float(line.half_length[0]))
     first_column = base_line.site(parcel.base, seen.zone).zone[2]
@@ -168,13 +168,13 @@ def line_start(
     )
 
 
-# Found by trying.
-FAILED = 1e3  # cost of a failure, beyond that of any success
-SETTLING = 0.05  # [s] a turning speed goes on for until it is taken back
+# Tuned by experiments.
+FAILED = 1e3  # cost of a failure, higher than any success
+SETTLING = 0.05  # [s] assumed duration of a turning speed until it is corrected
 
 
 class Nodes(Protocol):
-    """Environments of a simulator that a search branches: their states, and what they share."""
+    """Nodes of a search: states of a simulator's environments, and common properties."""
 
     @property
     def parcels(self) -> ParcelState:
@@ -186,54 +186,54 @@ class Nodes(Protocol):
 
     @property
     def zone(self) -> tuple[int, int, int, int]:
-        """First row, rows, first column and columns that obey."""
+        """First row, rows, first column and columns of the modules that obey."""
 
     @property
     def half_length(self) -> float:
-        """[m] of the base."""
+        """[m] half length of the base."""
 
     @property
     def braking(self) -> float:
-        """[m/s^2] of a parcel over axes at 0 deg."""
+        """[m/s^2] deceleration over axes at 0 deg."""
 
     @property
     def rolling_loss(self) -> float:
-        """[m/s^2] of a parcel over axes at 90 deg."""
+        """[m/s^2] deceleration over axes at 90 deg."""
 
     @property
     def quarter_turn(self) -> float:
-        """[s] that an axis takes to turn by 90 deg; 0: axes obey at once."""
+        """[s] time of an axis to turn by 90 deg; 0: axes obey at once."""
 
     @property
     def vx(self) -> Numbers:
-        """(nodes,) [m/s] speed along x that remains once all axes have turned to 90 deg."""
+        """(nodes,) [m/s] speed along x after all axes have turned to 90 deg."""
 
     @property
     def braking_distance(self) -> Numbers:
-        """(nodes,) [m] along x that parcels go on for if all axes turn to 0 deg from now on."""
+        """(nodes,) [m] stopping distance along x if all axes turn to 0 deg now."""
 
     def reach(self, x: float, y: float) -> Numbers:
-        """(nodes,) [m] reach of the base from its centre in a direction (x, y)."""
+        """(nodes,) [m] extent of the base from its centre in a direction (x, y)."""
 
 
 @dataclass(frozen=True)
 class PlanCost:
-    """Costs of a search's nodes, the lower the better, and how far a search goes."""
+    """Costs of a search's nodes, and limits of a search."""
 
-    running: Callable[[Nodes], Numbers]  # of nodes whose episode goes on
-    final: Callable[[Nodes], Numbers]  # of nodes that have ended, or are at the horizon
+    running: Callable[[Nodes], Numbers]  # cost of running nodes
+    final: Callable[[Nodes], Numbers]  # cost of nodes that have ended, or are at the horizon
     enough: float  # final cost at which the search ends
-    horizon: int  # control periods looked ahead
-    follow: int  # periods of a plan that are followed at most
+    horizon: int  # [control periods] search depth
+    follow: int  # maximum followed periods of a plan
     share: int = 1  # a search gets 1 / share of the planner's budget
-    # Two axis angles [rad] of all modules; every time to change from the first to the second for
-    # good is tried. Or None.
+    # Two axis angles [rad] of all modules, or None. The search tries every time of a single change
+    # from the first to the second.
     event: Callable[[ParcelState], tuple[float, float] | None] = lambda _: None
-    zone: tuple[int, int] | None = None  # columns that a search needs; None: the environment's
+    zone: tuple[int, int] | None = None  # columns required by a search; None: the environment's
 
 
 def way_to_leave(nodes: Nodes) -> Numbers:
-    """Compute the way [m] from the rear to the zone's end, at least 0."""
+    """Compute the distance [m] from the rear to the zone's end, at least 0."""
     _, _, first, columns = nodes.zone
     end = nodes.line.column_edge(first + columns)
     return np.maximum(0.0, end - nodes.parcels.truth[:, 0] + nodes.reach(-1.0, 0.0))
@@ -245,7 +245,7 @@ def off_line(nodes: Nodes) -> Numbers:
 
 
 def askew(nodes: Nodes) -> Numbers:
-    """Compute a cost of everything that is not straight along the line."""
+    """Compute a cost of deviations from straight motion along the line."""
     _, _, theta, _, vy, omega = nodes.parcels.truth.T
     return off_line(nodes) + np.abs(vy) + np.abs(theta) + SETTLING * np.abs(omega)
 
@@ -256,10 +256,10 @@ def failure_cost(nodes: Nodes) -> Numbers:
 
 
 def time_cost(nodes: Nodes) -> Numbers:
-    """Compute the time [s] until a success; `FAILED` comes on top for anything else."""
+    """Compute the time [s] until success, plus `FAILED` for other outcomes."""
     return failure_cost(nodes) + nodes.parcels.clock
 
 
 def error_cost(nodes: Nodes) -> Numbers:
-    """Compute the size of the task's first metric at a success; `FAILED` comes on top else."""
+    """Compute the absolute first metric, plus `FAILED` for other outcomes than success."""
     return failure_cost(nodes) + np.abs(nodes.parcels.metrics[:, 0])

@@ -1,4 +1,4 @@
-"""Slow: leave the zone at an asked ratio of the entry speed."""
+"""Slow: leave the zone at a goal ratio of the entry speed."""
 
 import math
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, media
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
-RATIO, ENTRY_SPEED = range(2)  # places in the goal: [-] asked, [m/s]
-ARRIVAL = 3.2  # [s] in which a planner is to be done, of the 4 there are
-EXCESS = 0  # place in the memory: [-] the excess of speed at the last decision
-RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - asked ratio
+RATIO, ENTRY_SPEED = range(2)  # indices in the goal: [-] ratio, [m/s]
+ARRIVAL = 3.2  # [s] time limit for planners, out of 4 s
+EXCESS = 0  # index in the memory: [-] excess of speed at the last decision
+RATIO_ERROR = 0  # index in the metrics: [-] speed / entry speed - goal ratio
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
 MISSED = base.failures(OUTCOMES)[-1]
-SUCCESS_ERROR = 0.01  # [-] of the ratio
+SUCCESS_ERROR = 0.01  # [-] allowed error of the ratio
 
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("excess", "precision", "success", "failure")
-EXCESS_REWARD = 1.0  # per ratio by which the excess of speed shrinks
-PRECISION_REWARD = 1.0  # for leaving at the asked ratio, falling with the error by
-PRECISION_SCALE = 0.01  # [-] a factor e
+EXCESS_REWARD = 1.0  # per decrease of the excess of speed, as a ratio
+PRECISION_REWARD = 1.0  # for leaving at the goal ratio, decreasing with the error
+PRECISION_SCALE = 0.01  # [-] error that divides the reward by e
 SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
@@ -46,26 +46,25 @@ COLUMN = columns(FEATURES)
 
 @dataclass(frozen=True)
 class Slow(base.Task):
-    """Slow the parcel down to a ratio of its entry speed by the time its rear leaves the zone.
+    """Slow the parcel to a ratio of its entry speed before its rear leaves the zone.
 
-    A parcel enters a line of rotors amid supports; the zone's modules are to take just so much of
-    its speed that it leaves them at the asked share of what it came with.
+    A parcel enters a line of rotors among supports. The zone's modules must brake it to a goal
+    share of its entry speed.
 
-    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
-    pushes. Speed once taken never comes back, a parcel held unevenly turns or drifts off the line,
-    and how hard it is braked jumps as its edges cross the modules' centres.
+    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
+    pushes. Lost speed cannot be recovered. Uneven braking turns the parcel or moves it off the
+    line. The braking force jumps when the parcel's edges cross modules' centres.
 
     ### Start
 
-    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
-    in `speeds`. Parcel: equal odds. Asked ratio: uniform in `ratios`, though at most 0.98 of the
-    ratio that rolling all the way would leave, below which a slow parcel falls by itself.
+    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
+    uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`, but at most 0.98 of
+    the ratio after rolling all the way, since slow parcels lose speed by rolling.
 
     ### Goal and end
 
-    The episode ends with the physics step that takes the rear past the zone's end. "success":
-    speed / entry speed is then within 0.01 of the asked ratio. Each failure ends the episode as
-    `terminated`:
+    The episode ends when the rear passes the zone's end. "success": speed / entry speed is then
+    within 0.01 of the goal ratio. Each failure ends the episode as `terminated`:
 
     - "missed": left the zone at another ratio;
     - "stalled": no point of the base moves faster than 1 mm/s before that;
@@ -86,7 +85,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
 
     ### Info
 
-    - `ratio_error` [-]: speed / entry speed - asked ratio, at present; signed.
+    - `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
 
     ### Example
 
@@ -123,11 +122,10 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         set_field(self, "ratios", base.rising("ratios", self.ratios, 0.0, 1.0))
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed and parcel, uniform, and the asked ratio, uniform up to what rolling
-        leaves.
+        """Draw entry speed, parcel and goal ratio, all uniform.
 
-        A slow parcel loses more than the highest ratio allows by rolling alone, so that ratios
-        are drawn below 0.98 of what it would leave with if it rolled all the way.
+        Slow parcels lose speed by rolling. So the ratio is at most 0.98 of the ratio after rolling
+        all the way.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -144,7 +142,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
     def decode_start(self, seen: planning.Observed) -> Start:
-        """Decode the first observation into the start that it shows, ratio and speed its goal."""
+        """Decode the start from the first observation; the goal is ratio and entry speed."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])
         return planning.line_start(seen, line, self.parcels, goal)
@@ -155,7 +153,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         )
 
     def benchmark(self) -> Benchmark:
-        """Drawn starts, by the error of the speed ratio."""
+        """Benchmark: random starts; error of the speed ratio."""
         return Benchmark(
             self,
             (
@@ -182,7 +180,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Remember the excess of speed."""
+        """Store the excess of speed."""
         state.memory[EXCESS] = _score(state)
         state.metrics[RATIO_ERROR] = _ratio_error(state)
 
@@ -199,7 +197,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for the right speed on the way, and for leaving at the asked ratio."""
+        """Reward the correct speed on the way, and leaving at the goal ratio."""
         error = state.metrics[RATIO_ERROR]
         left = outcome in (SUCCESS, MISSED)
         excess = _score(state)
@@ -227,7 +225,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return the speed [m/s] above that which, rolling `to_go` metres more, becomes the asked one."""
+    """Return the excess [m/s] over the speed that rolls to the goal speed in `to_go` [m]."""
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed
@@ -246,7 +244,7 @@ def _ratio_error(state: EnvState) -> float:
 
 
 def _excess_of_speed(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute the speed [m/s] off what would roll out at the asked ratio, straight and in time."""
+    """Compute the speed error [m/s] for the goal ratio, plus costs of deviation and time."""
     parcels, to_go = nodes.parcels, planning.way_to_leave(nodes)
     speed = np.hypot(nodes.vx, parcels.truth[:, 4])
     asked = parcels.goal[:, RATIO] * parcels.goal[:, ENTRY_SPEED]

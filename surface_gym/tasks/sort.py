@@ -1,4 +1,4 @@
-"""Sort: leave the line on the asked side, quickly."""
+"""Sort: leave the line quickly on the goal side."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,8 +19,8 @@ from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, Spe
 from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.start import Draw, Start, between
 
-SIDE = 0  # place in the goal: +1 for y > 0, -1 for y < 0, 0 for straight through
-REACH = 0  # place in the memory: [m] the lateral reach at the last decision
+SIDE = 0  # index in the goal: +1 for y > 0, -1 for y < 0, 0 for straight ahead
+REACH = 0  # index in the memory: [m] lateral reach at the last decision
 
 OUTCOMES = ("wrong side", "passed the zone", "stalled", "off the surface")
 WRONG_SIDE, PASSED, STALLED, OFF_SURFACE = failures(OUTCOMES)
@@ -28,16 +28,16 @@ WRONG_SIDE, PASSED, STALLED, OFF_SURFACE = failures(OUTCOMES)
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("reach", "time", "success", "haste", "failure")
 REACH_REWARD = 2.0  # per metre of lateral reach gained
-REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
-PASSING_REACH = 0.3  # [-] of x counts as reach where straight through is asked
+REACH_ENOUGH = 0.6  # [m] maximum rewarded reach
+PASSING_REACH = 0.3  # [-] share of x that counts as reach for side 0
 TIME_REWARD = -0.3  # per second
 SUCCESS_REWARD = 1.0
-HASTE_REWARD = 4.0  # at success, times 1 s over the time it took
+HASTE_REWARD = 4.0  # at success, times 1 s / duration
 FAILURE_REWARD = -1.0
 
 # A parcel rolling along 45 deg axes loses speed at mu_min g / sqrt(2) along x and along y.
 ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
-HORIZON = 4.0  # [s] scale of the time observed
+HORIZON = 4.0  # [s] scale of the observed time
 
 TOWARDS = "towards the asked side"
 # Features of a parcel, mirrored so that the asked side is y > 0.
@@ -62,26 +62,27 @@ COLUMN = columns(FEATURES)
 class Sort(Task):
     """Sort the parcel off the line to one side, quickly.
 
-    A parcel enters a line of rotors amid supports and is to leave it towards y > 0 or y < 0. If
-    neither side is asked for, it is to roll through the zone and stay on the line.
+    A parcel enters a line of rotors among supports. It must leave the line towards y > 0 or y < 0.
+    With side 0, it must roll through the zone and stay on the line.
 
-    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
-    pushes. Axes at -45 deg turn part of the speed towards y > 0, at +45 deg towards y < 0, and
-    friction spends it all the while: a slow parcel stalls before it is off the line.
+    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
+    pushes. Axes at -45 deg turn part of the speed towards y > 0, and at +45 deg towards y < 0.
+    Friction reduces the speed meanwhile, so a slow parcel stalls before it has left the line.
 
     ### Start
 
-    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed:
+    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
     with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. Parcel
-    and side, +1 (y > 0) or -1 (y < 0): equal odds. Side 0, straight through, is only an option.
+    and side, +1 (y > 0) or -1 (y < 0): equal odds. Side 0, straight ahead, is available as an
+    option only.
 
     ### Goal and end
 
-    "success": no rotor is under the base any more, and its centre is on the asked side of the
-    line's middle. For side 0: the rear is past the zone's end, with a rotor still under the base.
-    Each failure ends the episode as `terminated`:
+    "success": no rotor is under the base, and its centre is on the goal side of the line's middle.
+    For side 0: the rear is past the zone's end, with a rotor still under the base. Each failure
+    ends the episode as `terminated`:
 
-    - "wrong side": off the rotors, but not on the asked side (for side 0: off them at all);
+    - "wrong side": off the rotors, but not on the goal side (for side 0: off the rotors);
     - "passed the zone": the rear is past the zone's end (sides +1 and -1);
     - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the surface": the centre of mass passes the edge of the surface.
@@ -102,7 +103,7 @@ distance from the line's middle takes its place |
 
     ### Info
 
-    The task adds no metric of its own to what every environment reports.
+    The task adds no metrics.
 
     ### Example
 
@@ -118,7 +119,7 @@ distance from the line's middle takes its place |
     - `v0`: first version.
     """
 
-    slow_share: float = 0.5  # [-] of starts drawn from the low band, where sorting is hard
+    slow_share: float = 0.5  # [-] share of starts in the low band, where sorting is hard
     speeds: tuple[float, float] = (0.3, 2.7)  # [m/s] entry speed
     slow_speeds: tuple[float, float] = (0.3, 1.1)  # [m/s] the low band
 
@@ -141,9 +142,9 @@ distance from the line's middle takes its place |
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed, uniform in a band by `slow_share`; parcel and side with equal odds.
+        """Draw entry speed, uniform in one of two bands, and parcel and side with equal odds.
 
-        Straight through, side 0, is only an option.
+        Side 0, straight ahead, is available as an option only.
         """
         band, pace, size, way = draw.numbers
         slow, any_speed = between(*self.slow_speeds, pace), between(*self.speeds, pace)
@@ -156,7 +157,7 @@ distance from the line's middle takes its place |
         checks.one_of("goal", float(goal[SIDE]), (1.0, -1.0, 0.0))
 
     def benchmark(self) -> Benchmark:
-        """Every entry speed, both sides and both boxes; times beside the fixed layout's."""
+        """Benchmark: every entry speed, side and box; times relative to the fixed layout."""
         grid = SpeedGrid(np.arange(30, 271, 2) / 100.0)
         return Benchmark(
             self,
@@ -171,7 +172,7 @@ distance from the line's middle takes its place |
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """`columns` of the zone that the front edge reached."""
+        """Return `columns`: the zone's columns reached by the front edge."""
         base = parcel.base
         _, (_, _, first, _) = line.site(base, zone)
         x, _, theta = path.T
@@ -189,7 +190,7 @@ distance from the line's middle takes its place |
         return ExitSide(int(state.goal[SIDE]))
 
     def decode_start(self, seen: planning.Observed) -> Start:
-        """Decode the first observation into the start that it shows, the side its goal."""
+        """Decode the start from the first observation; the goal is the side."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
 
@@ -206,13 +207,13 @@ distance from the line's middle takes its place |
     @staticmethod
     @kernel_function
     def mirror(state: EnvState) -> float:
-        """Return the asked side's sign: the observation always shows a sort to y > 0."""
+        """Return the sign of the goal side, since observations always show a sort to y > 0."""
         return mirror_of(state)
 
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Remember the lateral reach."""
+        """Store the lateral reach."""
         state.memory[REACH] = _score(state)
 
     @staticmethod
@@ -233,7 +234,7 @@ distance from the line's middle takes its place |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for reach gained and for haste."""
+        """Reward gained reach and a short duration."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
@@ -261,14 +262,15 @@ distance from the line's middle takes its place |
 
 @kernel_function
 def mirror_of(state: EnvState) -> float:
-    """Return -1 where y is mirrored, so that the observation shows a sort to y > 0; else 1."""
+    """Return -1 if y is mirrored, so that the observation shows a sort to y > 0; else 1."""
     return -1.0 if state.goal[SIDE] < 0.0 else 1.0
 
 
 @kernel_function
 def lateral_reach(y: float, vx: float, vy: float) -> float:
-    """Return the lateral offset [m] the parcel can still reach by coasting: its offset, plus what
-    the speed it would keep on 45 deg axes covers against the rolling loss.
+    """Return the lateral offset [m] that the parcel can reach by coasting.
+
+    It is the offset plus the distance covered on 45 deg axes against the rolling loss.
     """
     speed = max(0.0, 0.5 * (vx + vy) if vx > vy else vy)
     return y + speed * speed / (2.0 * ROLLING_LOSS)
@@ -285,8 +287,9 @@ def _score(state: EnvState) -> float:
 
 
 def _time_to_leave(nodes: planning.Nodes) -> Numbers:
-    """Compute the time [s] until the parcel is off the line if all axes were at 45 deg from now on;
-    a parcel that would come to rest before costs what it lacks.
+    """Compute the time [s] until the parcel leaves the line with all axes at 45 deg.
+
+    A parcel that would stop before has a cost for the remaining distance.
     """
     _, y, _, vx, vy, _ = nodes.parcels.truth.T
     turning, loss = nodes.braking / math.sqrt(2.0), nodes.rolling_loss / math.sqrt(2.0)
@@ -310,7 +313,7 @@ def _time_to_leave(nodes: planning.Nodes) -> Numbers:
 
 
 def _event(parcels: ParcelState) -> tuple[float, float] | None:
-    """Name the fixed layout and every event rule: 45 deg to the asked side from some time on."""
+    """Return the angles of the fixed layout and of event rules: 45 deg to the goal side later."""
     side = float(parcels.goal[0, SIDE])
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)
 

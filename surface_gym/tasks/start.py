@@ -1,4 +1,4 @@
-"""Starts of episodes: what they are drawn from, and the options that fix them."""
+"""Starts of episodes: random numbers, and options that set values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Parcels:
-    """The parcels of a number of starts."""
+    """The parcels of several starts."""
 
     kinds: tuple[Parcel, ...]
-    which: NDArray[np.int64]  # (starts,) the place of each start's among the kinds
+    which: NDArray[np.int64]  # (starts,) index of each start's parcel among the kinds
 
     def of(self, function: Callable[[Parcel], ArrayLike]) -> Numbers:
         """Return a function's value for each parcel, (starts, ...)."""
@@ -34,24 +34,28 @@ class Parcels:
 
 
 class Start(NamedTuple):
-    """Starts of episodes. A number holds for every start, an array (starts,) has one for each."""
+    """Starts of episodes.
+
+    A number applies to every start; an array (starts,) has one value each.
+    """
 
     parcel: Parcel | Parcels
     pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
     velocity: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m/s, m/s, rad/s]
-    goal: tuple[ArrayLike, ...]  # the task's own: as many as its `goals`
-    tilt: ArrayLike = 0.0  # [rad] of the surface, downhill towards +x
-    path: Numbers | None = None  # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of a path to follow
+    goal: tuple[ArrayLike, ...]  # goal of the task, with `goals` entries
+    tilt: ArrayLike = 0.0  # [rad] tilt of the surface, downhill towards +x
+    # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of the path to follow
+    path: Numbers | None = None
 
 
 class Draw:
-    """The source of starts: uniform numbers, and options that fix what would be drawn.
+    """Source of starts: uniform random numbers, and options that replace drawn values.
 
     Args:
         numbers: (starts, draws) uniform in [0, 1).
-        options: of each start; none at all: no start has any.
-        line: where the parcels run.
-        zone: first and last column that obey; None for the line's own.
+        options: options of each start, or empty.
+        line: line of the parcels.
+        zone: first and last column that obey; None: the line's.
     """
 
     def __init__(
@@ -68,7 +72,7 @@ class Draw:
         self._options = options
 
     def option(self, name: str, drawn: ArrayLike, check: Callable[[Any], float]) -> Numbers:
-        """Return what was drawn; where an option fixes it, the option as `check` returns it."""
+        """Return the drawn values, replaced by options checked with `check`."""
         values: Numbers = np.asarray(drawn, dtype=np.float64)
         given = self.given(name)
         if given:
@@ -86,7 +90,7 @@ class Draw:
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return `option` for one of some numbers."""
+        """Return `option` for one of the allowed numbers."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:
@@ -99,7 +103,7 @@ class Draw:
         return Parcels(tuple(kinds), which)
 
     def given(self, name: str) -> list[tuple[int, Any]]:
-        """Return which starts an option fixes, and its values."""
+        """Return the starts with an option, and its values."""
         return [(k, each[name]) for k, each in enumerate(self._options) if name in each]
 
 
@@ -109,7 +113,7 @@ def between(low: float | Numbers, high: float | Numbers, number: Numbers) -> Num
 
 
 def parcel_option(value: Any) -> Parcel:
-    """Return the parcel an option asks for: "S", "B" or a Parcel."""
+    """Return the parcel of an option: "S", "B" or a Parcel."""
     if isinstance(value, Parcel):
         return value
     if isinstance(value, str) and value in ("S", "B"):
@@ -118,14 +122,14 @@ def parcel_option(value: Any) -> Parcel:
 
 
 def parcels_to_draw(parcels: Any) -> tuple[Parcel, ...]:
-    """Return the parcels of a task, or raise an error that names them."""
+    """Check the parcels of a task."""
     if not parcels:
         raise ValueError(f"parcels must be at least one, got {parcels!r}")
     return tuple(parcel_option(parcel) for parcel in parcels)
 
 
 def check_options(options: dict[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options, or raise an error that names the unknown one."""
+    """Return the options, or raise an error that names an unknown option."""
     if options is None:
         return {}
     if not isinstance(options, dict):

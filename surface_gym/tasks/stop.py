@@ -1,4 +1,4 @@
-"""Stop: come to rest with the centre at an asked x."""
+"""Stop: come to rest with the centre at a goal x."""
 
 import math
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, media
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
-POSITION = 0  # place in the goal: [m] asked x of the centre
-SHORTFALL = 0  # place in the memory: [m] at the last decision
-STOP_ERROR = 0  # index in the metrics: [m] x of the centre - the asked one
+POSITION = 0  # index in the goal: [m] goal x of the centre
+SHORTFALL = 0  # index in the memory: [m] shortfall at the last decision
+STOP_ERROR = 0  # index in the metrics: [m] x of the centre - goal x
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = base.failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
-CAUTION = 0.5  # [-] of the time of a quarter turn, that a planner keeps to be on the safe side
+CAUTION = 0.5  # [-] safety margin of planners, relative to the time of a quarter turn
 
 # The reward, term by term.
 TERMS: tuple[str, ...] = ("approach", "precision", "success", "failure")
 APPROACH_REWARD = 1.0  # per metre nearer
-PRECISION_REWARD = 1.0  # for resting at the asked x, falling with the error by
-PRECISION_SCALE = 0.002  # [m] a factor e
+PRECISION_REWARD = 1.0  # for stopping at the goal x, decreasing with the error
+PRECISION_SCALE = 0.002  # [m] error that divides the reward by e
 SUCCESS_REWARD = 1.0
 FAILURE_REWARD = -1.0
 
@@ -45,26 +45,26 @@ COLUMN = columns(FEATURES)
 
 @dataclass(frozen=True)
 class Stop(base.Task):
-    """Bring the parcel to rest with its centre at an asked x.
+    """Stop the parcel with its centre at a goal x.
 
-    A parcel enters a line of rotors amid supports and is to come to rest at a place, to 5 mm.
+    A parcel enters a line of rotors among supports. It must stop at a goal position, within 5 mm.
 
-    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
-    pushes. A parcel that has stopped short stays there, one that is past cannot be fetched back,
-    and the last millimetres hang on which modules the base still covers.
+    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
+    pushes. A parcel that stops short stays there, and a parcel past the goal cannot return. The
+    last millimetres depend on the modules under the base.
 
     ### Start
 
-    The rear at x = 0, on the line's middle, theta 0, no other speed than vx. Entry speed: uniform
-    in `speeds`. Parcel: equal odds. Asked x: uniform over what can be reached for sure, from where
-    a parcel rests that brakes fully (0.5 g) once it is wholly in the zone, to where it is wholly in
-    the zone for the last time or has rolled 0.8 of the way it can. Where the first lies beyond the
-    second, as in a short zone, it is the second.
+    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
+    uniform in `speeds`. Parcel: equal odds. Goal x: uniform in the range of reachable stops. The
+    range begins at the stop after full braking (0.5 g) from the point where the parcel is wholly in
+    the zone. It ends at the last point where the parcel is wholly in the zone, or at 0.8 of the
+    rolling distance. If it is empty, as in a short zone, the goal is its end.
 
     ### Goal and end
 
-    The parcel rests when no point of the base moves faster than 1 mm/s. "success": it rests with
-    its centre within 5 mm of the asked x. Each failure ends the episode as `terminated`:
+    The parcel is at rest when no point of the base moves faster than 1 mm/s. "success": it rests
+    with its centre within 5 mm of the goal x. Each failure ends the episode as `terminated`:
 
     - "missed": it rests elsewhere;
     - "passed the asked x": its centre moves on more than 5 mm past it;
@@ -75,16 +75,13 @@ class Stop(base.Task):
 
     ### Reward
 
-    | term | scale | meaning |
-    | --- | --- | --- |
-    | `approach` | 1 a metre | by which the centre came nearer to the asked x |
-    | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
-    | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure |
+    | term | scale | meaning | | --- | --- | --- | | `approach` | 1 a metre | decrease of the
+    distance to the goal x | | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) | |
+    `success` | 1 | once, at success | | `failure` | -1 | once, at any failure |
 
     ### Info
 
-    - `stop_error` [m]: x of the centre - the asked one, at present; signed.
+    - `stop_error` [m]: current x of the centre - goal x; signed.
 
     ### Example
 
@@ -117,12 +114,9 @@ class Stop(base.Task):
         object.__setattr__(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
-        """Draw entry speed and parcel, uniform, and asked x, uniform over what can be reached for
-        sure.
+        """Draw entry speed, parcel and goal x, all uniform.
 
-        That is from where a parcel rests that brakes fully once it is wholly in the zone, to where
-        it is wholly in the zone for the last time, or has rolled 0.8 of the way it can. Where the
-        first lies beyond the second, as in a short zone, it is the second.
+        The class describes the range of the goal x.
         """
         pace, size, share = draw.numbers
         speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
@@ -136,7 +130,7 @@ class Stop(base.Task):
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
     def decode_start(self, seen: planning.Observed) -> Start:
-        """Decode the first observation into the start that it shows, the asked x its goal."""
+        """Decode the start from the first observation; the goal is the goal x."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())
         return start._replace(goal=(np.add(start.pose[0], line.to_go[0]),))
@@ -147,7 +141,7 @@ class Stop(base.Task):
         )
 
     def benchmark(self) -> Benchmark:
-        """Drawn starts, by the error of the place of rest."""
+        """Benchmark: random starts; error of the stop."""
         return Benchmark(
             self,
             (
@@ -170,7 +164,7 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Remember the shortfall."""
+        """Store the shortfall."""
         state.metrics[STOP_ERROR] = state.truth[X] - state.goal[POSITION]
         state.memory[SHORTFALL] = abs(state.metrics[STOP_ERROR])
 
@@ -190,7 +184,7 @@ class Stop(base.Task):
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for coming nearer, and for resting at the asked x."""
+        """Reward coming nearer, and stopping at the goal x."""
         shortfall = abs(state.metrics[STOP_ERROR])
         rests = outcome in (SUCCESS, MISSED)
         terms = state.terms
@@ -215,13 +209,13 @@ class Stop(base.Task):
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
-    """Compute by how much [m] full braking ends short of the asked x; past it, no way back."""
+    """Compute the distance [m] by which full braking stops short of the goal x."""
     to_go = nodes.parcels.goal[:, POSITION] - nodes.parcels.truth[:, 0]
     short = to_go - nodes.braking_distance
     if nodes.quarter_turn == 0.0:
         return _weigh(short) + 0.1 * planning.askew(nodes)
-    # Axes push aside while they turn, which takes some of the braking; and what they will have
-    # taken before they roll again may be too much.
+    # Turning axes push sideways, which reduces braking. Their braking before they roll again may be
+    # too strong.
     short -= CAUTION * nodes.quarter_turn * nodes.parcels.truth[:, 3]
     rolled = nodes.vx**2 / (2.0 * nodes.rolling_loss)
     lack = np.maximum(0.0, to_go - rolled)
@@ -229,5 +223,5 @@ def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:
 
 
 def _weigh(short: planning.Numbers) -> planning.Numbers:
-    """Weigh a metre past the asked x as ten short of it."""
+    """Weight a metre past the goal x like ten metres short of it."""
     return np.where(short < 0.0, -10.0 * short, short)

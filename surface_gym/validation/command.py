@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from surface_gym.cli import typed
-from surface_gym.parallel import WorkFailed, choose_workers, usable_cores
+from surface_gym.parallel import WorkError, choose_workers, usable_cores
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         compare(options)
     except ModuleNotFoundError:
         raise  # `surface_gym.cli` says what to install
-    except (ValueError, RuntimeError, OSError, ImportError, WorkFailed) as error:
+    except (ValueError, RuntimeError, OSError, ImportError, WorkError) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 

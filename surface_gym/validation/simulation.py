@@ -57,9 +57,7 @@ class Recipe:
     rotor_cross_inertia: float = 2.87e-7
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = checks.positive(field.name, getattr(self, field.name))
-            object.__setattr__(self, field.name, value)
+        checks.settle(self, **{field.name: checks.positive for field in fields(self)})
         for name in ("impedance", "bearing_impedance"):
             checks.within(name, getattr(self, name), 1e-4, 0.9999)
 
@@ -99,9 +97,8 @@ class Sides:
     friction: float = 0.3  # [-]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            allowed = checks.not_negative if field.name == "friction" else checks.positive
-            object.__setattr__(self, field.name, allowed(field.name, getattr(self, field.name)))
+        allowed = {field.name: checks.positive for field in fields(self)}
+        checks.settle(self, **(allowed | {"friction": checks.not_negative}))
 
     def harder(self, factor: float) -> "Sides":
         """Divide the duration of impacts by a factor."""
@@ -214,8 +211,10 @@ def _set_options(mujoco: Any, spec: Any, surface: Surface, recipe: Recipe) -> No
 
 
 def _add_parcel(mujoco: Any, spec: Any, parcel: Parcel, name: str) -> Any:
-    """Add a prism on its base. Its vertical inertia is the parcel's. Its other inertias assume even
-    density; they affect how fast it settles, but not its motion.
+    """Add a prism on its base.
+
+    Its vertical inertia is the parcel's. Its other inertias assume even density; they affect how
+    fast it settles, but not its motion.
     """
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -257,8 +256,10 @@ def _add_prism(
 
 
 def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> None:
-    """Add the shape that touches other parcels. A disc gets a sphere with its equator at that
-    height: MuJoCo finds contacts of spheres exactly, but normals of cylinders may be inexact.
+    """Add the shape that touches other parcels.
+
+    A disc gets a sphere with its equator at that height: MuJoCo finds contacts of spheres exactly,
+    but normals of cylinders may be inexact.
     """
     if isinstance(parcel.base, Disc):
         body.add_geom(

@@ -1,4 +1,4 @@
-"""Noise of a camera for a page, which draws it as NumPy does, from the states of its generator."""
+"""Camera noise for a page, which draws the same numbers as NumPy from a generator's state."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,20 +11,20 @@ from surface_gym.core.batch import BaseBatch
 from surface_gym.physics.types import Array
 from surface_gym.state import NOISE_ROWS
 
-NORMALS = 3  # of a row of noise; a uniform number follows them
+NORMALS = 3  # normal numbers per row of noise, followed by a uniform number
 ONLY = np.zeros(1, dtype=np.int64)
 
 
 class NoiseStart(NamedTuple):
-    """States of a seed's generator, which a page goes on from."""
+    """States of a seed's generator for a page."""
 
-    first: list[str]  # words of the state in hexadecimal digits, before noise is drawn
-    then: list[str]  # after all of the start is drawn
-    drawn: int  # rows of parcels for which it is drawn
+    first: list[str]  # state before drawing noise, as words in hexadecimal digits
+    then: list[str]  # state after drawing the start
+    drawn: int  # number of parcel rows with noise
 
 
 class NotingGenerator(np.random.Generator):
-    """A generator that notes its state before it first draws noise, and how often it does."""
+    """A generator that records its state before the first noise, and counts draws of noise."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(np.random.default_rng(seed).bit_generator)
@@ -32,7 +32,7 @@ class NotingGenerator(np.random.Generator):
         self.drawn = 0
 
     def standard_normal(self, size: Any = None, *args: Any, **named: Any) -> Any:
-        """Draw normal numbers, as NumPy does."""
+        """Draw normal numbers like NumPy."""
         if size == (NOISE_ROWS, 3):
             self.first = self.first or write_state(self)
             self.drawn += 1
@@ -40,13 +40,13 @@ class NotingGenerator(np.random.Generator):
 
 
 def write_state(generator: np.random.Generator) -> list[str]:
-    """Write the words of a PCG64 generator's state in hexadecimal digits."""
+    """Return the words of a PCG64 generator's state in hexadecimal digits."""
     return [f"{word:x}" for word in read_words(generator).view(np.uint64).tolist()]
 
 
 @compiled
 def draw_noise(words: Words, noise: Array) -> int:
-    """Draw the noise (rows, NORMALS + 1) that a parcel uses up row by row, as a batch does."""
+    """Draw the noise (rows, NORMALS + 1) of a parcel, like a batch."""
     for row in range(noise.shape[0]):
         for k in range(NORMALS):
             noise[row, k] = draw_normal(words)
@@ -61,10 +61,10 @@ def noise_arguments() -> tuple[Any, ...]:
 
 
 def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
-    """Place the start of a seed into a batch of one environment, as `reset(seed=...)` draws it.
+    """Place the start of `reset(seed=...)` into a batch of one environment, without noise.
 
-    Noise is left out, which takes most of a start's bytes: a page draws it. Return what the page
-    needs for that, or None where sensors draw no noise.
+    Noise would take most of a start's bytes, so the page draws it. Returns the page's data for
+    this, or None if sensors draw no noise.
     """
     generator = NotingGenerator(seed)
     batch.seed(0, generator)
@@ -76,10 +76,10 @@ def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
 
 
 def describe_noise(batch: BaseBatch, starts: Sequence[NoiseStart | None]) -> dict[str, Any] | None:
-    """Describe the noise of each seed's start, and how much of it parcels use, for a page."""
+    """Describe the noise of each seed's start for a page, with the rows used per period."""
     if not batch.config.draws:
         return None
     return {
-        "used": batch.config.draws,  # rows of noise in a control period, at most
+        "used": batch.config.draws,  # maximum rows of noise per control period
         "states": [each._asdict() for each in starts if each is not None],
     }

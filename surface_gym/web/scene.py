@@ -1,6 +1,6 @@
-"""Scenes: runs that a page shows and Python repeats, as JSON, or in the address of the page.
+"""Scenes: runs for a page that Python can repeat, as JSON or in the page's address.
 
-`page/scene.js` writes and reads the same JSON, and says what its fields are.
+`page/scene.js` reads and writes the same JSON, and documents its fields.
 """
 
 import base64
@@ -30,34 +30,34 @@ from surface_gym.surface import Surface
 from surface_gym.web.table import PARCELS
 
 VERSION = 1
-MARK = "1."  # before a scene in an address: how it is packed
-MOST = 2_000_000  # [bytes] of a scene as JSON
-MODULES = 6000  # of a table in a page
-LONGEST = 60.0  # [s] of a run there
+MARK = "1."  # prefix of a packed scene in an address
+MOST = 2_000_000  # [bytes] maximum size of a scene as JSON
+MODULES = 6000  # maximum modules of a table in a page
+LONGEST = 60.0  # [s] maximum duration of a run in a page
 PAGE = "playground.html"
 
 
 @dataclass(frozen=True)
-class Thrown:
-    """A parcel as it comes in."""
+class ThrownParcel:
+    """A parcel at its entry."""
 
     parcel: Parcel
     pose: tuple[float, float, float]  # [m, m, rad] of the base's frame
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s, m/s, rad/s]
-    step: int = 0  # at whose beginning it comes; 0: it is there from the start
+    step: int = 0  # step at which it enters; 0: the start
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Parcels on a surface, which may change on the way.
+class TableScene:
+    """Parcels on a surface that may change during the run.
 
-    A page shows up to 24 parcels on up to 6000 modules for up to 60 s; the surface must have the
-    same friction everywhere, and the same stiffness.
+    A page shows up to 24 parcels on up to 6000 modules for up to 60 s. The surface must have
+    uniform friction and stiffness.
 
     >>> import surface_gym as sg
     >>> surface = sg.layouts.sorting()
-    >>> box = Thrown(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
-    >>> scene = Scene(surface, (box,), duration=1.0)
+    >>> box = ThrownParcel(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
+    >>> scene = TableScene(surface, (box,), duration=1.0)
     >>> scene.run().trajectories[0].pose[-1].round(2)
     array([ 0.97,  0.49, -0.23])
     >>> scene.url()[:18]
@@ -65,20 +65,20 @@ class Scene:
     """
 
     surface: Surface
-    parcels: tuple[Thrown, ...] = ()
+    parcels: tuple[ThrownParcel, ...] = ()
     duration: float = 20.0  # [s], a multiple of dt
     dt: float = 0.005  # [s] of a step
     restitution: float = 0.0  # [-] between parcels
     side_friction: float = 0.3  # [-]
-    changes: tuple[tuple[int, Surface], ...] = ()  # a step, and the surface from its beginning on
+    changes: tuple[tuple[int, Surface], ...] = ()  # step of the change, and the new surface
 
     @property
     def steps(self) -> int:
-        """How many steps a run has."""
+        """Number of steps of a run."""
         return round(self.duration / self.dt)
 
     def run(self) -> Encounter:
-        """Run the scene as the page does; a trajectory begins when its parcel comes in."""
+        """Run the scene like the page; a trajectory begins when its parcel enters."""
         thrown, steps, dt = self.parcels, self.steps, self.dt
         if not thrown:
             raise ValueError("parcels must be at least one, got none")
@@ -105,7 +105,7 @@ class Scene:
                 if each.step == first:
                     world.present[k] = True
                     world.state[k] = start[k]
-            scratch.marks[:, ph.SPANS] = -1  # what lies under the parcels may have changed
+            scratch.marks[:, ph.SPANS] = -1  # the surface under the parcels may have changed
             records, touches = run_stretch(
                 surface.grid, world, touching, scratch, records, first + 1, last, touches, dt
             )
@@ -129,8 +129,8 @@ class Scene:
         return json.dumps(self._fields(), separators=(",", ":"))
 
     @classmethod
-    def from_json(cls, text: str) -> "Scene":
-        """Read a scene of `to_json` or of the page, a table.
+    def from_json(cls, text: str) -> "TableScene":
+        """Read a scene from `to_json` or from the page.
 
         Raises:
             ValueError: the text is no such scene.
@@ -147,7 +147,7 @@ class Scene:
         return f"{page}#{pack(self.to_json())}"
 
     @classmethod
-    def from_url(cls, url: str) -> "Scene":
+    def from_url(cls, url: str) -> "TableScene":
         """Read the scene of a page's address."""
         return cls.from_json(unpack(url.partition("#")[2]))
 
@@ -171,7 +171,7 @@ class Scene:
         }  # fmt: skip
 
     def _check(self) -> None:
-        """Raise a ValueError for what a page cannot show."""
+        """Raise a ValueError for scenes that a page cannot show."""
         if len(self.parcels) > PARCELS:
             raise ValueError(
                 f"parcels must be at most {PARCELS} in a page, got {len(self.parcels)}"
@@ -191,18 +191,18 @@ class Scene:
 
 @dataclass(frozen=True)
 class TaskScene:
-    """A task's start and what is done about it, for a page."""
+    """A task's start and its commands, for a page."""
 
-    task: str  # its name
+    task: str  # name of the task
     seed: int = 0
-    agent: str = "you"  # that acts; "you": the commands
-    stuck: tuple[tuple[int, int], ...] = ()  # row and column of modules
-    late: int = 0  # control periods by which axes are
+    agent: str = "you"  # acting agent; "you": the commands
+    stuck: tuple[tuple[int, int], ...] = ()  # row and column of stuck modules
+    late: int = 0  # delay of axes in control periods
     # a control period, and the modules and the orientations that they turn to in it
     commands: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
     camera: bool = False  # whether a camera senses the parcels; otherwise sensors are exact
 
-    tasks: InitVar[Sequence[str]] = tuple(PERIODS)  # that the page has
+    tasks: InitVar[Sequence[str]] = tuple(PERIODS)  # tasks of the page
 
     def __post_init__(self, tasks: Sequence[str]) -> None:
         checks.one_of("task", self.task, tuple(tasks))
@@ -255,7 +255,7 @@ def _friction(surface: Surface) -> list[float]:
 
 
 def _difference(before: Surface, after: Surface) -> dict[str, Any]:
-    """Describe what of a surface has changed."""
+    """Describe the changes of a surface."""
     fixed = ("rotor", "pitch", "origin")
     if any(np.any(getattr(before, name) != getattr(after, name)) for name in fixed):
         raise ValueError("changes must leave rotors, pitch and origin as they are, got others")
@@ -271,7 +271,7 @@ def _difference(before: Surface, after: Surface) -> dict[str, Any]:
     return found
 
 
-def _parcel_fields(thrown: Thrown) -> dict[str, Any]:
+def _parcel_fields(thrown: ThrownParcel) -> dict[str, Any]:
     parcel, base = thrown.parcel, thrown.parcel.base
     if parcel.inertia is not None:
         raise ValueError(f"inertia must be None for a page, got {parcel.inertia!r}")
@@ -290,7 +290,7 @@ def _parcel_fields(thrown: Thrown) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _read(fields: dict[str, Any]) -> Scene:
+def _read(fields: dict[str, Any]) -> TableScene:
     checks.one_of("version", fields["version"], (VERSION,))
     checks.one_of("task", fields["task"], ("table",))
     rows = checks.integer("rows", fields["rows"], 1, MODULES)
@@ -310,7 +310,7 @@ def _read(fields: dict[str, Any]) -> Scene:
         before = _changed(before, change)
         changes.append((checks.integer("step", change["step"], least=0), before))
     restitution, side_friction = fields["sides"]
-    return Scene(
+    return TableScene(
         surface, tuple(map(_read_parcel, fields["parcels"])), fields["duration"], fields["dt"],
         restitution, side_friction, tuple(changes),
     )  # fmt: skip
@@ -327,7 +327,7 @@ def _changed(before: Surface, change: dict[str, Any]) -> Surface:
     return replace(before, axis=axis, **given)
 
 
-def _read_parcel(fields: dict[str, Any]) -> Thrown:
+def _read_parcel(fields: dict[str, Any]) -> ThrownParcel:
     base = fields["base"]
     if "rectangle" in base:
         shape: Any = Rectangle(*base["rectangle"])
@@ -337,4 +337,6 @@ def _read_parcel(fields: dict[str, Any]) -> Thrown:
         shape = Polygon(base["polygon"])
     offset = tuple(fields.get("com_offset", (0.0, 0.0)))
     parcel = Parcel(shape, fields["mass"], fields.get("com_height", 0.1), com_offset=offset)
-    return Thrown(parcel, tuple(fields["pose"]), tuple(fields["velocity"]), fields.get("step", 0))
+    return ThrownParcel(
+        parcel, tuple(fields["pose"]), tuple(fields["velocity"]), fields.get("step", 0)
+    )

@@ -1,8 +1,7 @@
-"""A server of the playground, for browsers on this machine alone.
+"""A server of the playground, for browsers on this machine only.
 
-It listens at 127.0.0.1, and answers only those who ask for it by that name or as localhost: a page
-of another host, whose name was made to mean this machine, gets nothing. It reads files of a few
-folders and lists none.
+It listens at 127.0.0.1, and answers requests for this address or localhost only. So pages of other
+hosts that resolve to this machine get no answer. It serves files of a few folders without listings.
 """
 
 import os
@@ -15,7 +14,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 HOST = "127.0.0.1"
-NAMES = (HOST, "localhost")  # of this machine, in a browser
+NAMES = (HOST, "localhost")  # names of this machine in a browser
 FIRST_PAGE = "playground.html"
 KINDS = {
     ".css": "text/css; charset=utf-8",
@@ -30,21 +29,21 @@ ALWAYS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
-IDLE = 60.0  # [s] after which a connection is closed
+IDLE = 60.0  # [s] idle time before a connection is closed
 
 
 class Server(ThreadingHTTPServer):
-    """A server of the files in some folders, as if they were one.
+    """A server of the merged files of several folders.
 
     Args:
-        folders: the first that has a file of a name serves it.
-        port: to listen at; 0: any that is free.
-        prepare: is called with the name of a file, such as `sort.wasm`, before it is looked for,
-            and may write it.
+        folders: folders in order; the first one with a file serves it.
+        port: port of the server; 0: any free port.
+        prepare: callback with the name of a file, e.g. `sort.wasm`, before the search; may write
+            it.
     """
 
-    daemon_threads = True  # an open connection holds up nothing
-    allow_reuse_address = os.name != "nt"  # there it would share a port that is taken
+    daemon_threads = True  # an open connection does not delay the end
+    allow_reuse_address = os.name != "nt"  # on Windows it would share a used port
 
     def __init__(
         self,
@@ -65,7 +64,7 @@ class Server(ThreadingHTTPServer):
             ) from None
 
     def add(self, folder: Path) -> None:
-        """Serve the files of one more folder."""
+        """Serve the files of another folder."""
         self._folders.append(folder.resolve())
 
     @property
@@ -74,7 +73,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print an error, but not that a browser has left."""
+        """Print an error, except closed connections of browsers."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
             super().handle_error(request, client_address)
 
@@ -88,13 +87,13 @@ class Server(ThreadingHTTPServer):
                 file = (folder / name).resolve()
                 if file.is_relative_to(folder) and file.is_file():
                     return file
-            except (OSError, ValueError):  # a name that no file can have
+            except (OSError, ValueError):  # invalid file name
                 return None
         return None
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers to one browser."""
+    """Handler of requests from a browser."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -106,7 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_content=True)
 
     def do_HEAD(self) -> None:
-        """Send what is before a file."""
+        """Send the headers of a file."""
         self._answer(with_content=False)
 
     def _answer(self, with_content: bool) -> None:
@@ -142,7 +141,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _is_here(host: str) -> bool:
-    """Whether a request's Host names this machine."""
+    """Return whether a request's Host names this machine."""
     try:
         return urlsplit(f"//{host}").hostname in NAMES
     except ValueError:

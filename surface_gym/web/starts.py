@@ -1,4 +1,4 @@
-"""Starts of a task for a page, which cannot draw them: by seed, what a start is made of."""
+"""Starts of a task by seed, for a page that cannot draw them."""
 
 import inspect
 import math
@@ -14,26 +14,26 @@ from surface_gym.rendering import ExitSide, ExitSpeed, Heading, Path, StopLine
 from surface_gym.scenes import exit_marks
 from surface_gym.web.noise import describe_noise, place
 
-SEEDS = 20  # for which a page has starts: 0, 1, 2 ...
-PATH_STEP = 8  # points of a path between two that are drawn
+SEEDS = 20  # number of seeds with starts: 0, 1, 2 ...
+PATH_STEP = 8  # step between drawn points of a path
 
-Mark = dict[str, Any]  # as `page/draw.js` draws it: kind, points [m] and label
+Mark = dict[str, Any]  # mark for `page/draw.js`: kind, points [m] and label
 
 
 class Starts(NamedTuple):
-    """Starts of several seeds: the arrays in which they differ, one seed's after another's."""
+    """Starts of several seeds: arrays that differ between seeds, concatenated."""
 
     fields: tuple[str, ...]  # names of the arrays
     block: bytes
-    marks: list[list[Mark]]  # of each seed: its goal
-    noise: dict[str, Any] | None  # as `page/noise.js` reads it; None: sensors draw none
+    marks: list[list[Mark]]  # goal marks of each seed
+    noise: dict[str, Any] | None  # noise for the page; None: sensors draw none
 
 
 def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
-    """Draw the starts of seeds 0, 1, 2 ...; the batch, of one environment, is left with seed 0's.
+    """Draw the starts of seeds 0, 1, 2 ...; afterwards the batch of one environment has seed 0.
 
-    A start is the one that the environment draws in `reset(seed=...)`, but for its noise, which a
-    page draws.
+    A start equals the environment's start after `reset(seed=...)`, except for noise, which the page
+    draws.
     """
     kernel = batch.make_kernel()
     for seed in range(seeds):  # arrays grow to hold the largest
@@ -54,7 +54,7 @@ def collect_starts(batch: BaseBatch, seeds: int = SEEDS) -> Starts:
 
 
 def goal_marks(batch: BaseBatch) -> list[Mark]:
-    """Describe the goal of a batch's environment, which is placed, or its exits."""
+    """Return marks for the goal or the exits of a batch's placed environment."""
     if hasattr(batch, "streams"):
         return _exits(batch)
     view, line = batch.view(0), batch.config.chosen_line
@@ -87,7 +87,7 @@ def goal_marks(batch: BaseBatch) -> list[Mark]:
 
 
 def _exits(batch: Any) -> list[Mark]:
-    """Describe a stream's exits."""
+    """Return marks for a stream's exits."""
     config = batch.config
     line = config.chosen_line
     first_row, rows, _, _ = config.rotors
@@ -108,14 +108,14 @@ def _exits(batch: Any) -> list[Mark]:
 def _area(
     left: float, right: float, low: float, high: float, label: str, colour: int | None = None
 ) -> Mark:
-    """Describe an exit."""
+    """Return the mark of an exit."""
     points = [[left, low], [right, low], [right, high], [left, high]]
     mark: Mark = {"kind": "exit", "points": points, "label": label}
     return mark if colour is None else {**mark, "colour": colour}
 
 
 def describe(batch: BaseBatch) -> dict[str, Any]:
-    """Describe an environment for a page: what it draws and says of it, and how a player acts."""
+    """Describe an environment for a page: drawing, texts and the player's actions."""
     config = batch.config
     line, kind, task = config.chosen_line, config.action_kind, config.task
     name = config.task_name
@@ -140,7 +140,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
     }
 
 
-# Rows of a scratch, for a page that draws contact forces.
+# Rows of a scratch, for pages that draw contact forces.
 CONTACTS = {
     name: getattr(ph, name)
     for name in (

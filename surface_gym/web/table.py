@@ -1,7 +1,7 @@
-"""An empty table for a page: parcels on a surface of any layout, stepped as by `simulate_together`.
+"""A table for a page: parcels on a surface of any layout, stepped like `simulate_together`.
 
-A page writes surface and parcels into the memory, whose arrays it makes as large as it needs: here
-they are as small as can be, but for the number of parcels.
+A page writes surface and parcels to the memory, and enlarges the arrays as needed. Here they have
+minimum size, except for the number of parcels.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ from surface_gym.physics.types import Array, Grid
 from surface_gym.simulation import make_bodies
 from surface_gym.surface import Surface
 
-PARCELS = 24  # at once
+PARCELS = 24  # maximum number at once
 
 
 @compiled
@@ -36,14 +36,14 @@ def step_table(
     turned: int,
     dt: float,
 ) -> int:
-    """Do a step of `dt`; a parcel that leaves the surface is present no more.
+    """Do a step of `dt`; parcels that leave the surface become absent.
 
     Args:
-        angle: (rows, columns) [rad] of the axes.
-        turned: 0 where surface and parcels are those of the last step, but for its motion.
+        angle: (rows, columns) [rad] angles of the axes.
+        turned: 0 if nothing but the parcels' motion has changed since the last step.
 
     Returns:
-        How many pairs of parcels pushed each other.
+        The number of pairs of parcels that pushed each other.
     """
     if turned != 0:
         invalidate_world(scratch)
@@ -60,7 +60,7 @@ def step_table(
 
 
 def table_arguments() -> tuple[Any, ...]:
-    """Make arguments of `step_table`: no parcel on a table of one module."""
+    """Make arguments of `step_table` without parcels on a table of one module."""
     surface = Surface(axis=np.zeros((1, 1)), rotor=np.ones((1, 1), dtype=bool))
     bodies = make_bodies([Parcel(Rectangle(0.25, 0.25))] * PARCELS)
     world = World(

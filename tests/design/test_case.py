@@ -9,7 +9,16 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import case
-from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, Unknown, draw
+from surface_gym.design.case import (
+    NOTHING,
+    Case,
+    SlowPurpose,
+    SortPurpose,
+    StopPurpose,
+    TurnPurpose,
+    Unknown,
+    draw,
+)
 from surface_gym.design.runs import REST_SPEED, DesignLine, line_for, make_runs, run_all
 
 BOX = layouts.box("S")
@@ -58,16 +67,18 @@ def test_draws_follow_their_laws_however_many_there_are():
 
 def test_layouts_are_the_study_s():
     sorting = layouts.sorting("S", side=1, task_columns=3)
-    found = Sort(side=1).layouts(LINE, 3)[0].axis
+    found = SortPurpose(side=1).layouts(LINE, 3)[0].axis
     np.testing.assert_array_equal(found[:, :3], sorting.axis[9:11, 3:6])
     np.testing.assert_array_equal(found[:, 3:], layouts.ROLLING)
     for k, angle in enumerate((0.0, math.pi / 4)):
         slowing = layouts.slowing("S", angle, 3)
-        found = Slow().layouts(LINE, 3)[k].axis
+        found = SlowPurpose().layouts(LINE, 3)[k].axis
         np.testing.assert_array_equal(found[:, :3], slowing.axis[9:11, 3:6])
 
 
-@pytest.mark.parametrize("purposes", [(Sort(), Sort(1)), (Turn(0.35), Turn(-0.35))])
+@pytest.mark.parametrize(
+    "purposes", [(SortPurpose(), SortPurpose(1)), (TurnPurpose(0.35), TurnPurpose(-0.35))]
+)
 def test_the_other_side_is_the_mirror_image(purposes):
     one, two = (
         run_all(
@@ -83,26 +94,26 @@ def test_the_other_side_is_the_mirror_image(purposes):
 
 
 def test_slow_down_to_a_share_or_to_just_that():
-    axes = np.stack([layout.axis for layout in Slow().layouts(LINE, 1)])
+    axes = np.stack([layout.axis for layout in SlowPurpose().layouts(LINE, 1)])
     ends = run_all(LINE, axes, [BOX], make_runs(1.5, layout=[0, 1], columns=1))
-    ratio = Slow().measure(ends)
+    ratio = SlowPurpose().measure(ends)
     np.testing.assert_allclose(ratio, ends.velocity[:, 0] / 1.5)
     for k in (0, 1):
         for off, tolerance, does in (
             (0.01, None, True), (-0.01, None, False), (0.02, 0.01, False), (0.02, 0.03, True),
         ):  # fmt: skip
-            assert Slow(ratio[k] + off, tolerance).succeeds(ends)[k] == does
+            assert SlowPurpose(ratio[k] + off, tolerance).succeeds(ends)[k] == does
 
 
 def test_a_parcel_that_stops_has_no_exit_speed_and_one_that_leaves_no_place():
     axes = np.stack([np.zeros((2, 8)), np.full((2, 8), layouts.ROLLING)])
     ends = run_all(LINE, axes, [BOX], make_runs(1.0, layout=[0, 1], columns=8))
-    assert np.isnan(Slow().measure(ends)).tolist() == [True, False]
-    assert np.isnan(Stop().measure(ends)).tolist() == [False, True]
-    assert Stop().succeeds(ends).tolist() == [True, False]
-    rest = Stop().measure(ends)[0]
-    assert Stop(rest + 0.02).succeeds(ends).tolist() == [True, False]
-    assert not Stop(rest + 0.02, tolerance=0.01).succeeds(ends).any()
+    assert np.isnan(SlowPurpose().measure(ends)).tolist() == [True, False]
+    assert np.isnan(StopPurpose().measure(ends)).tolist() == [False, True]
+    assert StopPurpose().succeeds(ends).tolist() == [True, False]
+    rest = StopPurpose().measure(ends)[0]
+    assert StopPurpose(rest + 0.02).succeeds(ends).tolist() == [True, False]
+    assert not StopPurpose(rest + 0.02, tolerance=0.01).succeeds(ends).any()
 
 
 def test_what_is_not_allowed_is_named():
@@ -122,13 +133,13 @@ def test_what_is_not_allowed_is_named():
         (lambda: Case(BOX, draws=0), "draws must be a whole number of at least 1, got 0"),
         (lambda: Case(BOX, step=1.0), "step must be between 1e-05 and 0.02, got 1.0"),
         (lambda: Unknown(size=0.1), r"size must be 0, got 0.1: a map goes over sizes"),
-        (lambda: Sort(0), "side must be one of -1, 1, got 0"),
-        (lambda: Slow(1.0), "ratio must be between 0 and 1, got 1.0"),
-        (lambda: Slow(tolerance=0.0), "tolerance must be greater than 0"),
-        (lambda: Stop(place=math.nan), "place must be a finite number"),
-        (lambda: Stop(tolerance=-1.0), "tolerance must be greater than 0"),
-        (lambda: Turn(0.0), "angle must not be 0"),
-        (lambda: Turn(tolerance=0.0), "tolerance must be greater than 0"),
+        (lambda: SortPurpose(0), "side must be one of -1, 1, got 0"),
+        (lambda: SlowPurpose(1.0), "ratio must be between 0 and 1, got 1.0"),
+        (lambda: SlowPurpose(tolerance=0.0), "tolerance must be greater than 0"),
+        (lambda: StopPurpose(place=math.nan), "place must be a finite number"),
+        (lambda: StopPurpose(tolerance=-1.0), "tolerance must be greater than 0"),
+        (lambda: TurnPurpose(0.0), "angle must not be 0"),
+        (lambda: TurnPurpose(tolerance=0.0), "tolerance must be greater than 0"),
     ):
         with pytest.raises(ValueError, match=message):
             make()

@@ -13,7 +13,7 @@ import tyro
 
 import surface_gym as sg
 from surface_gym.design import cli
-from surface_gym.design.case import Slow, Sort, Stop, Turn, Unknown
+from surface_gym.design.case import SlowPurpose, SortPurpose, StopPurpose, TurnPurpose, Unknown
 from surface_gym.design.cli import AskFriction
 from surface_gym.design.runs import STEP
 from surface_gym.design.search import Effort
@@ -26,14 +26,14 @@ def asked(*flags: str) -> AskFriction:
 
 def test_purposes():
     for flags, purpose in {
-        "": Sort(-1),
-        "--side left": Sort(1),
-        "--purpose slow": Slow(0.5),
-        "--purpose slow --ratio 0.7 --tolerance 0.1": Slow(0.7, 0.1),
-        "--purpose stop": Stop(),
-        "--purpose stop --place 0.4 --tolerance 0.1": Stop(0.4, 0.1),
-        "--purpose turn": Turn(),
-        "--purpose turn --angle-deg -20": Turn(math.radians(-20.0)),
+        "": SortPurpose(-1),
+        "--side left": SortPurpose(1),
+        "--purpose slow": SlowPurpose(0.5),
+        "--purpose slow --ratio 0.7 --tolerance 0.1": SlowPurpose(0.7, 0.1),
+        "--purpose stop": StopPurpose(),
+        "--purpose stop --place 0.4 --tolerance 0.1": StopPurpose(0.4, 0.1),
+        "--purpose turn": TurnPurpose(),
+        "--purpose turn --angle-deg -20": TurnPurpose(math.radians(-20.0)),
     }.items():
         assert asked("--parcel", "S", *flags.split()).case().purpose == purpose
 

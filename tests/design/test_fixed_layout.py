@@ -11,7 +11,16 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import sorting_layouts as shipped
-from surface_gym.design.case import NOTHING, Case, Purpose, Slow, Sort, Stop, Turn, Unknown
+from surface_gym.design.case import (
+    NOTHING,
+    Case,
+    Purpose,
+    SlowPurpose,
+    SortPurpose,
+    StopPurpose,
+    TurnPurpose,
+    Unknown,
+)
 from surface_gym.design.fixed_layout import best_layout, evaluate_layout, every_layout
 from surface_gym.design.runs import make_runs, run_all
 from surface_gym.design.search import Effort
@@ -36,7 +45,7 @@ def left_at(axis: np.ndarray, speed: float) -> float:
 def evaluate_study(speeds: np.ndarray, own: Case | None = None, workers: int = 1):
     """How the study's layout does over a zone of 16 columns."""
     line = case().line(16)
-    axis = Sort().layouts(line, 16)[0].axis
+    axis = SortPurpose().layouts(line, 16)[0].axis
     return evaluate_layout("study", axis, own or case(), line, speeds, workers=workers)
 
 
@@ -65,7 +74,11 @@ def test_every_layout_is_really_every_one_unless_there_is_no_time_to_try_them():
     columns = 3
     line = case().line(columns)
     axes = np.array(list(itertools.product(ORIENTATIONS, repeat=6))).reshape(-1, 2, columns)
-    for purpose in (Sort(), Turn(math.radians(40.0)), Turn(math.radians(80.0))):
+    for purpose in (
+        SortPurpose(),
+        TurnPurpose(math.radians(40.0)),
+        TurnPurpose(math.radians(80.0)),
+    ):
         asked = case(speed=0.9, purpose=purpose)
         runs = make_runs(0.9, layout=np.arange(len(axes)), columns=columns)
         ends = run_all(line, axes, [S], runs)
@@ -82,7 +95,11 @@ def test_every_layout_is_really_every_one_unless_there_is_no_time_to_try_them():
 
 @pytest.mark.parametrize(
     "purpose",
-    [Slow(0.5, tolerance=0.01), Stop(0.4, tolerance=0.01), Turn(math.radians(20.0), 0.03)],
+    [
+        SlowPurpose(0.5, tolerance=0.01),
+        StopPurpose(0.4, tolerance=0.01),
+        TurnPurpose(math.radians(20.0), 0.03),
+    ],
     ids=lambda purpose: purpose.name,
 )
 def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose):
@@ -97,7 +114,17 @@ def test_other_purposes_are_met_more_nearly_than_by_the_study_s_layouts(purpose)
 
 
 @pytest.mark.parametrize(
-    "purpose", [Sort(), Sort(1), Slow(), Slow(0.5, 0.1), Stop(), Stop(0.3), Turn()], ids=repr
+    "purpose",
+    [
+        SortPurpose(),
+        SortPurpose(1),
+        SlowPurpose(),
+        SlowPurpose(0.5, 0.1),
+        StopPurpose(),
+        StopPurpose(0.3),
+        TurnPurpose(),
+    ],
+    ids=repr,
 )
 def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose):
     line = case().line(8)
@@ -113,15 +140,15 @@ def test_a_shortfall_is_0_where_all_is_as_asked_and_more_where_it_fails(purpose)
     assert not done.all()
     assert (short[~done] > 0.0).all()
     assert short[done].max() < short[~done].max()
-    if isinstance(purpose, Sort):
+    if isinstance(purpose, SortPurpose):
         assert (short[done] == 0.0).all()
 
 
 def test_for_other_purposes_success_alone_counts():
     line = case().line(4)
-    axes = Sort().layouts(line, 4)[0].axis[None]
+    axes = SortPurpose().layouts(line, 4)[0].axis[None]
     ends = run_all(line, axes, [S], make_runs([0.3, 2.0], columns=4))
-    np.testing.assert_array_equal(Purpose.shortfall(Stop(), ends), [0.0, 1.0])
+    np.testing.assert_array_equal(Purpose.shortfall(StopPurpose(), ends), [0.0, 1.0])
 
 
 def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design import Case, Slow, Sort, Stop, Turn, Unknown
+from surface_gym.design import Case, SlowPurpose, SortPurpose, StopPurpose, TurnPurpose, Unknown
 from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER
 from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
 from surface_gym.design.limits import (
@@ -25,13 +25,13 @@ from surface_gym.physics.types import GRAVITY
 TARGETS = load_targets()
 FINE = 0.0005  # [s]
 OWN = sg.Parcel(sg.Rectangle(0.3, 0.4), mass=12.0)
-LARGE = Case(OWN, Sort(), speed=1.2, unknown=NOTHING)
+LARGE = Case(OWN, SortPurpose(), speed=1.2, unknown=NOTHING)
 
 
 @pytest.mark.parametrize("size", ["S", "B"])
 def test_table_3(size):
     """The S-box at 1.5 m/s takes 5 (the study 4); the B-box is sorted at 1.0 m/s (there not)."""
-    case = Case(layouts.box(size), Sort(), unknown=NOTHING, step=FINE)
+    case = Case(layouts.box(size), SortPurpose(), unknown=NOTHING, step=FINE)
     ours = [each.columns for each in columns_by_speed(case, TARGETS.sorting_speeds)]
     same = [one == other for one, other in zip(ours, TARGETS.sorting_columns[size], strict=True)]
     assert sum(same) == 19
@@ -39,7 +39,7 @@ def test_table_3(size):
 
 @pytest.mark.parametrize(("size", "agree"), [("S", 18), ("B", 17)])
 def test_table_4(size, agree):
-    case = Case(layouts.box(size), Slow(0.5), unknown=NOTHING, step=FINE)
+    case = Case(layouts.box(size), SlowPurpose(0.5), unknown=NOTHING, step=FINE)
     found = columns_by_speed(case, TARGETS.slowing_speeds, most=8)
     angle = {"0 deg": 0, "+-45 deg": 45}
     same = [
@@ -96,9 +96,9 @@ def test_rows_from_one_to_the_parcel_s_width():
 @pytest.mark.parametrize(
     ("purpose", "speed", "low", "high"),
     [
-        (Stop(), 1.5, 0.0, math.inf),
-        (Turn(tolerance=0.2), 1.5, 0.3, 0.8),
-        (Stop(place=0.2, tolerance=0.05), 1.2, 0.15, 0.25),
+        (StopPurpose(), 1.5, 0.0, math.inf),
+        (TurnPurpose(tolerance=0.2), 1.5, 0.3, 0.8),
+        (StopPurpose(place=0.2, tolerance=0.05), 1.2, 0.15, 0.25),
     ],
 )
 def test_other_purposes(purpose, speed, low, high):
@@ -107,7 +107,7 @@ def test_other_purposes(purpose, speed, low, high):
     assert low < found.measure < high
 
 
-CASE = Case(layouts.box("S"), Sort(), speed=1.2, unknown=NOTHING)
+CASE = Case(layouts.box("S"), SortPurpose(), speed=1.2, unknown=NOTHING)
 
 
 def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) -> bool:
@@ -151,7 +151,7 @@ def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
 
 def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
     """tan(tilt) = mu_max, less what a zone of 3 m takes off it."""
-    case = Case(layouts.box("S"), Stop(), speed=0.2, unknown=NOTHING)
+    case = Case(layouts.box("S"), StopPurpose(), speed=0.2, unknown=NOTHING)
     found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
     assert found.least == 0.0
     assert found.most < math.atan(0.5)
@@ -161,7 +161,7 @@ def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
 
 def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
     tilt = math.radians(15.0)
-    case = Case(layouts.box("S"), Stop(), speed=0.2, tilt=tilt, unknown=NOTHING)
+    case = Case(layouts.box("S"), StopPurpose(), speed=0.2, tilt=tilt, unknown=NOTHING)
     limits = friction_range(case, columns=30)
     found = limits.along.of(NOMINAL)
     assert found.least > math.tan(tilt) / 0.5
@@ -174,7 +174,7 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
 
 
 def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
-    case = Case(layouts.box("S"), Slow(0.7), speed=2.5, draws=40)
+    case = Case(layouts.box("S"), SlowPurpose(0.7), speed=2.5, draws=40)
     limits = least_speed(case, columns=4)
     known, together = limits.of(NOMINAL), limits.of(TOGETHER)
     assert [each.group for each in limits.spans] == [
@@ -188,12 +188,12 @@ def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
 
 def test_what_is_varied_is_left_out_of_what_is_unknown_and_progress_adds_up():
     unknown = Unknown(com_offset=0.0, lateral=0.01)
-    case = Case(layouts.box("S"), Sort(), speed=1.2, unknown=unknown, draws=5)
+    case = Case(layouts.box("S"), SortPurpose(), speed=1.2, unknown=unknown, draws=5)
     found = friction_range(case, columns=5)
     groups = [each.group for each in found.across.spans]
     assert groups == [NOMINAL, "unevenness", "entry", TOGETHER]
     calls = []
-    case = Case(layouts.box("S"), Sort(), speed=1.2, draws=8)
+    case = Case(layouts.box("S"), SortPurpose(), speed=1.2, draws=8)
     friction_range(case, columns=5, on_progress=lambda *done: calls.append(done))
     done, totals = zip(*calls, strict=True)
     assert list(done) == sorted(done)
@@ -201,11 +201,13 @@ def test_what_is_varied_is_left_out_of_what_is_unknown_and_progress_adds_up():
 
 
 def test_a_case_that_fails_has_no_limits_and_one_at_rest_and_level_is_not_tried():
-    case = Case(layouts.box("S"), Sort(), speed=0.3, unknown=NOTHING)
+    case = Case(layouts.box("S"), SortPurpose(), speed=0.3, unknown=NOTHING)
     found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
     assert (found.least, found.most) == (None, None)
     assert found.share.max() == 1.0  # though others succeed
-    case = Case(layouts.box("S"), Sort(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING)
+    case = Case(
+        layouts.box("S"), SortPurpose(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING
+    )
     assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
     assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
 
@@ -218,19 +220,19 @@ def test_a_span_ends_at_the_first_failure():
 
 
 def test_columns_are_those_that_the_draws_take_or_those_of_nothing_unknown():
-    case = Case(layouts.box("B"), Slow(0.7), speed=2.0, draws=40)
+    case = Case(layouts.box("B"), SlowPurpose(0.7), speed=2.0, draws=40)
     assert arrange(case).columns == least_columns(case).worst[-1].columns
     assert "95%" in arrange(case).chosen
     assert arrange(case, columns=2).chosen == "as asked"
     assert "nothing unknown" in arrange(replace(case, unknown=NOTHING)).chosen
-    arrangement = arrange(Case(layouts.box("S"), Slow(0.5), speed=1.0, draws=20))
+    arrangement = arrange(Case(layouts.box("S"), SlowPurpose(0.5), speed=1.0, draws=20))
     assert arrangement.columns == 1
     assert "none do" in arrangement.chosen
 
 
 def test_of_two_layouts_the_one_that_does_it_is_taken():
     """At 1.5 m/s one column at 0 deg slows the S-box too little, five at 45 deg stop it late."""
-    case = Case(layouts.box("S"), Stop(place=0.3, tolerance=0.1), speed=1.5, draws=20)
+    case = Case(layouts.box("S"), StopPurpose(place=0.3, tolerance=0.1), speed=1.5, draws=20)
     assert arrange(case, columns=5).layout.name == "+-45 deg"
 
 

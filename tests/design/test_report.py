@@ -9,23 +9,31 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import NOTHING, Case, Slow, Sort, Stop, Turn, describe_base
+from surface_gym.design.case import (
+    NOTHING,
+    Case,
+    SlowPurpose,
+    SortPurpose,
+    StopPurpose,
+    TurnPurpose,
+    describe_base,
+)
 from surface_gym.design.columns import ColumnsReport, columns_by_rows, columns_by_speed
 from surface_gym.design.fixed_layout import best_layout
 from surface_gym.design.limits import friction_range, least_speed, least_tilt
-from surface_gym.design.report import DPI, LINES, Answer, Table, format_cell, write_csv
+from surface_gym.design.report import DPI, LINES, Answer, ReportTable, format_cell, write_csv
 from surface_gym.design.search import Effort
 
 BOX = layouts.box("S")
-CASE = Case(BOX, Sort(), speed=1.2, draws=5)
-LOST = Case(BOX, Sort(), speed=0.3, draws=5)
+CASE = Case(BOX, SortPurpose(), speed=1.2, draws=5)
+LOST = Case(BOX, SortPurpose(), speed=0.3, draws=5)
 SPEEDS = (0.3, 1.2)
 EFFORT = Effort(members=5, generations=1, epochs=1, rounds=0)
 CASES = {
     "sort": (CASE, 4),
     "sort, nothing unknown": (replace(CASE, unknown=NOTHING), 4),
-    "sort, never": (Case(BOX, Sort(), speed=0.2, draws=5), 2),
-    "turn": (Case(BOX, Turn(), speed=1.5, draws=5), 6),
+    "sort, never": (Case(BOX, SortPurpose(), speed=0.2, draws=5), 2),
+    "turn": (Case(BOX, TurnPurpose(), speed=1.5, draws=5), 6),
 }
 
 
@@ -72,7 +80,9 @@ def test_cells_on_screen_and_in_a_file(tmp_path):
     }  # fmt: skip
     for text, same in cells.items():
         assert [format_cell(cell) for cell in same] == [text] * len(same)
-    table = Table("some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x")))
+    table = ReportTable(
+        "some", "Some", ("a", "b", "c"), ((0.1 + 0.2, None, math.nan), (1, True, "x"))
+    )
     with write_csv(table, tmp_path).open(newline="") as file:
         rows = list(csv.reader(file))
     assert rows == [["a", "b", "c"], ["0.30000000000000004", "", ""], ["1", "True", "x"]]
@@ -82,12 +92,12 @@ def test_cells_on_screen_and_in_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("purpose", "done", "how"),
     [
-        (Sort(), "sorted", ""),
-        (Slow(0.7), "slowed", " to 0.7 or less of its speed"),
-        (Slow(0.7, 0.1), "slowed", " to 0.7 +- 0.1 of its speed"),
-        (Stop(), "stopped", ""),
-        (Stop(0.3), "stopped", " within 0.05 m of 0.3 m into the zone"),
-        (Turn(), "turned", " by 30 +- 5 deg"),
+        (SortPurpose(), "sorted", ""),
+        (SlowPurpose(0.7), "slowed", " to 0.7 or less of its speed"),
+        (SlowPurpose(0.7, 0.1), "slowed", " to 0.7 +- 0.1 of its speed"),
+        (StopPurpose(), "stopped", ""),
+        (StopPurpose(0.3), "stopped", " within 0.05 m of 0.3 m into the zone"),
+        (TurnPurpose(), "turned", " by 30 +- 5 deg"),
     ],
 )
 def test_a_purpose_in_words(purpose, done, how):
@@ -117,7 +127,7 @@ def test_columns_by_group_by_rows_and_by_speed():
         "parcel that comes at 1.2 m/s"
     )
     assert columns_of(LOST, ()).sentence.startswith("No number of columns up to 30")
-    turn = Case(BOX, Turn(), speed=1.5, draws=20)
+    turn = Case(BOX, TurnPurpose(), speed=1.5, draws=20)
     assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
 
 
@@ -127,7 +137,7 @@ def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_fric
     assert table.rows[0] == ("nothing", found.spans[0].least, found.spans[0].most, 1.0)
     assert len(curve.rows) == sum(len(span.values) for span in found.spans)
     assert {row[0] for row in curve.rows} == {row[0] for row in table.rows}
-    found = least_tilt(Case(BOX, Sort(), 0.0, math.radians(10.0), NOTHING), columns=4)
+    found = least_tilt(Case(BOX, SortPurpose(), 0.0, math.radians(10.0), NOTHING), columns=4)
     table, curve = found.tables()
     assert table.header[1] == "least [deg]"
     assert table.rows[0][1] == pytest.approx(3.6)
@@ -146,9 +156,9 @@ def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_fric
     ("case", "columns", "highest", "text"),
     [
         (LOST, 4, 1.0, "nothing near 0.3"),
-        (Case(BOX, Stop(), speed=0.3, unknown=NOTHING), 8, 0.5, "m/s or more for"),
-        (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 20, 1.5, "anything tried"),
-        (Case(BOX, Sort(), 1.0, 0.25, NOTHING), 3, 3.0, "m/s or less for"),
+        (Case(BOX, StopPurpose(), speed=0.3, unknown=NOTHING), 8, 0.5, "m/s or more for"),
+        (Case(BOX, SortPurpose(), 1.0, 0.25, NOTHING), 20, 1.5, "anything tried"),
+        (Case(BOX, SortPurpose(), 1.0, 0.25, NOTHING), 3, 3.0, "m/s or less for"),
     ],
 )
 def test_spans_in_words(case, columns, highest, text):

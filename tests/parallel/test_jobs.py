@@ -26,8 +26,8 @@ from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
-from surface_gym.design import Case, Sort, least_speed
-from surface_gym.parallel import Cluster, WorkFailed, choose_workers, map_jobs
+from surface_gym.design import Case, SortPurpose, least_speed
+from surface_gym.parallel import Cluster, WorkError, choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
 from tests.agents.tuning.cheap import searched
 from tests.agents.tuning.test_study import SWEEP
@@ -101,7 +101,7 @@ def test_a_job_whose_process_dies_is_done_again_and_only_that(workers, tmp_path)
 def test_a_job_that_always_dies_ends_the_work(workers, monkeypatch):
     monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     last = "exit code -9" if workers == 2 else "WorkerCrashed"
-    with pytest.raises(WorkFailed, match=f"a job has cost 3 processes; the last: {last}"):
+    with pytest.raises(WorkError, match=f"a job has cost 3 processes; the last: {last}"):
         dict(map_jobs([jobs.always_dies, partial(jobs.draws, 0)], workers))
 
 
@@ -145,7 +145,7 @@ def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monk
     other = "version 0.0.1 (files c0de)"
     monkeypatch.setattr(ray_executor, "own_build", lambda: other)
     named = r"has surface_gym version .* \(files .*version 0\.0\.1 \(files c0de\)"
-    with pytest.raises(WorkFailed, match=named):
+    with pytest.raises(WorkError, match=named):
         dict(map_jobs([partial(jobs.draws, 0)], cluster))
 
 
@@ -200,7 +200,7 @@ def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path):
 
 
 def test_a_design_s_answer_is_the_same(cluster):
-    case = Case(Parcel(Rectangle(0.3, 0.3)), Sort(), speed=1.5, draws=20)
+    case = Case(Parcel(Rectangle(0.3, 0.3)), SortPurpose(), speed=1.5, draws=20)
     local, elsewhere = (least_speed(case, 6, workers=workers) for workers in (2, cluster))
     for here, there in zip(local.spans, elsewhere.spans, strict=True):
         np.testing.assert_array_equal(there.share, here.share)

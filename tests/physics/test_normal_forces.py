@@ -1,5 +1,6 @@
 """Eq. (1): the dual against OSQP, SciPy, known answers, and what a degenerate set must keep."""
 
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -109,8 +110,9 @@ def test_known_answers(solver: str, name: str) -> None:
 
 
 def distance_to_hull(arms: np.ndarray, load: np.ndarray) -> float:
-    """[m] from a point to the convex hull of the arms: 0 if they surround it, else to the nearest
-    of all the lines that join two of them.
+    """[m] from a point to the convex hull of the arms:
+
+    0 if they surround it, else to the nearest of all the lines that join two of them.
     """
     away = arms - load
     angles = np.sort(np.arctan2(away[:, 1], away[:, 0]))
@@ -144,3 +146,9 @@ def test_any_set_comes_as_near_to_the_load_as_it_can(
     assert normal.sum() == pytest.approx(WEIGHT, rel=1e-9)
     assert miss == pytest.approx(distance_to_hull(arms, load), abs=1e-3 * PITCH)
     assert miss < 1e-5 * PITCH or (degenerate and between is None)
+
+
+def test_without_osqp_an_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "osqp", None)
+    with pytest.raises(ImportError, match=r"pip install 'surface_gym\[validation\]'"):
+        SOLVERS["osqp"](np.array(SQUARE), WEIGHT, np.zeros(2), None)

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.registration import PERIODS
-from surface_gym.web.scene import Scene, TaskScene, Thrown, pack
+from surface_gym.web.scene import TableScene, TaskScene, ThrownParcel, pack
 from tests.web.conftest import NARROW, PAGE, WIDE, end_states, open_sort, run_script, wait_for
 
 
@@ -255,10 +255,10 @@ def test_a_scene_is_shared_by_its_address(table, play):
 def test_a_scene_of_python_opens_in_the_page(play):
     surface = sg.layouts.sorting()
     thrown = (
-        Thrown(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0)),
-        Thrown(sg.Parcel(sg.Disc(0.1), mass=2.0), (0.2, 1.0, 0.0), (1.5, 0.1, 0.0), step=150),
+        ThrownParcel(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0)),
+        ThrownParcel(sg.Parcel(sg.Disc(0.1), mass=2.0), (0.2, 1.0, 0.0), (1.5, 0.1, 0.0), step=150),
     )
-    made = Scene(surface, thrown, 3.0, changes=((60, sg.layouts.sorting(side=1, tilt=0.1)),))
+    made = TableScene(surface, thrown, 3.0, changes=((60, sg.layouts.sorting(side=1, tilt=0.1)),))
     page = play(address=made.url())
     found = end_states(page)
     for mine, run in zip(found, made.run().trajectories, strict=True):
@@ -277,15 +277,15 @@ def test_a_run_comes_out_as_csv_and_json_opens(table, tmp_path):
     assert rows[0].startswith("time [s],parcel,x [m]")
     assert len(rows[-1].split(",")) == 8
     file = tmp_path / "scene.json"
-    file.write_text(Scene(sg.layouts.sorting("B")).to_json())
+    file.write_text(TableScene(sg.layouts.sorting("B")).to_json())
     table.set_input_files("#open", str(file))
     wait_for(table, "playground.scene.rows === 20")
 
 
-GOOD = json.loads(Scene(sg.layouts.sorting()).to_json())
+GOOD = json.loads(TableScene(sg.layouts.sorting()).to_json())
 PARCEL = {"base": {"disc": 0.1}, "mass": 1, "pose": [1, 1, 0], "velocity": [0, 0, 0]}
 BAD = {
-    "cut short": (Scene(sg.layouts.sorting()).url()[16:-9], "cut short"),
+    "cut short": (TableScene(sg.layouts.sorting()).url()[16:-9], "cut short"),
     "no scene": ("nothing", "holds no scene"),
     "damaged": ("1.%%%", "damaged"),
     "no object": (pack("[1, 2]"), "must be an object"),

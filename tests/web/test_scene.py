@@ -9,16 +9,16 @@ import pytest
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
-from surface_gym.web.scene import MARK, Scene, TaskScene, Thrown, pack, unpack
+from surface_gym.web.scene import MARK, TableScene, TaskScene, ThrownParcel, pack, unpack
 from surface_gym.web.starts import collect_starts
 
-BOX = Thrown(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
-OTHER = Thrown(
+BOX = ThrownParcel(sg.layouts.box("S"), (0.125, 1.0, 0.0), (1.5, 0.0, 0.0))
+OTHER = ThrownParcel(
     sg.Parcel(sg.Polygon([[0, 0], [0.3, 0], [0.1, 0.2]]), 2.0, 0.05, com_offset=(0.01, 0.0)),
     (0.5, 1.0, 0.5),
     (0.5, 0.1, 1.0),
 )
-SCENE = Scene(sg.layouts.sorting(), (BOX,), duration=1.0)
+SCENE = TableScene(sg.layouts.sorting(), (BOX,), duration=1.0)
 
 
 def test_a_run_of_one_parcel_is_that_of_simulate():
@@ -62,14 +62,16 @@ def test_a_surface_changes_on_the_way():
     "scene",
     [
         SCENE,
-        replace(SCENE, parcels=(replace(OTHER, step=3), Thrown(sg.Parcel(sg.Disc(0.1)), BOX.pose))),
+        replace(
+            SCENE, parcels=(replace(OTHER, step=3), ThrownParcel(sg.Parcel(sg.Disc(0.1)), BOX.pose))
+        ),
         replace(SCENE, changes=((5, sg.layouts.sorting(side=1, tilt=0.1)),)),
-        Scene(replace(sg.layouts.sorting(), mu_max=0.6, tilt=0.1, tilt_direction=1.0)),
+        TableScene(replace(sg.layouts.sorting(), mu_max=0.6, tilt=0.1, tilt_direction=1.0)),
     ],
     ids=["one", "shapes", "changes", "no parcel"],
 )
 def test_what_is_written_is_read(scene):
-    read = Scene.from_url(scene.url("page.html"))
+    read = TableScene.from_url(scene.url("page.html"))
     assert read.to_json() == scene.to_json()
     if scene.parcels:
         ends = [[each.pose[-1].tolist() for each in s.run().trajectories] for s in (scene, read)]
@@ -91,11 +93,11 @@ def test_a_task_s_scene_has_an_address():
         (replace(SCENE, parcels=(BOX,) * 25), "at most 24 in a page, got 25"),
         (replace(SCENE, duration=100.0), "duration must be"),
         (
-            Scene(sg.Surface(np.zeros((100, 100)), np.ones((100, 100), bool))),
+            TableScene(sg.Surface(np.zeros((100, 100)), np.ones((100, 100), bool))),
             "at most 6000 modules in a page, got 10000",
         ),
         (
-            Scene(replace(sg.layouts.sorting(), stiffness=np.ones((20, 40)))),
+            TableScene(replace(sg.layouts.sorting(), stiffness=np.ones((20, 40)))),
             "one friction and one stiffness",
         ),
         (
@@ -116,7 +118,7 @@ def test_what_a_page_cannot_show_is_refused(scene, said):
 
 def test_a_scene_without_parcels_does_not_run():
     with pytest.raises(ValueError, match="parcels must be at least one"):
-        Scene(SCENE.surface).run()
+        TableScene(SCENE.surface).run()
 
 
 FIELDS = json.loads(SCENE.to_json())
@@ -138,7 +140,7 @@ FIELDS = json.loads(SCENE.to_json())
 )
 def test_a_bad_scene_is_refused(text, said):
     with pytest.raises(ValueError, match=said):
-        Scene.from_json(text)
+        TableScene.from_json(text)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +148,7 @@ def test_a_bad_scene_is_refused(text, said):
 )
 def test_a_bad_address_is_refused(fragment):
     with pytest.raises(ValueError, match="url must hold a"):
-        Scene.from_url(f"playground.html#{fragment}")
+        TableScene.from_url(f"playground.html#{fragment}")
 
 
 def test_an_address_that_unpacks_to_too_much_is_refused():

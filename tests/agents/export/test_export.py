@@ -95,7 +95,7 @@ def test_an_angle_is_that_of_its_sine_and_cosine() -> None:
     exact = [[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]]
     sine, cosine = np.concatenate([SEEN, exact]).astype(np.float32).astype(np.float64).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        angle = graphs._angle(graphs.Watched(sine, []), graphs.Watched(cosine, [])).value
+        angle = graphs._angle(graphs.DoubtArray(sine, []), graphs.DoubtArray(cosine, [])).value
     np.testing.assert_allclose(angle, np.arctan2(sine, cosine), atol=1e-15)
 
 
@@ -103,7 +103,7 @@ def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
     """Though its arc tangent is of single precision."""
     onnx, runtime = needed("onnx", "onnxruntime")
     graph, kinds, helper = graphs.Graph(), onnx.TensorProto, onnx.helper
-    traced: graphs.Traced = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
+    traced: graphs.GraphArray = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
     given = helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])
     result = helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])
     whole = helper.make_graph(graph._nodes, "angle", [given], [result], graph._constants)
@@ -118,11 +118,13 @@ def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
 def test_doubt_is_where_a_comparison_or_a_jump_hangs_on_round_off() -> None:
     doubts: list[np.ndarray] = []
     first, second = np.array([0.1, 0.1, 0.2]), np.array([0.1, 0.2, 0.1])
-    _ = graphs.Watched(first, doubts) <= graphs.Watched(second, doubts)
+    _ = graphs.DoubtArray(first, doubts) <= graphs.DoubtArray(second, doubts)
     assert doubts.pop().tolist() == [True, False, False]
-    _ = graphs.Watched(first, doubts, exact=True) <= graphs.Watched(second, doubts, exact=True)
+    _ = graphs.DoubtArray(first, doubts, exact=True) <= graphs.DoubtArray(
+        second, doubts, exact=True
+    )
     assert not doubts  # as they are given, they have no round-off
-    numbers = graphs.Watched(np.array([1.0, 0.5, 0.3]), doubts)
+    numbers = graphs.DoubtArray(np.array([1.0, 0.5, 0.3]), doubts)
     np.floor(2.0 * numbers)
     assert doubts.pop().tolist() == [True, True, False]
     np.rint(numbers)

@@ -11,21 +11,21 @@ from rich.console import Console
 
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.study import TrialResult
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
 from surface_gym.parallel import Report, Workers
 
 QUIET = Console(quiet=True)
-SMALL = Sweep(
+SMALL = SearchConfig(
     task="slow", trials=14, steps=40_000, evaluations=3, seed=2, startup_trials=4,
     space={
-        "learning_rate": Span(1e-4, 1e-2, log=True), "n_epochs": Span(1, 9),
+        "learning_rate": NumberRange(1e-4, 1e-2, log=True), "n_epochs": NumberRange(1, 9),
         "hidden": Choices([[8], [8, 8]]),
     },
 )  # fmt: skip
 
 
 def cheap_trial(
-    sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report,
+    sweep: SearchConfig, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report,
     seconds: float = 0.0,
 ) -> TrialResult:  # fmt: skip
     """The nearer to 1e-2 the learning rate is, the better; the rest matters little."""
@@ -39,7 +39,7 @@ def cheap_trial(
 
 
 def searched(
-    sweep: Sweep, folder: Path, run: Any = cheap_trial, workers: Workers = 1
+    sweep: SearchConfig, folder: Path, run: Any = cheap_trial, workers: Workers = 1
 ) -> list[FrozenTrial]:
     """All trials of a search that is carried out in a folder, the interrupted ones included."""
     with study.open_study(sweep, folder) as kept:

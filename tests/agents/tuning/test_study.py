@@ -28,7 +28,7 @@ from surface_gym.agents.library import read
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.cli import open_folder, search
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep
+from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
 from surface_gym.parallel import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
@@ -43,7 +43,7 @@ def trial(values: dict[int, float], state: TrialState = TrialState.COMPLETE) -> 
     return create_trial(state=state, value=value, intermediate_values=values)
 
 
-def finished(folder: Path, sweep: Sweep = SMALL) -> tuple[FrozenTrial, ...]:
+def finished(folder: Path, sweep: SearchConfig = SMALL) -> tuple[FrozenTrial, ...]:
     """The trials that a folder holds."""
     with study.open_study(sweep, folder) as kept:
         return tuple(study.finished_trials(kept))
@@ -88,7 +88,7 @@ class TestTrials:
 
 
 def refused_or_failed(
-    sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
+    sweep: SearchConfig, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
 ) -> study.TrialResult:
     """Two trials of three end otherwise."""
     if params["n_epochs"] % 3 == 0:
@@ -178,16 +178,20 @@ def look(file: Path) -> list[tuple[int, float | None]]:
 
 
 def stopping(
-    at: int, sweep: Sweep, params: dict[str, Any], past: tuple[FrozenTrial, ...], report: Report
+    at: int,
+    sweep: SearchConfig,
+    params: dict[str, Any],
+    past: tuple[FrozenTrial, ...],
+    report: Report,
 ) -> study.TrialResult:
     if len(past) == at:
         raise KeyboardInterrupt
     return cheap_trial(sweep, params, past, report)
 
 
-SWEEP = Sweep(
+SWEEP = SearchConfig(
     task="slow", steps=30_000, evaluations=2, startup_trials=1, metric="return",
-    space={"learning_rate": Span(1e-4, 1e-2), "n_steps": Choices([24, 32, 64])},
+    space={"learning_rate": NumberRange(1e-4, 1e-2), "n_steps": Choices([24, 32, 64])},
     fixed={"hidden": [8], "n_epochs": 1},
 )  # fmt: skip
 PARAMS = {"learning_rate": 1e-3, "n_steps": 32}
@@ -201,7 +205,7 @@ class TestTrial:
         monkeypatch.setattr(study, "STARTS", 32)
 
     def run(
-        self, sweep: Sweep = SWEEP, past: Any = (), params: Any = PARAMS, **changed: Any
+        self, sweep: SearchConfig = SWEEP, past: Any = (), params: Any = PARAMS, **changed: Any
     ) -> tuple[study.TrialResult, Any]:
         reported: list[tuple[int, float]] = []
         return study.run_trial(sweep, {**params, **changed}, past, reported.append), reported
@@ -251,7 +255,9 @@ class TestTrial:
     )
     def test_other_algorithms(self, algo, task, fixed) -> None:
         space = {"gamma": Choices([0.9, 0.99])}
-        sweep = Sweep(algo=algo, task=task, steps=20_000, evaluations=1, space=space, fixed=fixed)
+        sweep = SearchConfig(
+            algo=algo, task=task, steps=20_000, evaluations=1, space=space, fixed=fixed
+        )
         result, reported = self.run(sweep, params={"gamma": 0.9})
         assert result.state == study.COMPLETE
         assert result.value is not None
@@ -412,8 +418,12 @@ class TestReport:
 
 
 def test_what_counts_has_the_largest_share(tmp_path) -> None:
-    space = {**SMALL.space, "learning_rate": Span(1e-4, 1e-2), "gae_lambda": Span(0.0, 1.0)}
-    sweep = Sweep(trials=30, pruner="none", sampler="random", space=space)
+    space = {
+        **SMALL.space,
+        "learning_rate": NumberRange(1e-4, 1e-2),
+        "gae_lambda": NumberRange(0.0, 1.0),
+    }
+    sweep = SearchConfig(trials=30, pruner="none", sampler="random", space=space)
     trials = searched(sweep, tmp_path)
     shares = study.importance(sweep, in_memory(*trials))
     assert next(iter(shares)) == "learning_rate"

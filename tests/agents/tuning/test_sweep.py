@@ -8,32 +8,43 @@ import yaml
 
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.config import defaults
-from surface_gym.agents.tuning.sweep import Choices, Span, Sweep, differences, read_sweep
+from surface_gym.agents.tuning.sweep import (
+    Choices,
+    NumberRange,
+    SearchConfig,
+    differences,
+    read_sweep,
+)
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "sweep.yml"
-RATE = {"learning_rate": Span(1e-4, 1e-3)}
+RATE = {"learning_rate": NumberRange(1e-4, 1e-3)}
 
 
 def test_the_example_is_the_defaults_with_a_space() -> None:
     sweep = read_sweep(EXAMPLE)
-    assert sweep == Sweep(space=sweep.space)
+    assert sweep == SearchConfig(space=sweep.space)
     assert sweep.space == {
-        "learning_rate": Span(1e-4, 3e-3, log=True), "gamma": Choices([0.97, 0.98, 0.99, 0.995]),
-        "n_steps": Choices([32, 64, 128]), "ent_coef": Span(1e-4, 0.03, log=True),
-        "n_epochs": Span(3, 10), "hidden": Choices([[64, 64], [128, 128]]),
-    }  # fmt: skip
+        "learning_rate": NumberRange(1e-4, 3e-3, log=True),
+        "gamma": Choices([0.97, 0.98, 0.99, 0.995]),
+        "n_steps": Choices([32, 64, 128]),
+        "ent_coef": NumberRange(1e-4, 0.03, log=True),
+        "n_epochs": NumberRange(3, 10),
+        "hidden": Choices([[64, 64], [128, 128]]),
+    }
     assert f"```yaml\n{EXAMPLE.read_text()}```" in (ROOT / "docs" / "search.md").read_text()
 
 
 def test_the_configuration_of_drawn_values() -> None:
     """A batch that fits no default may fit what is drawn."""
-    sweep = Sweep(task="track", seed=3, fixed={"gamma": 0.9}, space={"hidden": Choices([[8], [9]])})
+    sweep = SearchConfig(
+        task="track", seed=3, fixed={"gamma": 0.9}, space={"hidden": Choices([[8], [9]])}
+    )
     usual = defaults("track", "ppo")
     assert isinstance(usual, PPOConfig)
     expected = replace(usual, steps=200_000, seed=3, gamma=0.9, hidden=(8,))
     assert sweep.config({"hidden": [8]}) == expected
-    sweep = Sweep(fixed={"batch_size": 768}, space={"n_steps": Choices([48, 64])})
+    sweep = SearchConfig(fixed={"batch_size": 768}, space={"n_steps": Choices([48, 64])})
     assert sweep.config({"n_steps": 48})
     with pytest.raises(ValueError, match="batch_size must be a factor"):
         sweep.config({"n_steps": 64})
@@ -43,46 +54,59 @@ def test_the_configuration_of_drawn_values() -> None:
     ("change", "named"),
     [
         ({"algo": "schedule"}, "algo must be one of 'ppo', 'dqn', 'modules'"),
-        ({"metric": "time"}, "metric"), ({"sampler": "grid"}, "sampler"),
-        ({"pruner": "hyperband"}, "pruner"), ({"trials": 0}, "trials"),
-        ({"evaluations": 0}, "evaluations"), ({"seeds": 0}, "seeds"), ({"seed": -1}, "seed"),
+        ({"metric": "time"}, "metric"),
+        ({"sampler": "grid"}, "sampler"),
+        ({"pruner": "hyperband"}, "pruner"),
+        ({"trials": 0}, "trials"),
+        ({"evaluations": 0}, "evaluations"),
+        ({"seeds": 0}, "seeds"),
+        ({"seed": -1}, "seed"),
         ({"startup_trials": -1}, "startup_trials"),
         ({"steps": 59_999}, "steps, with 5 evaluations, must be a whole number of at least 60000"),
         ({"space": {}}, "space must name"),
-        ({"space": {"momentum": Span(0.0, 1.0)}}, "a name in space must be one of 'actions'"),
-        ({"space": {"steps": Span(1, 2)}}, "a name in space"),
+        (
+            {"space": {"momentum": NumberRange(0.0, 1.0)}},
+            "a name in space must be one of 'actions'",
+        ),
+        ({"space": {"steps": NumberRange(1, 2)}}, "a name in space"),
         ({"fixed": {"buffer_size": 5}}, "a name in fixed"),
         ({"fixed": {"learning_rate": 1e-3}}, "fixed must name nothing that space does"),
         ({"fixed": {"gamma": 1.5}}, "fixed: gamma must be between 0 and 1"),
         ({"fixed": {"batch_size": 1000}}, "fixed: batch_size must be a factor"),
         ({"fixed": {"hidden": 64}}, "fixed: 'int' object is not iterable"),
-        ({"space": {"gamma": Span(0.9, 1.1)}}, "space: gamma must be between 0 and 1, got 1.1"),
-        ({"space": {"n_epochs": Span(1.0, 3.0)}}, "space: n_epochs must be a whole number"),
+        (
+            {"space": {"gamma": NumberRange(0.9, 1.1)}},
+            "space: gamma must be between 0 and 1, got 1.1",
+        ),
+        ({"space": {"n_epochs": NumberRange(1.0, 3.0)}}, "space: n_epochs must be a whole number"),
         ({"space": {"batch_size": Choices([64, 0])}}, "space: batch_size must be a whole number"),
         ({"task": "slow", "algo": "modules"}, "task must be one of 'sort' for modules"),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_what_is_not_allowed_is_named(change, named) -> None:
     with pytest.raises(ValueError, match=named):
-        Sweep(**{"space": RATE, **change})
+        SearchConfig(**{"space": RATE, **change})
 
 
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        (3, "low, high, log"), ({"low": 1}, "low, high, log"),
+        (3, "low, high, log"),
+        ({"low": 1}, "low, high, log"),
         ({"low": 1, "high": 2, "step": 1}, "low, high, log"),
         ({"low": 2, "high": 1}, "low must be less than high, 1, got 2"),
         ({"low": 1, "high": 1}, "low must be less than high"),
         ({"low": "1e-4", "high": 1}, "low must be a finite number, got '1e-4'"),
         ({"low": 0, "high": 1, "log": True}, "low where log is true must be greater than 0"),
         ({"low": 1, "high": 2, "log": "yes"}, "log must be one of"),
-        ({"choices": [1]}, "two or more"), ({"choices": 5}, "two or more"),
-        ({"choices": [1, 1]}, "choices must differ"), ({"choices": [1, {2}]}, "plain values"),
+        ({"choices": [1]}, "two or more"),
+        ({"choices": 5}, "two or more"),
+        ({"choices": [1, 1]}, "choices must differ"),
+        ({"choices": [1, {2}]}, "plain values"),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_ranges_that_are_none(values, named, tmp_path) -> None:
     file = tmp_path / "sweep.yml"
     file.write_text(yaml.safe_dump({"space": {"gamma": values}}))
@@ -122,6 +146,6 @@ def test_a_custom_task_is_named_twice(tmp_path) -> None:
 
 
 def test_differences_are_named() -> None:
-    assert differences(Sweep(space=RATE), Sweep(space=RATE)) == []
-    (found,) = differences(Sweep(space=RATE), Sweep(space=RATE, trials=30))
+    assert differences(SearchConfig(space=RATE), SearchConfig(space=RATE)) == []
+    (found,) = differences(SearchConfig(space=RATE), SearchConfig(space=RATE, trials=30))
     assert found == "trials is 20 there, 30 here"
