@@ -5,16 +5,19 @@ hosts that resolve to this machine get no answer. It serves files of a few folde
 """
 
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import BoundedSemaphore
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")  # names of this machine in a browser
+CONNECTIONS = 64  # at a time: a browser opens six
 FIRST_PAGE = "playground.html"
 KINDS = {
     ".css": "text/css; charset=utf-8",
@@ -26,6 +29,7 @@ KINDS = {
 PLAIN = "application/octet-stream"
 ALWAYS = {
     "Cache-Control": "no-cache",
+    "Content-Security-Policy": "frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
@@ -53,6 +57,7 @@ class Server(ThreadingHTTPServer):
     ) -> None:
         self._folders = [each.resolve() for each in folders]
         self._prepare = prepare
+        self._free = BoundedSemaphore(CONNECTIONS)
         if not 0 <= port < 2**16:
             raise ValueError(f"port must be from 0 to 65535, got {port}")
         try:
@@ -71,6 +76,20 @@ class Server(ThreadingHTTPServer):
     def address(self) -> str:
         """Address of the first page's folder, with a slash at its end."""
         return f"http://{HOST}:{self.server_port}/"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread of its own, or close it where there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a connection until it is closed."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print an error, except closed connections of browsers."""
@@ -141,8 +160,5 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _is_here(host: str) -> bool:
-    """Return whether a request's Host names this machine."""
-    try:
-        return urlsplit(f"//{host}").hostname in NAMES
-    except ValueError:
-        return False
+    """Return whether a request's Host is one of `NAMES`, with a port or without."""
+    return re.fullmatch(rf"({'|'.join(map(re.escape, NAMES))})(:[0-9]+)?", host.lower()) is not None

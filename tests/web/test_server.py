@@ -1,9 +1,11 @@
 """The server of pages: who is answered, with what, and what stays hidden."""
 
+import contextlib
 import http.client
 import socket
 import sys
 import threading
+import time
 
 import pytest
 
@@ -97,7 +99,18 @@ def test_this_machine_is_answered(server, host):
 
 
 @pytest.mark.parametrize(
-    "host", ["", "evil.example", "evil.example:8642", "127.0.0.1.evil.example", "[", "0.0.0.0"]
+    "host",
+    [
+        "",
+        "evil.example",
+        "evil.example:8642",
+        "127.0.0.1.evil.example",
+        "[",
+        "0.0.0.0",
+        "evil@127.0.0.1",
+        "127.0.0.1#evil",
+        "127.0.0.1:80x",
+    ],
 )
 def test_a_host_that_was_made_to_mean_this_machine_gets_nothing(server, host):
     answer, content = ask(server, "/sort.json", host=host)
@@ -122,3 +135,24 @@ def test_a_browser_that_leaves_is_no_error(server, capfd):
         left.sendall(b"GET /playground.js HTTP/1.1\r\nHost: localhost\r\n")
     assert ask(server, "/sort.json")[0].status == 200
     assert capfd.readouterr().err == ""
+
+
+def test_slow_connections_hold_no_more_threads_than_may_be(tmp_path, monkeypatch):
+    monkeypatch.setattr("surface_gym.web.server.CONNECTIONS", 2)
+    (tmp_path / "sort.json").write_text("{}")
+    with Server([tmp_path]) as made:
+        threading.Thread(target=made.serve_forever, daemon=True).start()
+        address = ("127.0.0.1", made.server_port)
+        slow = [socket.create_connection(address) for _ in range(2)]
+        with socket.create_connection(address, timeout=20) as refused:
+            assert refused.recv(1) == b""
+        for each in slow:
+            each.close()
+        for _ in range(100):
+            with contextlib.suppress(ConnectionError, http.client.HTTPException):
+                if ask(made, "/sort.json")[0].status == 200:
+                    break
+            time.sleep(0.1)
+        else:
+            raise AssertionError("the server still refuses")
+        made.shutdown()
