@@ -127,8 +127,11 @@ NIGHTLY = (
         for task in ("Slow", "Stop", "Track")
     ),
     # Kernels of their own, where others are tried of the same kind of action or sensor.
-    "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
-    "[SmartSurface/Track-v0-modules",
+    *(
+        "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
+        f"[SmartSurface/{case}"
+        for case in ("Track-v0-modules", "Slow-v0-window", "Stop-v0-halves")
+    ),
     "tests/agents/rules/test_slopes.py::TestTimeSlots::test_it_holds_off_what_it_was_tuned_on"
     "[arguments4",
     *(
