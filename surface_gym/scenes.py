@@ -118,7 +118,7 @@ class _ParcelHistory:
 
 
 @dataclass(frozen=True, eq=False)
-class _Departed:
+class _Departure:
     """A parcel that has left, as it did."""
 
     parcel: SceneParcel
@@ -146,7 +146,7 @@ class _StreamHistory:
         self._inlets = inlet_marks(batch.config)
         self._labels = _labels(batch.config.exits.names)
         self._trails: dict[int, list[Array]] = {}  # by number of arrival, (2,) [m], oldest first
-        self._departed: list[_Departed] = []
+        self._departed: list[_Departure] = []
 
     @property
     def clock(self) -> float:
@@ -170,7 +170,7 @@ class _StreamHistory:
                 wrong = self._takes_away and not streams.correct[i, number]
                 gone = replace(self._parcel(slot), sensed_pose=None, wrong=bool(wrong))
                 departed = float(streams.departed[i, number])
-                self._departed.append(_Departed(gone, truth[VX:].copy(), departed))
+                self._departed.append(_Departure(gone, truth[VX:].copy(), departed))
 
     def scene(self, title: str | None = None) -> Scene:
         batch, i, streams = self._batch, self._index, self._batch.streams

@@ -353,7 +353,7 @@ def make_move(update: Function, label: str) -> Any:
         looking: Array,
     ) -> None:
         physics = Physics(params.assumed, params.stiffness, scratch, length)
-        acting = actions.Acting(
+        acting = actions.ActionParams(
             params.acting.zone_rows, params.acting.orientations, axis_speed * length
         )
         invalidate_contacts(scratch)

@@ -32,7 +32,7 @@ JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
 CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
-class Acting(NamedTuple):
+class ActionParams(NamedTuple):
     """Parameters by which commands turn axes."""
 
     zone_rows: int  # rows of the widest zone, for which there are commands
@@ -69,7 +69,9 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
 
 
 @inlined
-def part_of_modules(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
+def part_of_modules(
+    acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
+) -> int:
     """Give each module a part of its own. A narrow zone is the middle rows of the widest."""
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
@@ -77,14 +79,16 @@ def part_of_modules(acting: Acting, state: EnvState, corner: Corner, row: int, c
 
 
 @inlined
-def part_of_halves(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
+def part_of_halves(
+    acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
+) -> int:
     """Give a part to the modules ahead of the parcel's centre, and one to those behind it."""
     return 1 if state.elements.x0 + state.elements.pitch_x * column < state.sensed[X] else 0
 
 
 @inlined
 def part_of_quadrants(
-    acting: Acting, state: EnvState, corner: Corner, row: int, column: int
+    acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
     """Give parts to the modules ahead left, ahead right, behind left and behind right."""
     behind = state.elements.x0 + state.elements.pitch_x * column < state.sensed[X]
@@ -93,7 +97,9 @@ def part_of_quadrants(
 
 
 @inlined
-def part_of_window(acting: Acting, state: EnvState, corner: Corner, row: int, column: int) -> int:
+def part_of_window(
+    acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
+) -> int:
     """Give each module of the window a part of its own."""
     down = row - corner.row
     along = column - corner.column
@@ -106,7 +112,7 @@ def part_of_window(acting: Acting, state: EnvState, corner: Corner, row: int, co
 
 @inlined
 def set_choice(
-    acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
+    acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
     """Set an axis to the orientation that the part counts, at once."""
     surfaces.axis[i, row, column] = surfaces.command[i, part]
@@ -114,7 +120,7 @@ def set_choice(
 
 @inlined
 def set_angle(
-    acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
+    acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
     """Set an axis to the angle of the part, at once."""
     angle = surfaces.command[i, part]
@@ -126,7 +132,7 @@ def set_angle(
 
 @inlined
 def aim_at_choice(
-    acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
+    acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
     """Set the orientation that the part counts as the target of an axis that turns in time."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
@@ -134,20 +140,20 @@ def aim_at_choice(
 
 @inlined
 def aim_at_angle(
-    acting: Acting, surfaces: SurfaceState, i: int, row: int, column: int, part: int
+    acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
     """Set the angle of the part as the target of an axis that turns in time."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
-def leave_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
+def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Leave axes as they are: they have turned already."""
     return False
 
 
 @inlined
-def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
+def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Turn each axis of the zone towards its target for a physics step; return whether any did."""
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
@@ -174,7 +180,7 @@ def turn_axes(acting: Acting, surfaces: SurfaceState, i: int, zone: Integers) ->
 
 
 @inlined
-def straighten_choices(acting: Acting, surfaces: SurfaceState, i: int) -> None:
+def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
     """Set all axes to the direction that follows those on offer."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
@@ -183,7 +189,7 @@ def straighten_choices(acting: Acting, surfaces: SurfaceState, i: int) -> None:
 
 
 @inlined
-def straighten_angles(acting: Acting, surfaces: SurfaceState, i: int) -> None:
+def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
     """Set each axis, which has its own direction, to 90 deg."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
@@ -191,7 +197,7 @@ def straighten_angles(acting: Acting, surfaces: SurfaceState, i: int) -> None:
 
 
 @inlined
-def straighten_targets(acting: Acting, surfaces: SurfaceState, i: int) -> None:
+def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
     """Set each axis and its target to 90 deg."""
     straighten_angles(acting, surfaces, i)
     for row in range(surfaces.angle.shape[1]):
@@ -204,12 +210,25 @@ AXIS_SIZE = 2  # numbers that show an axis: cosine and sine of twice its angle, 
 
 
 @inlined
-def show_nothing(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
+def show_nothing(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
     """Add nothing to the task's features."""
 
 
 @inlined
-def show_occupancy(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
+def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float) -> bool:
+    """Return whether a point (dx, dy) [m] from the sensed centroid is under the base, which is
+    turned by an angle of this cosine and sine.
+    """
+    x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
+    edges, radius = state.edges, state.body[RADIUS]
+    under = dx * dx + dy * dy <= radius * radius
+    for k in range(edges.shape[0]):
+        under = under and edges[k, 0] * x + edges[k, 1] * y <= edges[k, 2]
+    return under
+
+
+@inlined
+def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
     """Write the window's occupancy into the observation from `first` on: 1 for each module that
     obeys and is sensed to lie under the parcel, rows reversed if `mirror` is negative.
     """
@@ -218,7 +237,6 @@ def show_occupancy(acting: Acting, state: EnvState, first: int, mirror: float) -
     sensed = state.sensed
     cosine = math.cos(sensed[THETA])
     sine = math.sin(sensed[THETA])
-    edges = state.edges
     for down in range(WINDOW_SIDE):
         for along in range(WINDOW_SIDE):
             row = corner.row + down
@@ -227,12 +245,7 @@ def show_occupancy(acting: Acting, state: EnvState, first: int, mirror: float) -
             if 0 <= row < rows and 0 <= column < columns and state.obeys[row, column]:
                 dx = state.elements.x0 + state.elements.pitch_x * column - sensed[X]
                 dy = state.elements.y0 + state.elements.pitch_y * row - sensed[Y]
-                x = cosine * dx + sine * dy
-                y = cosine * dy - sine * dx
-                under = dx * dx + dy * dy <= state.body[RADIUS] ** 2
-                for k in range(edges.shape[0]):
-                    under = under and edges[k, 0] * x + edges[k, 1] * y <= edges[k, 2]
-                seen = 1.0 if under else 0.0
+                seen = 1.0 if _is_under(state, cosine, sine, dx, dy) else 0.0
             shown = down if mirror > 0.0 else WINDOW_SIDE - 1 - down
             state.observation[first + shown * WINDOW_SIDE + along] = seen
 
@@ -252,7 +265,7 @@ def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float
 
 
 @inlined
-def show_window_axes(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
+def show_window_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
     """Write the axes of the window's modules into the observation from `first` on."""
     corner = window_corner(state, mirror)
     for down in range(WINDOW_SIDE):
@@ -263,7 +276,7 @@ def show_window_axes(acting: Acting, state: EnvState, first: int, mirror: float)
 
 
 @inlined
-def show_zone_axes(acting: Acting, state: EnvState, first: int, mirror: float) -> None:
+def show_zone_axes(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
     """Write the axes of the zone's modules into the observation from `first` on."""
     columns = state.zone[st.COLUMNS]
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
@@ -297,7 +310,7 @@ ROTOR_FEATURES = tuple(
 
 
 @inlined
-def show_parcel(acting: Acting, state: EnvState, see: Singles, mirror: float) -> None:
+def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
     """Write `PARCEL_FEATURES`."""
     front, rear = st.reach_along(state, 0.0, 1.0, 0.0), st.reach_along(state, 0.0, -1.0, 0.0)
     left, right = st.reach_along(state, 0.0, 0.0, 1.0), st.reach_along(state, 0.0, 0.0, -1.0)
@@ -315,12 +328,12 @@ def show_parcel(acting: Acting, state: EnvState, see: Singles, mirror: float) ->
 
 
 @inlined
-def show_rotors(acting: Acting, state: EnvState, see: Singles, mirror: float) -> None:
+def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
     """Write `ROTOR_FEATURES`, mirrored if `mirror` < 0."""
     for k in range(4 * QUADRANT_SIZE):
         see[k] = 0.0
     rows, columns = state.rotor.shape
-    sensed, radius, elements, edges = state.sensed, state.body[RADIUS], state.elements, state.edges
+    sensed, radius, elements = state.sensed, state.body[RADIUS], state.elements
     cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
     up = (sensed[Y] - elements.y0) / elements.pitch_y
     along = (sensed[X] - elements.x0) / elements.pitch_x
@@ -336,11 +349,7 @@ def show_rotors(acting: Acting, state: EnvState, see: Singles, mirror: float) ->
         ):
             dx = elements.x0 + elements.pitch_x * column - sensed[X]
             dy = elements.y0 + elements.pitch_y * row - sensed[Y]
-            x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
-            under = dx * dx + dy * dy <= radius * radius
-            for k in range(edges.shape[0]):
-                under = under and edges[k, 0] * x + edges[k, 1] * y <= edges[k, 2]
-            if not under:
+            if not _is_under(state, cosine, sine, dx, dy):
                 continue
             total += 1
             if state.rotor[row, column]:

@@ -132,7 +132,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
     return EnvParams(
         elements=line.geometry,
         timing=timing,
-        acting=actions.Acting(
+        acting=actions.ActionParams(
             kind.rows,
             np.array(config.chosen_orientations),
             config.actuators.axis_speed * timing.dt,

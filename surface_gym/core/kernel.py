@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from surface_gym import state as st
 from surface_gym.compiler.jit import compiled, inlined
-from surface_gym.core.actions import Acting, window_corner
+from surface_gym.core.actions import ActionParams, window_corner
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Integers, Scratch
@@ -64,7 +64,7 @@ class EnvParams(NamedTuple):
 
     elements: Geometry
     timing: Timing
-    acting: Acting
+    acting: ActionParams
     friction: Array  # (rows, columns, 3) [-] of the elements
     assumed: Array  # (rows, columns, 3) [-] as the sensor has it
     stiffness: Array  # (rows, columns) [-] as the sensor has it
