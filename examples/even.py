@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import surface_gym.extend as own
-from surface_gym.extend import THETA, VX, VY, EnvState, X, Y, kernel_function
+from surface_gym.extend import THETA, VX, VY, EnvState, SurfaceView, X, Y, kernel_function
 
 LINE = own.flow_line(3.0)
 EXITS = own.Exits(
@@ -60,6 +60,7 @@ class Even(own.StreamTask):
     terms = ("even", "uneven", "touch", "way", *own.SURFACE_TERMS)
     goals = own.GOALS + 3
     memories = own.OWN_MEMORY + 1
+    exit_memories = 1
 
     @staticmethod
     @kernel_function
@@ -68,24 +69,18 @@ class Even(own.StreamTask):
 
     @staticmethod
     @kernel_function
-    def deliver(
-        params: own.StreamParams, state: EnvState, taken: int, passed: own.Array, belt: float,
-        runs: bool,
-    ) -> tuple[bool, float, float]:  # fmt: skip
+    def deliver(surface: SurfaceView, state: EnvState, taken: int, results: own.Array) -> bool:
         if taken == own.BETWEEN:
-            return False, math.nan, math.nan
-        passed[TAKEN] += 1.0
-        return state.goal[LOAD + taken] < FULL, math.nan, math.nan
+            return False
+        surface.exits[taken, TAKEN] += 1.0
+        return state.goal[LOAD + taken] < FULL
 
     @staticmethod
     @kernel_function
-    def inform(
-        params: own.StreamParams, state: EnvState, passed: own.Array, belt: float, runs: bool,
-        stops: bool,
-    ) -> None:  # fmt: skip
-        least = min(passed[LEFT, TAKEN], passed[RIGHT, TAKEN], passed[STRAIGHT, TAKEN])
-        for k in range(3):
-            state.goal[LOAD + k] = passed[k, TAKEN] - least
+    def inform(surface: SurfaceView, state: EnvState) -> None:
+        least = surface.exits[:, TAKEN].min()
+        for k in range(surface.exits.shape[0]):
+            state.goal[LOAD + k] = surface.exits[k, TAKEN] - least
 
     @staticmethod
     @kernel_function

@@ -58,10 +58,9 @@ from surface_gym.flow.state import (
     LAST,
     ORDER,
     OWN_MEMORY,
-    PASSED_SIZE,
     SIDE,
     TOUCHED,
-    StreamParams,
+    SurfaceView,
 )
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import slope_line
@@ -109,11 +108,11 @@ from surface_gym.tasks.start import Draw, Parcels, Start, between
 __all__ = [
     "BETWEEN", "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "DEPARTED_CORRECT", "DEPARTED_WRONG",
     "EXIT", "FIRST", "FIRST_COLUMN", "FIRST_ROW", "GOALS", "GYRATION", "HALF_LENGTH", "INLET",
-    "LAST", "MASS", "OMEGA", "ORDER", "OWN_MEMORY", "PASSED_SIZE", "RADIUS", "ROWS", "RUNNING",
+    "LAST", "MASS", "OMEGA", "ORDER", "OWN_MEMORY", "RADIUS", "ROWS", "RUNNING",
     "SIDE", "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY",
     "Array", "BaseLine", "Draw", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group",
     "Inlet", "Inlets", "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Singles",
-    "Spread", "Start", "Steady", "Stream", "StreamParams", "StreamTask", "Task", "Trace", "X", "Y",
+    "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task", "Trace", "X", "Y",
     "between", "columns", "entry", "failures", "flow_line", "is_slower", "kernel_function",
     "planar_speed", "reach_along", "read_truth", "register", "show", "show_bent", "show_within",
     "slope_line", "zone_end", "zone_start",

@@ -195,7 +195,7 @@ class _StreamHistory:
                 waiting=int(streams.due[i] - streams.tally[i, ENTERED]),
                 inlets=self._inlets,
                 queues=tuple(queues) if self._inlets else (),
-                runs=bool(streams.changes[i] % 2 == 0) if self._takes_away else None,
+                runs=batch.task.is_running(streams.memory[i]),
             ),
             touching=self._touching(slots, len(departed)),
             pitch=line.pitch,

@@ -225,8 +225,8 @@ DRAWN_SURFACES = ("stiffness", "conditions")
 DRAWN_STREAMS = (
     "time", "start", "body", "exit", "inlet", "order", "past", "arrivals", "coming", "due",
     "entered", "departed", "taken", "touches", "number", "present", "touched_at", "clock",
-    "steps", "still", "waited", "obeys", "tally", "outcome", "correct", "gap", "misalignment",
-    "final", "passed", "demand", "changes", "belt", "pressing", "impulse", "squeeze",
+    "steps", "still", "waited", "obeys", "tally", "outcome", "correct", "results", "final",
+    "next_place", "memory", "exit_memory", "pressing", "impulse", "squeeze",
 )  # fmt: skip
 TALLIED = {"entered": ENTERED, "right": CORRECT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
 

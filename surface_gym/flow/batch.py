@@ -90,8 +90,8 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions that the kernel of streams is built from."""
     task, kind = config.task, config.action_kind
     names = (
-        "begin outside has_room has_departed exit_taken deliver inform reward observe "
-        "observe_neighbour observe_no_neighbour"
+        "begin outside has_room has_departed exit_taken deliver advance may_jam inform reward "
+        "observe observe_neighbour observe_no_neighbour"
     )
     return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",
@@ -111,8 +111,7 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
         ahead=task.ahead, duration=task.duration, patience=task.patience,
         inlets=len(config.inlets), queue=task.rows - task.max_parcels,
-        take_away=task.take_away, gap=task.gap, alignment=task.alignment,
-        notice=task.notice, touching=task.touching,
+        numbers=np.array(task.numbers(), dtype=np.float64), touching=task.touching,
         waiting_reward=task.waiting_reward, jam_reward=task.jam_reward,
     )  # fmt: skip
 
@@ -161,7 +160,7 @@ class StreamBatch(BaseBatch):
         shape = self.surfaces.axis.shape[1:]
         self.streams: fs.StreamState = fs.make_streams(
             num_envs, self.rows, shape, len(task.terms), obeys, len(config.exits),
-            max(1, task.most_changes),
+            task.surface_memories, task.exit_memories, len(task.results),
         )  # fmt: skip
         self.figures = list_figures(task)
         self._no_figures = dict.fromkeys(self.figures, 0.0)  # of an episode that runs
@@ -257,8 +256,8 @@ class StreamBatch(BaseBatch):
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
         """Draw an episode for each of the chosen surfaces (count,), from its generator: the
-        surface, the stream, the parcels, the stuck modules, the sensors' noise and the take-away's
-        stops, in that order.
+        surface, the stream, the parcels, the stuck modules, the sensors' noise and what the task
+        draws, in that order.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):
@@ -276,9 +275,7 @@ class StreamBatch(BaseBatch):
                 # No row behind the next parcel's, so that the queue's length changes no number.
                 for row in range(self.rows - self.task.queue + 1):
                     draw_noise(self.parcels, i * self.rows + row, rng)
-            changes = self.task.draw_demand(rng)
-            self.streams.demand[i] = np.inf
-            self.streams.demand[i, : len(changes)] = changes
+            self.streams.memory[i] = self.task.draw_memory(rng)
 
     def _draw_surface(self, i: int, rng: np.random.Generator) -> None:
         randomisation = self.config.randomisation
@@ -303,8 +300,8 @@ class StreamBatch(BaseBatch):
             ("number", fs.NOBODY), ("present", False), ("touched_at", fs.NEVER), ("coming", 0),
             ("due", 0), ("clock", 0.0), ("steps", 0), ("still", 0.0), ("waited", 0.0),
             ("tally", 0), ("outcome", st.STARTING), ("past", False), ("correct", False),
-            ("gap", np.nan), ("misalignment", np.nan), ("final", 0.0), ("passed", 0.0),
-            ("changes", 0), ("belt", 0.0), ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
+            ("results", np.nan), ("final", 0.0), ("next_place", 0), ("exit_memory", 0.0),
+            ("pressing", 0.0), ("impulse", 0.0), ("squeeze", 0.0),
         ):  # fmt: skip
             getattr(streams, name)[i] = value
         row = i * self.rows

@@ -11,7 +11,7 @@ from surface_gym import state as st
 from surface_gym.compiler.jit import inlined
 from surface_gym.core.kernel import Function
 from surface_gym.flow import state as fs
-from surface_gym.flow.state import StreamState, StreamView, view_parcel
+from surface_gym.flow.state import StreamState, StreamView, view_parcel, view_task
 from surface_gym.physics import types as ph
 from surface_gym.state import EnvState
 
@@ -38,30 +38,6 @@ def _free_slot(view: StreamView) -> int:
 def count_waiting(streams: StreamState, i: int) -> int:
     """Count the parcels whose time has come and that have not entered."""
     return streams.due[i] - streams.tally[i, fs.ENTERED]
-
-
-@inlined
-def takes_away(streams: StreamState, i: int) -> bool:
-    """Return whether the take-away runs; its changes are stops and starts in turn."""
-    return streams.changes[i] % 2 == 0
-
-
-@inlined
-def changes_within(streams: StreamState, i: int, time: float) -> bool:
-    """Return whether the take-away stops or starts within a time [s]."""
-    changes = streams.changes[i]
-    soon = streams.clock[i] + time
-    return changes < streams.demand.shape[1] and streams.demand[i, changes] <= soon
-
-
-@inlined
-def move_take_away(view: StreamView) -> None:
-    """Move the take-away by a physics step, and let it stop or start at its time."""
-    streams, i = view.streams, view.i
-    if takes_away(streams, i):
-        streams.belt[i] += view.stream_params.take_away * view.params.timing.dt
-    if changes_within(streams, i, 0.0):
-        streams.changes[i] += 1
 
 
 @inlined
@@ -139,7 +115,7 @@ def _occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 
 def entering(has_room: Function) -> Any:
-    """Build `let_in(view)`, by the task's `has_room(params, state, other)`."""
+    """Build `let_in(view)`, by the task's `has_room(surface, state, other)`."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -150,7 +126,7 @@ def entering(has_room: Function) -> Any:
             if view.streams.present[view.i, k]:
                 other = view_parcel(view, k)
                 st.read_truth(other)
-                if not has_room(view.stream_params, state, other):
+                if not has_room(view_task(view), state, other):
                     return False
         return True
 
@@ -184,22 +160,17 @@ def entering(has_room: Function) -> Any:
 
 
 @inlined
-def depart(
-    view: StreamView, slot: int, taken: int, correct: bool, gap: float, misalignment: float
-) -> None:
+def depart(view: StreamView, slot: int, taken: int, correct: bool) -> None:
     """Take a parcel off the line by an exit; its row is kept until the next decision."""
     parcels, streams, i = view.parcels, view.streams, view.i
     arrival = streams.number[i, slot]
     row = view.first + slot
     streams.past[i, streams.order[i, arrival]] = True
-    next_place = int(streams.passed[i, 0, fs.NEXT])
+    next_place = streams.next_place[i]
     while next_place < streams.arrivals[i] and streams.past[i, next_place]:
         next_place += 1
-    for k in range(streams.passed.shape[1]):
-        streams.passed[i, k, fs.NEXT] = next_place
+    streams.next_place[i] = next_place
     streams.correct[i, arrival] = correct
-    streams.gap[i, arrival] = gap
-    streams.misalignment[i, arrival] = misalignment
     for k in range(parcels.truth.shape[1]):
         streams.final[i, arrival, k] = parcels.truth[row, k]
     streams.present[i, slot] = False

@@ -13,17 +13,8 @@ from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.core.kernel import Actuation, EnvParams, Function
 from surface_gym.flow import state as fs
 from surface_gym.flow.claims import assigning, obeying
-from surface_gym.flow.entry import (
-    changes_within,
-    count_due,
-    count_waiting,
-    depart,
-    entering,
-    move_take_away,
-    show_waiting,
-    takes_away,
-)
-from surface_gym.flow.state import StreamParams, StreamState, StreamView, view_parcel
+from surface_gym.flow.entry import count_due, count_waiting, depart, entering, show_waiting
+from surface_gym.flow.state import StreamParams, StreamState, StreamView, view_parcel, view_task
 from surface_gym.layouts import ROLLING
 from surface_gym.physics import types as ph
 from surface_gym.physics.collision import World, WorldScratch, invalidate_world
@@ -46,6 +37,8 @@ class StreamFunctions(NamedTuple):
     has_departed: Function
     exit_taken: Function
     deliver: Function
+    advance: Function
+    may_jam: Function
     inform: Function
     reward: Function
     observe: Function
@@ -134,6 +127,7 @@ def _moving(functions: StreamFunctions) -> Any:
     """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
     has_departed, task_exit = functions.has_departed, functions.exit_taken
     deliver, sensor_update = functions.deliver, functions.update_sensor
+    advance = functions.advance
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
 
     @inlined
@@ -141,14 +135,12 @@ def _moving(functions: StreamFunctions) -> Any:
         """Take a parcel off the line that has departed; let the sensor see one that has not."""
         streams, i = view.streams, view.i
         state = view_parcel(view, slot)
-        if has_departed(view.stream_params, state):
+        surface = view_task(view)
+        if has_departed(surface, state):
             st.read_truth(state)
-            taken = task_exit(view.stream_params, state)
-            correct, gap, misalignment = deliver(
-                view.stream_params, state, taken, streams.passed[i, max(taken, 0)],
-                streams.belt[i], takes_away(streams, i),
-            )  # fmt: skip
-            depart(view, slot, taken, correct, gap, misalignment)
+            taken = task_exit(surface, state)
+            results = streams.results[i, streams.number[i, slot]]
+            depart(view, slot, taken, deliver(surface, state, taken, results))
         elif watches:
             st.read_truth(state)
             sensor_update(view.params.sensor, state, physics)
@@ -166,7 +158,7 @@ def _moving(functions: StreamFunctions) -> Any:
         streams.clock[i] += dt
         streams.steps[i] += 1
         note_touches(view, scratch, pairs)
-        move_take_away(view)
+        advance(view_task(view), dt)
         for slot in range(view.slots):
             if streams.present[i, slot]:
                 row = view.first + slot
@@ -269,10 +261,13 @@ def _earning(functions: StreamFunctions) -> Any:
 
 
 @inlined
-def end(view: StreamView, begins: bool, stands: bool) -> None:
-    """End the episode by a jam or by time, and sum up the surface's reward."""
+def end(view: StreamView, stands: bool) -> None:
+    """End the episode by a jam or by time, and sum up the surface's reward.
+
+    `stands` says whether nothing moved in the period that should have.
+    """
     streams, i, timing = view.streams, view.i, view.params.timing
-    if stands and not begins and takes_away(streams, i):
+    if stands:
         streams.still[i] += timing.dt * timing.steps
     else:
         streams.still[i] = 0.0
@@ -343,8 +338,7 @@ def _observing(functions: StreamFunctions) -> Any:
     @inlined
     def observe_parcels(view: StreamView) -> None:
         streams, i = view.streams, view.i
-        runs = takes_away(streams, i)
-        stops = runs and changes_within(streams, i, view.stream_params.notice)
+        surface = view_task(view)
         for slot in range(view.rows):
             state = view_parcel(view, slot)
             waits = slot >= view.slots and streams.number[i, slot] != fs.NOBODY
@@ -352,7 +346,7 @@ def _observing(functions: StreamFunctions) -> Any:
                 for feature in range(state.observation.shape[0]):
                     state.observation[feature] = 0.0
                 continue
-            inform(view.stream_params, state, streams.passed[i], streams.belt[i], runs, stops)
+            inform(surface, state)
             observe(state, waits)
             observe_neighbours(view, slot)
         for slot in range(view.rows):
@@ -374,7 +368,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     straighten, obey = functions.actuation.straighten, functions.actuation.obey
     obey_command = obeying(functions.outside, functions.part_of, functions.commanded, obey)
     run, earn = _running(functions), _earning(functions)
-    observe_parcels = _observing(functions)
+    observe_parcels, may_jam = _observing(functions), functions.may_jam
 
     def step_streams(
         params: EnvParams,
@@ -400,7 +394,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             else:
                 obey_command(view)
             run(view, begins, scratch, sensor_scratch)
-            end(view, begins, earn(view))
+            stands = earn(view)
+            end(view, stands and not begins and may_jam(view_task(view)))
             observe_parcels(view)
             faults += streams.fault[i] != st.NO_FAULT
         return faults

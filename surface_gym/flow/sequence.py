@@ -6,7 +6,7 @@ from surface_gym import checks
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
-from surface_gym.flow.state import StreamParams
+from surface_gym.flow.state import SurfaceView
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import (
     FEATURES,
@@ -98,14 +98,10 @@ class Sequence(TakeAwayTask):
 
     @staticmethod
     @inlined
-    def deliver(
-        params: StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float, float]:
-        """Return whether a parcel has left as Singulate asks, and in its turn; its gap [m] and
-        [rad] how it is turned.
-        """
-        right, gap, off = _deliver(params, state, taken, passed, belt, runs)
-        return right and state.goal[fs.ORDER] <= passed[fs.NEXT], gap, off
+    def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
+        """Return whether a parcel departed as Singulate asks, and in its turn."""
+        is_next = state.goal[fs.ORDER] <= surface.next_place
+        return _deliver(surface, state, taken, results) and is_next
 
     @staticmethod
     @inlined

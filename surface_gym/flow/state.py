@@ -29,10 +29,6 @@ EXIT, SIDE, FIRST, LAST, INLET, ORDER = range(6)
 GOALS = 6
 TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
 NEVER = -1_000_000  # `touched_at` of two that have not touched
-# Columns of `passed`: whether any parcel has taken the exit, of the last that did [m] where on
-# the take-away its rear end lies, and the least place in the order that has not departed
-ANY, REAR, NEXT = range(3)
-PASSED_SIZE = 3
 
 
 class StreamState(NamedTuple):
@@ -52,8 +48,7 @@ class StreamState(NamedTuple):
     departed: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
     taken: Integers  # (surfaces, arrivals) the exit it took, BETWEEN them, or ON_ITS_WAY
     correct: Booleans  # (surfaces, arrivals) whether it departed as it was to
-    gap: Array  # (surfaces, arrivals) [m] behind the one before it on the take-away; nan: none
-    misalignment: Array  # (surfaces, arrivals) [rad] by which it was turned as it departed
+    results: Array  # (surfaces, arrivals, results) of the task as it departed; nan before
     final: Array  # (surfaces, arrivals, 6) pose and velocity as it departed, like `truth`
     touches: Integers  # (surfaces, arrivals) how often it began to touch another
     # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
@@ -65,10 +60,9 @@ class StreamState(NamedTuple):
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] for which nothing has moved
     waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
-    passed: Array  # (surfaces, exits, PASSED_SIZE) what the task keeps of the last that took each
-    demand: Array  # (surfaces, changes) [s] when the take-away stops, and starts, in turn
-    changes: Integers  # (surfaces,) of these that have come
-    belt: Array  # (surfaces,) [m] that the take-away has moved
+    next_place: Integers  # (surfaces,) least place in the order whose parcel has not departed
+    memory: Array  # (surfaces, surface_memories) what the task keeps of the surface
+    exit_memory: Array  # (surfaces, exits, exit_memories) what the task keeps of each exit
     pressing: Array  # (surfaces, rows, rows) [N] mean force between two as of `touched_at`
     impulse: Array  # (surfaces,) [N s] largest in a physics step
     squeeze: Array  # (surfaces,) [N] largest mean force
@@ -94,13 +88,20 @@ class StreamParams(NamedTuple):
     patience: float  # [s] without any motion that make a jam
     inlets: int  # how many there are
     queue: int  # rows of parcels that wait at the gate; 0 without one
-    take_away: float  # [m/s] speed of the conveyor after the surface; 0: there is none
-    gap: float  # [m] that the task asks for between parcels on it
-    alignment: float  # [rad] by which a parcel may be turned as it leaves
-    notice: float  # [s] before the take-away stops from which on parcels are shown that it does
+    numbers: Array  # (numbers,) of the task alone, as its `numbers` makes them
     touching: ContactMaterial  # how parcels' sides behave
     waiting_reward: float  # per second of each parcel that waits to enter
     jam_reward: float  # once, as nothing moves any more
+
+
+class SurfaceView(NamedTuple):
+    """A surface as the functions of a task get it."""
+
+    params: StreamParams
+    memory: Array  # (surface_memories,) what the task keeps of the surface
+    exits: Array  # (exits, exit_memories) what the task keeps of each exit
+    clock: float  # [s]
+    next_place: int  # the least place in the order whose parcel has not departed
 
 
 class StreamView(NamedTuple):
@@ -126,6 +127,16 @@ def view_parcel(view: StreamView, row: int) -> EnvState:
     )
 
 
+@inlined
+def view_task(view: StreamView) -> SurfaceView:
+    """View a surface as the functions of a task get it."""
+    streams, i = view.streams, view.i
+    return SurfaceView(
+        view.stream_params, streams.memory[i], streams.exit_memory[i], streams.clock[i],
+        streams.next_place[i],
+    )  # fmt: skip
+
+
 def make_streams(
     surfaces: int,
     rows: int,
@@ -133,12 +144,14 @@ def make_streams(
     terms: int,
     obeys: Booleans,
     exits: int = 1,
-    changes: int = 1,
+    memories: int = 0,
+    exit_memories: int = 0,
+    results: int = 0,
 ) -> StreamState:
     """Make the memory of streams, with room for one arrival each."""
     grid = (surfaces, *shape)
     return StreamState(
-        **_arrivals(surfaces, 1),
+        **_arrivals(surfaces, 1, results),
         arrivals=np.zeros(surfaces, dtype=np.int64),
         coming=np.zeros(surfaces, dtype=np.int64),
         due=np.zeros(surfaces, dtype=np.int64),
@@ -149,10 +162,9 @@ def make_streams(
         steps=np.zeros(surfaces, dtype=np.int64),
         still=np.zeros(surfaces),
         waited=np.zeros(surfaces),
-        passed=np.zeros((surfaces, exits, PASSED_SIZE)),
-        demand=np.full((surfaces, changes), np.inf),
-        changes=np.zeros(surfaces, dtype=np.int64),
-        belt=np.zeros(surfaces),
+        next_place=np.zeros(surfaces, dtype=np.int64),
+        memory=np.zeros((surfaces, memories)),
+        exit_memory=np.zeros((surfaces, exits, exit_memories)),
         pressing=np.zeros((surfaces, rows, rows)),
         impulse=np.zeros(surfaces),
         squeeze=np.zeros(surfaces),
@@ -173,13 +185,13 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
     surfaces, room = streams.time.shape
     if arrivals <= room:
         return streams
-    made = _arrivals(surfaces, max(arrivals, 2 * room))
+    made = _arrivals(surfaces, max(arrivals, 2 * room), streams.results.shape[2])
     for name, values in made.items():
         values[:, :room] = getattr(streams, name)
     return streams._replace(**made)
 
 
-def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
+def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
     """Make the arrays that have a column an arrival."""
     shape = (surfaces, room)
     return {
@@ -194,8 +206,7 @@ def _arrivals(surfaces: int, room: int) -> dict[str, np.ndarray]:
         "past": np.zeros(shape, dtype=np.bool_),
         "taken": np.full(shape, ON_ITS_WAY),
         "correct": np.zeros(shape, dtype=np.bool_),
-        "gap": np.full(shape, np.nan),
-        "misalignment": np.full(shape, np.nan),
+        "results": np.full((*shape, results), np.nan),
         "final": np.zeros((*shape, 6)),
         "touches": np.zeros(shape, dtype=np.int64),
     }
@@ -207,7 +218,7 @@ class FlowStatistics:
 
     delivered: int  # parcels that left the line
     parcels_per_hour: float  # [1/h] that left by their own exit
-    missort_rate: float  # [-] of those that left, by another exit or between exits
+    missort_rate: float  # [-] of those that left, otherwise than they were to
     touches_per_1000: float  # times that two began to touch, per 1000 parcels delivered
     jams_per_1000: float  # jams per 1000 parcels delivered
     gap_mean: float  # [s] between parcels that leave by the same exit, one after the other
@@ -232,11 +243,10 @@ def compute_statistics(
     time, entered, departed = (
         values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
     )
-    taken, asked = streams.taken[surface, :count], streams.exit[surface, :count]
-    clock = float(streams.clock[surface])
+    taken, clock = streams.taken[surface, :count], float(streams.clock[surface])
     counted = clock - warm_up
     gone = departed >= warm_up  # false for nan: the parcel is there still
-    correct = gone & (taken == asked)
+    correct = gone & streams.correct[surface, :count]
     delivered = int(gone.sum())
     gaps = [np.diff(np.sort(departed[gone & (taken == exit_)])) for exit_ in np.unique(taken[gone])]
     gap = np.concatenate(gaps) if gaps else np.zeros(0)

@@ -139,6 +139,16 @@ AT_LEAST = 1e-3  # [m/s] speed of one that leaves, for where it was as its centr
 
 # Places in a parcel's goal, after those of every stream.
 LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, ASKED_GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
+# Places in the task's numbers.
+BELT_SPEED, LEAST_GAP, MOST_TURNED, NOTICE = range(4)
+# In what it keeps of a surface: [m] that the belt has moved, how often it has stopped or started,
+# and from DEMAND on [s] when it stops, and starts, in turn.
+BELT, CHANGES, DEMAND = range(3)
+# In what it keeps of an exit: whether any parcel has taken it, and of the last one [m] where on the
+# belt its rear end lies.
+ANY, REAR_END = range(2)
+# In the results of a parcel: [m] behind the one before it on the belt, [rad] how it was turned.
+GAP_BEFORE, MISALIGNMENT = range(2)
 BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
 
 
@@ -190,6 +200,19 @@ def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
     if apart - reach - reach_along(other, other.truth[THETA], -nx, -ny) >= gap:
         return True
     return _separates(one, other, one, gap) or _separates(one, other, other, gap)
+
+
+@inlined
+def runs(surface: fs.SurfaceView) -> bool:
+    """Return whether the take-away runs; its changes are stops and starts in turn."""
+    return surface.memory[CHANGES] % 2.0 == 0.0
+
+
+@inlined
+def changes_within(surface: fs.SurfaceView, time: float) -> bool:
+    """Return whether the take-away stops or starts within a time [s]."""
+    change = DEMAND + int(surface.memory[CHANGES])
+    return change < surface.memory.shape[0] and surface.memory[change] <= surface.clock + time
 
 
 @inlined
@@ -247,12 +270,11 @@ def compute_statistics(
 ) -> TakeAwayStatistics:
     """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
     count = int(streams.arrivals[surface])
-    time, entered, departed, gap = (
-        values[surface, :count]
-        for values in (streams.time, streams.entered, streams.departed, streams.gap)
+    time, entered, departed = (
+        values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
     )
     taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
-    clock, misaligned = float(streams.clock[surface]), streams.misalignment[surface, :count]
+    clock, (gap, misaligned) = float(streams.clock[surface]), streams.results[surface, :count].T
     gone, through = ~np.isnan(departed), taken >= 0
     delivered = int(gone.sum())
     gaps = gap[through & np.isfinite(gap)]
@@ -324,6 +346,8 @@ class TakeAwayTask(StreamTask):
     learning_weights = MappingProxyType({"wrong": 2.0, "touch": 5.0, "time": 5.0})
     goals = fs.GOALS + 7
     memories = 2
+    exit_memories = 2
+    results = ("gap", "misalignment")
     statistics = TakeAwayStatistics
 
     def __post_init__(self) -> None:
@@ -342,22 +366,27 @@ class TakeAwayTask(StreamTask):
                 raise ValueError(f"exits must all lie straight on, got {each.name!r} to a side")
         super().check(config)
 
-    @property
-    def most_changes(self) -> int:
-        if self.demand is None:
-            return 0
-        return 2 * math.ceil(self.duration / (self.demand.run[0] + self.demand.stop[0])) + 2
+    def numbers(self) -> tuple[float, ...]:
+        notice = 0.0 if self.demand is None else self.demand.notice
+        return self.take_away, self.gap, self.alignment, notice
 
     @property
-    def notice(self) -> float:
-        return 0.0 if self.demand is None else self.demand.notice
-
-    def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def surface_memories(self) -> int:
         if self.demand is None:
-            return np.zeros(0)
-        count = self.most_changes // 2
-        times = [rng.uniform(*bounds, count) for bounds in (self.demand.run, self.demand.stop)]
-        return np.cumsum(np.transpose(times).ravel())
+            return DEMAND
+        period = self.demand.run[0] + self.demand.stop[0]
+        return DEMAND + 2 * math.ceil(self.duration / period) + 2
+
+    def draw_memory(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        memory = np.zeros(self.surface_memories)
+        if self.demand is not None:
+            count = (len(memory) - DEMAND) // 2
+            times = [rng.uniform(*bounds, count) for bounds in (self.demand.run, self.demand.stop)]
+            memory[DEMAND:] = np.cumsum(np.transpose(times).ravel())
+        return memory
+
+    def is_running(self, memory: Array) -> bool:
+        return bool(memory[CHANGES] % 2.0 == 0.0)
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
@@ -388,82 +417,94 @@ class TakeAwayTask(StreamTask):
 
     @staticmethod
     @inlined
-    def has_room(params: fs.StreamParams, state: EnvState, other: EnvState) -> bool:
+    def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
         """Return whether the bases of one that enters and of another are `entry_gap` apart."""
-        return is_clear_of(state, other, params.entry_gap)
+        return is_clear_of(state, other, surface.params.entry_gap)
 
     @staticmethod
     @inlined
-    def has_departed(params: fs.StreamParams, state: EnvState) -> bool:
+    def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
         """Return whether the parcel's centre is past the rotors, or no rotor bears it."""
         if not state.on_rotors:
             return True
-        if state.com[X] <= params.rotors_end - state.body[RADIUS]:
+        if state.com[X] <= surface.params.rotors_end - state.body[RADIUS]:
             return False
         st.read_truth(state)
-        return state.truth[X] > params.rotors_end
+        return state.truth[X] > surface.params.rotors_end
 
     @staticmethod
     @inlined
-    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
+    def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
         """Find the exit by which a parcel has left past the end, or BETWEEN them."""
         offset = state.truth[Y] - state.elements.line_y
-        if state.truth[X] > params.rotors_end:
-            for k in range(params.exits.shape[0]):
-                if params.exits[k, 1] <= offset < params.exits[k, 2]:
+        if state.truth[X] > surface.params.rotors_end:
+            for k in range(surface.params.exits.shape[0]):
+                if surface.params.exits[k, 1] <= offset < surface.params.exits[k, 2]:
                     return k
         return fs.BETWEEN
 
     @staticmethod
     @inlined
-    def deliver(
-        params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float, float]:
-        """Return whether a parcel has left through a mouth, with its gap, aligned, while the
-        take-away runs; its gap [m], nan where none came before it; and [rad] how it is turned.
+    def advance(surface: fs.SurfaceView, dt: float) -> None:
+        """Move the take-away, and let it stop or start at its time."""
+        memory = surface.memory
+        if runs(surface):
+            memory[BELT] += surface.params.numbers[BELT_SPEED] * dt
+        if changes_within(surface, 0.0):
+            memory[CHANGES] += 1.0
+
+    @staticmethod
+    @inlined
+    def may_jam(surface: fs.SurfaceView) -> bool:
+        """Return whether the take-away runs: before one that stands, parcels wait."""
+        return runs(surface)
+
+    @staticmethod
+    @inlined
+    def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
+        """Return whether a parcel departed through a mouth, with its gap, aligned, while the
+        take-away runs.
         """
-        off = misalignment(state, state.truth[THETA])
-        if taken == fs.BETWEEN:
-            return False, math.nan, off
-        truth = state.truth
+        params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)
-        beyond = speed - params.take_away
+        results[MISALIGNMENT] = misalignment(state, theta)
+        if taken == fs.BETWEEN:
+            return False
+        take_away, passed = params.numbers[BELT_SPEED], surface.exits[taken]
+        beyond = speed - take_away
         slip = beyond * abs(beyond) / (2.0 * GRIP * GRAVITY)
         # The take-away had moved so far as the centre passed the end.
-        at_end = belt - params.take_away * (truth[X] - params.rotors_end) / speed
+        at_end = surface.memory[BELT] - take_away * (truth[X] - params.rotors_end) / speed
         front = slip + reach_along(state, theta, 1.0, 0.0)
-        gap = math.nan if passed[fs.ANY] == 0.0 else at_end + passed[fs.REAR] - front
-        passed[fs.ANY] = 1.0
-        passed[fs.REAR] = slip - reach_along(state, theta, -1.0, 0.0) - at_end
+        gap = math.nan if passed[ANY] == 0.0 else at_end + passed[REAR_END] - front
+        passed[ANY] = 1.0
+        passed[REAR_END] = slip - reach_along(state, theta, -1.0, 0.0) - at_end
+        results[GAP_BEFORE] = gap
         offset = truth[Y] - state.elements.line_y
         inside = (
             offset + reach_along(state, theta, 0.0, 1.0) <= params.exits[taken, 2]
             and offset - reach_along(state, theta, 0.0, -1.0) >= params.exits[taken, 1]
         )
-        aligned = abs(off) <= params.alignment + ROUND_OFF
-        return runs and inside and aligned and not gap < params.gap - ROUND_OFF, gap, off
+        aligned = abs(results[MISALIGNMENT]) <= params.numbers[MOST_TURNED] + ROUND_OFF
+        clear = not gap < params.numbers[LEAST_GAP] - ROUND_OFF
+        return runs(surface) and inside and aligned and clear
 
     @staticmethod
     @inlined
-    def inform(
-        params: fs.StreamParams,
-        state: EnvState,
-        passed: Array,
-        belt: float,
-        runs: bool,
-        stops: bool,
-    ) -> None:
+    def inform(surface: fs.SurfaceView, state: EnvState) -> None:
         """Write the nearest mouth, and where the last parcel that left by it is, into the goal."""
+        params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)
-        goal = state.goal
+        passed = surface.exits[nearest]
+        stops = changes_within(surface, params.numbers[NOTICE])
         goal[LOW] = params.exits[nearest, 1]
         goal[HIGH] = params.exits[nearest, 2]
-        goal[LAST_REAR] = belt + passed[nearest, fs.REAR] if passed[nearest, fs.ANY] else math.inf
-        goal[RUNS] = 1.0 if runs and not stops else 0.0
+        goal[LAST_REAR] = memory[BELT] + passed[REAR_END] if passed[ANY] else math.inf
+        goal[RUNS] = 1.0 if runs(surface) and not stops else 0.0
         goal[SLOPE_END] = params.rotors_end
-        goal[ASKED_GAP] = params.gap
-        goal[NEXT] = passed[0, fs.NEXT]
+        goal[ASKED_GAP] = params.numbers[LEAST_GAP]
+        goal[NEXT] = surface.next_place
 
     @staticmethod
     @inlined

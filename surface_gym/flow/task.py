@@ -91,36 +91,46 @@ SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole
 
 @dataclass(frozen=True)
 class StreamTask(Task):
-    """A task on a stream of parcels: many at once on one surface, each with an exit.
+    """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
 
-    The kernel of streams lets parcels enter and leave, moves them, and counts touches, waiting and
-    jams. A task is one class that says what is observed and what is paid: the class variables of
-    `Task`, `parcel_terms`, the two rewards of the surface, and these compiled functions, which read
-    and write the `EnvState` of one parcel:
+    Parcels enter, move, touch each other and depart without code of the task; touches, waiting and
+    jams are counted. A task is one class that says what is observed, what is paid, and who departed
+    correctly. It names what `Task` names: `features` of a parcel, and `terms`, which end in
+    `SURFACE_TERMS`: what waiting and jams cost, by `waiting_reward` and `jam_reward`. Its fields are
+    its parameters; compiled functions find in `surface.params.numbers` what `numbers()` makes of them.
 
-    - `begin(state)`, as it enters: set `state.memory` from OWN_MEMORY on.
+    The compiled functions read and write the `EnvState` of one parcel. Each has a default:
+
+    - `begin(state)`, as a parcel enters: set `state.memory` from OWN_MEMORY on.
+    - `reward(state, outcome)`, after a control period: write `state.terms` but for the
+      SURFACE_TERMS. The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG;
+      `state.memory[TOUCHED]` counts touches that began. It has no default.
+    - `observe(state, waits)`: write the features from `state.sensed`; of a parcel that waits at the
+      gate, `state.sensed` is how it will enter. It has no default.
+    - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
+      features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
+
+    Others get the surface, too, as a `SurfaceView`: `surface.params`, the `clock` [s], and what the
+    task keeps of the surface (surface_memories,) and of each exit (exits, exit_memories):
+
+    - `deliver(surface, state, taken, results) -> bool`, as a parcel departs: whether it did as it
+      was to, by default by its own exit. Keep the exit in mind, in `surface.exits[taken]`. Write the
+      numbers that `results` names, for statistics.
+    - `inform(surface, state)`, before it is observed: write into `state.goal`, from GOALS on, what is
+      observed of the surface and its exits.
+    - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
+    - `may_jam(surface) -> bool`: whether standing parcels may be a jam, by default always.
+    - `has_room(surface, state, other) -> bool`: whether a parcel that is about to enter, as in
+      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
+    - `has_departed(surface, state) -> bool`, after every physics step: by default where no rotor
+      bears the parcel.
+    - `exit_taken(surface, state) -> int`, then: the exit, or BETWEEN exits; by default by its side
+      and place as it departs.
     - `outside(state, x, y) -> float`: [m] by which a module in the parcel's box counts as outside
       its base, where another may bear it; by default 0.
-    - `has_room(params, state, other) -> bool`: whether one that is about to enter, as in
-      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
-    - `has_departed(params, state) -> bool`, after every physics step: by default where no rotor bears it.
-    - `exit_taken(params, state) -> int`, then: the exit by which it has left, or BETWEEN them.
-    - `deliver(params, state, taken, passed, belt, runs) -> (bool, float, float)`, then: whether it
-      has left as it was to, by default by its exit; the gap [m] to the one before it on the
-      take-away and [rad] how it is turned, by default nan. `passed` (PASSED_SIZE,) is what the task keeps of the last that left there,
-      `belt` [m] how far the take-away has moved, and `runs` whether it does.
-    - `inform(params, state, passed, belt, runs, stops)`, before it is observed: write into `state.goal`
-      what it may know of the exits (exits, PASSED_SIZE) and the take-away, of which `stops` says
-      that it is about to; by default nothing.
-    - `reward(state, outcome)`, after a control period: write `state.terms`, the `parcel_terms`.
-      The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG; `state.memory[TOUCHED]` counts touches.
-    - `observe(state, waits)`: write the features of its row from `state.sensed`; of a parcel that
-      waits at the gate, `state.sensed` is how it will enter.
-    - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
-      the features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
 
     A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
-    its span; then INLET, by which it came, and ORDER, its place in the order of leaving.
+    the exit's span. INLET, by which it came, and ORDER, its place in the order of leaving, follow.
     """
 
     parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
@@ -155,10 +165,8 @@ class StreamTask(Task):
     goals = fs.GOALS
     memories = 1
     statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
-    # The take-away after the surface; without one no speed, and nothing is asked of gaps.
-    take_away: float = field(default=0.0, init=False, repr=False)  # [m/s]
-    gap: float = field(default=0.0, init=False, repr=False)  # [m]
-    alignment: float = field(default=math.inf, init=False, repr=False)  # [rad]
+    exit_memories: ClassVar[int] = 0  # numbers that the task keeps of each exit
+    results: ClassVar[tuple[str, ...]] = ()  # numbers that `deliver` writes of a parcel
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
@@ -191,25 +199,25 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
-    def has_room(params: fs.StreamParams, state: EnvState, other: EnvState) -> bool:
+    def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
         """Return whether one that enters is as wide as it is and `entry_gap` ahead clear of another."""
-        return not bars(other, state, params.entry_gap)
+        return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
     @inlined
-    def has_departed(params: fs.StreamParams, state: EnvState) -> bool:
+    def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
         """Return whether no rotor bears the parcel."""
         return not state.on_rotors
 
     @staticmethod
     @inlined
-    def exit_taken(params: fs.StreamParams, state: EnvState) -> int:
+    def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
         """Find the exit by which a parcel has left, or BETWEEN them.
 
         Straight on it has left where its rear is past the last column of rotors, or its centre past
         the rotors' end; else to the side that its centre is on.
         """
-        truth = state.truth
+        truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
         rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
         straight = rear > last_column or truth[X] > params.rotors_end
@@ -223,23 +231,25 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
-    def deliver(
-        params: fs.StreamParams, state: EnvState, taken: int, passed: Array, belt: float, runs: bool
-    ) -> tuple[bool, float, float]:
-        """Return whether a parcel has left by its own exit; nothing takes it away."""
-        return taken == int(state.goal[fs.EXIT]), math.nan, math.nan
+    def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
+        """Return whether a parcel departed by its own exit."""
+        return taken == int(state.goal[fs.EXIT])
 
     @staticmethod
     @inlined
-    def inform(
-        params: fs.StreamParams,
-        state: EnvState,
-        passed: Array,
-        belt: float,
-        runs: bool,
-        stops: bool,
-    ) -> None:
-        """Show nothing of the exits."""
+    def advance(surface: fs.SurfaceView, dt: float) -> None:
+        """Leave the task's memory of the surface as it is."""
+
+    @staticmethod
+    @inlined
+    def may_jam(surface: fs.SurfaceView) -> bool:
+        """Return that standing parcels may be a jam."""
+        return True
+
+    @staticmethod
+    @inlined
+    def inform(surface: fs.SurfaceView, state: EnvState) -> None:
+        """Show nothing of the surface."""
 
     @staticmethod
     @inlined
@@ -251,26 +261,29 @@ class StreamTask(Task):
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
         """Show nothing of it where there is none."""
 
-    @property
-    def notice(self) -> float:
-        """[s] before the take-away stops from which on it shows as standing."""
-        return 0.0
+    def numbers(self) -> tuple[float, ...]:
+        """Return the task's parameters as its compiled functions read them."""
+        return ()
 
     @property
-    def most_changes(self) -> int:
-        """Stops and starts of the take-away in an episode at most."""
+    def surface_memories(self) -> int:
+        """How many numbers the task keeps of a surface."""
         return 0
+
+    def draw_memory(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw what the task keeps of a surface as an episode begins (surface_memories,)."""
+        del rng
+        return np.zeros(self.surface_memories)
+
+    def is_running(self, memory: Array) -> bool | None:
+        """Return whether the conveyor after the surface runs, for drawing; None: there is none."""
+        del memory
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
         """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
         return fs.compute_statistics(streams, surface, jammed, obeying)
-
-    def draw_demand(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw when the take-away stops, and starts, in turn (changes,) [s]; by default never."""
-        del rng
-        return np.zeros(0)
 
     @property
     def parcel_terms(self) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ def recorded(clock: float, *rows: tuple[float, ...], turns: int = 0) -> fs.Strea
     columns = ("time", "entered", "departed", "exit", "taken", "touches")
     for name, values in zip(columns, zip(*rows, strict=True), strict=True):
         getattr(streams, name)[0, : len(rows)] = values
+    streams.correct[0] = streams.taken[0] == streams.exit[0]
     streams.arrivals[0] = len(rows)
     streams.clock[0] = clock
     streams.tally[0, fs.TURNS] = turns

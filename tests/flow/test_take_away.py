@@ -56,14 +56,14 @@ class TestLeaving:
         slides = (speed - 2.0) * np.abs(speed - 2.0) / (2.0 * 0.5 * GRAVITY)
         expected = 2.0 * (times[1] - times[0]) + slides[0] - slides[1] - 0.4
         assert speed[0] > 3.0
-        assert streams.gap[0, 1] == pytest.approx(expected, abs=2e-3)
-        assert math.isnan(streams.gap[0, 0])
+        assert streams.results[0, 1, ta.GAP_BEFORE] == pytest.approx(expected, abs=2e-3)
+        assert math.isnan(streams.results[0, 0, ta.GAP_BEFORE])
 
     @pytest.mark.parametrize(("wait", "right"), [(0.3, [True, False]), (0.5, [True, True])])
     def test_a_gap_that_is_too_small_is_the_fault_of_the_one_behind(self, wait, right) -> None:
         batch = rolled(begun(traced((0.0, 1.5), (wait, 1.5))), 3.0)
         assert batch.streams.correct[0].tolist()[:2] == right
-        assert (batch.streams.gap[0, 1] >= 0.3) == right[1]
+        assert (batch.streams.results[0, 1, ta.GAP_BEFORE] >= 0.3) == right[1]
 
     def test_the_whole_base_must_be_within_the_mouth(self) -> None:
         for aside, right in ((0.0, True), (0.3, True), (0.4, False), (0.9, False)):
@@ -106,7 +106,7 @@ class TestStops:
         moved, shown = [], []
         for _ in range(80):
             batch.step(np.full((1, 64), BRAKE))
-            moved.append(batch.streams.belt[0])
+            moved.append(batch.streams.memory[0, ta.BELT])
             shown.append(batch.observation[0, 0, ta.COLUMN.takes_away.place])
         assert moved[24] == pytest.approx(2.0, abs=0.02)
         assert moved[74] == pytest.approx(2.0, abs=0.02)
@@ -121,8 +121,8 @@ class TestStops:
 
     def test_held_parcels_are_no_jam_while_it_stands(self) -> None:
         batch = begun(traced((0.0, 0.5)), demand=Stops(), patience=1.0)
-        batch.streams.demand[0] = np.inf
-        batch.streams.demand[0, :2] = 0.1, 6.0
+        batch.streams.memory[0, ta.DEMAND :] = np.inf
+        batch.streams.memory[0, ta.DEMAND : ta.DEMAND + 2] = 0.1, 6.0
         rolled(batch, 6.0, BRAKE)
         assert batch.outcome[0] != JAM
         rolled(batch, 1.2, BRAKE)
