@@ -16,7 +16,7 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.flow.task import HALVES
+from surface_gym.flow.base import HALVES
 from surface_gym.tasks.features import Column, Feature, columns
 
 from .base import Booleans, Integers, Numbers, is_fresh

@@ -15,7 +15,7 @@ from surface_gym import registration
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.task import ACTIONS, StreamTask
+from surface_gym.flow.base import ACTIONS, StreamTask
 from surface_gym.registration import FLOW_TASK, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.features import Feature

@@ -26,9 +26,9 @@ from surface_gym.tasks.planning import Observed
 from surface_gym.tasks.start import Start
 
 if TYPE_CHECKING:
+    from surface_gym.flow.base import StreamTask
     from surface_gym.flow.exits import Exits
     from surface_gym.flow.inlets import Entrance, Inlets
-    from surface_gym.flow.task import StreamTask
 
 
 @dataclass(frozen=True)

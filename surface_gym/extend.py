@@ -45,6 +45,7 @@ made of `Inlet`. `flow_line` and `slope_line` make its surface.
 
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady, Trace
+from surface_gym.flow.base import SURFACE_TERMS, StreamTask
 from surface_gym.flow.exits import Exit, Exits, flow_line
 from surface_gym.flow.inlets import Inlet, Inlets
 from surface_gym.flow.state import (
@@ -64,7 +65,6 @@ from surface_gym.flow.state import (
 )
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import slope_line
-from surface_gym.flow.task import SURFACE_TERMS, StreamTask
 from surface_gym.lines import BaseLine, Field, Line, Pattern
 from surface_gym.physics.types import (
     COM_HEIGHT,

@@ -12,7 +12,7 @@ import pytest
 import surface_gym as sg
 from surface_gym import registration
 from surface_gym.cli import COMMANDS
-from surface_gym.flow.task import StreamTask
+from surface_gym.flow.base import StreamTask
 from surface_gym.tasks import TASKS
 from tests.environments import IDS, TWINS, every_id
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from surface_gym.flow.base import HALVES
 from surface_gym.flow.module_view import ModuleView
-from surface_gym.flow.task import HALVES
 
 from ..base import Integers, Numbers
 from ..local_policy import CENTRE, HOLD, LocalInputs, LocalNetwork, fill, find_rest, see_modules

@@ -11,9 +11,9 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, JAM, WRONG
-from surface_gym.flow.task import HALVES
 from surface_gym.physics.types import X
 from surface_gym.sensors import Exact
 

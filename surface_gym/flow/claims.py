@@ -9,8 +9,8 @@ from surface_gym import state as st
 from surface_gym.compiler.jit import inlined
 from surface_gym.core.kernel import Function
 from surface_gym.flow import state as fs
+from surface_gym.flow.base import HALVES
 from surface_gym.flow.state import StreamView, view_parcel
-from surface_gym.flow.task import HALVES
 from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Places
 from surface_gym.state import EnvState

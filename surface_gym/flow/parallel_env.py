@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from surface_gym.config import with_arguments
 from surface_gym.core.actions import ActionKind
 from surface_gym.env import SmartSurfaceEnv
+from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import JAM, NOBODY
-from surface_gym.flow.task import HALVES
 from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import OUT_OF_TIME, RUNNING
 

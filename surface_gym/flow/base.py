@@ -1,0 +1,420 @@
+"""The base class of tasks on streams of parcels, their actions, and features that they share."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from surface_gym import checks
+from surface_gym.compiler.jit import inlined
+from surface_gym.core.actions import ANY, ActionKind
+from surface_gym.flow import state as fs
+from surface_gym.flow.entry import bars
+from surface_gym.flow.exits import Exits, exits_option, flow_line
+from surface_gym.flow.inlets import EDGE, Entrance, find_entrance, inlets_option
+from surface_gym.flow.stream import LAWS, Stream
+from surface_gym.lines import BaseLine
+from surface_gym.parcel import Parcel
+from surface_gym.physics.collision import ContactMaterial
+from surface_gym.physics.types import THETA, Array, X, Y
+from surface_gym.sensors.base import ENTRY_ROWS
+from surface_gym.state import NOISE_ROWS, EnvState, reach_along
+from surface_gym.tasks.base import Task
+from surface_gym.tasks.features import Feature
+from surface_gym.tasks.sort import HORIZON
+
+HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
+
+
+@dataclass(frozen=True)
+class StreamActions(ActionKind):
+    """A choice for each part, module or half of a parcel, and with a gate one number more."""
+
+    # ways to open the gate: 0 keeps it shut for the control period, k opens it for one parcel from
+    # the k-th physics step on; no ways: there is no gate
+    gates: int = 0
+
+    @cached_property
+    def parts(self) -> ActionKind:
+        """The actions without the gate."""
+        return ActionKind(self.name, self.choices, self.rows, self.columns)
+
+    @cached_property
+    def size(self) -> int:
+        return self.parts.size + (1 if self.gates else 0)
+
+    def space(self) -> spaces.Space[Any]:
+        if not self.gates:
+            return self.parts.space()
+        return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
+
+    def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
+        """Turn the actions of so many surfaces, or the one of one, into commands (surfaces, size)."""
+        if not self.gates:
+            return self.parts.commands(actions, parcels)
+        try:
+            given = np.asarray(actions)
+        except ValueError:  # parts of different lengths
+            raise ValueError(f"action must be an array, got {actions!r}") from None
+        each = "" if parcels is None else " in each environment"
+        if given.shape != ((self.size,) if parcels is None else (parcels, self.size)):
+            raise ValueError(f"action must have the shape {(self.size,)}{each}, got {given.shape}")
+        gate = given[..., -1]
+        choices = self.parts.commands(given[..., :-1], parcels)
+        if ((gate < 0) | (gate >= self.gates)).any():
+            raise ValueError(
+                f"action must say between 0 and {self.gates - 1} of the gate, got {gate.tolist()}"
+            )
+        return np.concatenate([choices, gate.reshape(-1, 1)], axis=1)
+
+
+ACTIONS = ("modules", "parcels")
+MOST_PARCELS = 256
+MOST_WAITING = 64  # that are shown
+LEVELLING = 0.01  # [rad] a slope that makes up for what rolling costs: tan(tilt) = mu_min
+STEEPEST = math.radians(15.0)
+
+STREAM = (
+    "a Stream of surface_gym.flow.stream, as Stream(Poisson(rate=900.0), speeds=1.5), whose "
+    f"arrivals are {LAWS}"
+)
+
+ROUND_OFF = 1e-6  # [m]
+SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole earns
+
+
+@dataclass(frozen=True)
+class StreamTask(Task):
+    """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
+
+    Parcels enter, move, touch each other and depart without code of the task; touches, waiting and
+    jams are counted. A task is one class that says what is observed, what is paid, and who departed
+    correctly. It names what `Task` names: `features` of a parcel, and `terms`, which end in
+    `SURFACE_TERMS`: what waiting and jams cost, by `waiting_reward` and `jam_reward`. Its fields are
+    its parameters; compiled functions find in `surface.params.numbers` what `numbers()` makes of them.
+
+    The compiled functions read and write the `EnvState` of one parcel. Each has a default:
+
+    - `begin(state)`, as a parcel enters: set `state.memory` from OWN_MEMORY on.
+    - `reward(state, outcome)`, after a control period: write `state.terms` but for the
+      SURFACE_TERMS. The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG;
+      `state.memory[TOUCHED]` counts touches that began. It has no default.
+    - `observe(state, waits)`: write the features from `state.sensed`; of a parcel that waits at the
+      gate, `state.sensed` is how it will enter. It has no default.
+    - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
+      features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
+
+    Others get the surface, too, as a `SurfaceView`: `surface.params`, the `clock` [s], and what the
+    task keeps of the surface (surface_memories,) and of each exit (exits, exit_memories):
+
+    - `deliver(surface, state, taken, results) -> bool`, as a parcel departs: whether it did as it
+      was to, by default by its own exit. Keep the exit in mind, in `surface.exits[taken]`. Write the
+      numbers that `results` names, for statistics.
+    - `inform(surface, state)`, before it is observed: write into `state.goal`, from GOALS on, what is
+      observed of the surface and its exits.
+    - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
+    - `may_jam(surface) -> bool`: whether standing parcels may be a jam, by default always.
+    - `has_room(surface, state, other) -> bool`: whether a parcel that is about to enter, as in
+      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
+    - `has_departed(surface, state) -> bool`, after every physics step: by default where no rotor
+      bears the parcel.
+    - `exit_taken(surface, state) -> int`, then: the exit, or BETWEEN exits; by default by its side
+      and place as it departs.
+    - `outside(state, x, y) -> float`: [m] by which a module in the parcel's box counts as outside
+      its base, where another may bear it; by default 0.
+
+    A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
+    the exit's span. INLET, by which it came, and ORDER, its place in the order of leaving, follow.
+    """
+
+    parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
+    stream: Stream = Stream()  # when parcels come, which, how fast, where to
+    exits: Any = "chutes"  # a preset, or `Exits`
+    inlets: Any = EDGE  # where parcels come onto the surface: `Inlets`
+    duration: float = 60.0  # [s] of an episode
+    max_parcels: int = 24  # on the line at once
+    # [rad] downhill towards `tilt_direction`; the default makes up for what rolling costs: a parcel
+    # of 1 m/s would not reach the end of 6 m of a level line
+    tilt: float = LEVELLING
+    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
+    restitution: float = 0.0  # [-] of sides that touch
+    side_friction: float = 0.3  # [-] between them
+    gate: bool = False  # whether an action says when the next parcel may enter
+    queue: int = 1  # parcels that wait, shown with a gate
+    entry_gap: float = 0.02  # [m] clear ahead of a parcel that enters
+    ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
+    patience: float = 2.0  # [s] without motion that make a jam
+
+    is_stream = True
+    batch = "surface_gym.flow.batch:StreamBatch"
+    in_order: ClassVar[bool] = False  # whether parcels are to leave in an order
+    takes_away: ClassVar[bool] = False  # whether a conveyor takes parcels away
+    line = flow_line()
+    waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
+    jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
+    # times its reward that a term of a parcel counts in learning, by its name; others count once
+    learning_weights: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    outcomes = ("jam",)
+    options = ("stream",)
+    goals = fs.GOALS
+    memories = 1
+    statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
+    exit_memories: ClassVar[int] = 0  # numbers that the task keeps of each exit
+    results: ClassVar[tuple[str, ...]] = ()  # numbers that `deliver` writes of a parcel
+
+    def __post_init__(self) -> None:
+        checks.instance("stream", self.stream, Stream, STREAM)
+        set_field = object.__setattr__
+        set_field(self, "parcels", self.stream.kinds)
+        set_field(self, "inlets", inlets_option(self.inlets))
+        super().__post_init__()
+        for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
+            set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
+        for name, most in (
+            ("side_friction", checks.FRICTION),
+            ("entry_gap", checks.LENGTH[1]),
+            ("ahead", checks.AHEAD),
+        ):
+            set_field(self, name, checks.not_negative(name, getattr(self, name), most))
+        set_field(self, "tilt", checks.angle("tilt", self.tilt, -STEEPEST, STEEPEST))
+        set_field(self, "tilt_direction", checks.angle("tilt_direction", self.tilt_direction))
+        set_field(self, "restitution", checks.within("restitution", self.restitution, 0.0, 1.0))
+        checks.one_of("gate", self.gate, (False, True))
+        if checks.integer("queue", self.queue, 1, MOST_WAITING) > 1 and not self.gate:
+            raise ValueError(f"queue must be 1 without a gate, got {self.queue}")
+        if checks.integer("max_parcels", self.max_parcels, least=1) > MOST_PARCELS:
+            raise ValueError(f"max_parcels must be at most {MOST_PARCELS}, got {self.max_parcels}")
+
+    @staticmethod
+    @inlined
+    def outside(state: EnvState, x: float, y: float) -> float:
+        """Return 0: the box of a parcel counts as its base."""
+        return 0.0
+
+    @staticmethod
+    @inlined
+    def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
+        """Return whether one that enters is as wide as it is and `entry_gap` ahead clear of another."""
+        return not bars(other, state, surface.params.entry_gap)
+
+    @staticmethod
+    @inlined
+    def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
+        """Return whether no rotor bears the parcel."""
+        return not state.on_rotors
+
+    @staticmethod
+    @inlined
+    def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
+        """Find the exit by which a parcel has left, or BETWEEN them.
+
+        Straight on it has left where its rear is past the last column of rotors, or its centre past
+        the rotors' end; else to the side that its centre is on.
+        """
+        truth, params = state.truth, surface.params
+        last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
+        rear = truth[X] - reach_along(state, truth[THETA], -1.0, 0.0)
+        straight = rear > last_column or truth[X] > params.rotors_end
+        towards = 1.0 if truth[Y] > state.elements.line_y else -1.0
+        side = 0.0 if straight else towards
+        where = truth[Y] - state.elements.line_y if straight else truth[X]
+        for k in range(params.exits.shape[0]):
+            if params.exits[k, 0] == side and params.exits[k, 1] <= where < params.exits[k, 2]:
+                return k
+        return fs.BETWEEN
+
+    @staticmethod
+    @inlined
+    def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
+        """Return whether a parcel departed by its own exit."""
+        return taken == int(state.goal[fs.EXIT])
+
+    @staticmethod
+    @inlined
+    def advance(surface: fs.SurfaceView, dt: float) -> None:
+        """Leave the task's memory of the surface as it is."""
+
+    @staticmethod
+    @inlined
+    def may_jam(surface: fs.SurfaceView) -> bool:
+        """Return that standing parcels may be a jam."""
+        return True
+
+    @staticmethod
+    @inlined
+    def inform(surface: fs.SurfaceView, state: EnvState) -> None:
+        """Show nothing of the surface."""
+
+    @staticmethod
+    @inlined
+    def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
+        """Show nothing of the next parcel ahead or behind."""
+
+    @staticmethod
+    @inlined
+    def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
+        """Show nothing of it where there is none."""
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the task's parameters as its compiled functions read them."""
+        return ()
+
+    @property
+    def surface_memories(self) -> int:
+        """How many numbers the task keeps of a surface."""
+        return 0
+
+    def draw_memory(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw what the task keeps of a surface as an episode begins (surface_memories,)."""
+        del rng
+        return np.zeros(self.surface_memories)
+
+    def is_running(self, memory: Array) -> bool | None:
+        """Return whether the conveyor after the surface runs, for drawing; None: there is none."""
+        del memory
+
+    def compute_statistics(
+        self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
+    ) -> Any:
+        """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+        return fs.compute_statistics(streams, surface, jammed, obeying)
+
+    @property
+    def parcel_terms(self) -> tuple[str, ...]:
+        return self.terms[: -len(SURFACE_TERMS)]
+
+    @property
+    def rows(self) -> int:
+        """Rows of the observed table: for parcels on the line, and with a gate for those waiting."""
+        return self.max_parcels + (self.queue if self.gate else 0)
+
+    @property
+    def touching(self) -> ContactMaterial:
+        """Material of parcels' sides where they touch."""
+        return ContactMaterial(self.restitution, self.side_friction)
+
+    def find_entrances(self, config: Any) -> tuple[Entrance, ...]:
+        """Find where the inlets lie on an environment's surface."""
+        line, rotors = config.chosen_line, config.rotors
+        return tuple(find_entrance(each, line, rotors) for each in self.inlets)
+
+    def find_exits(self, config: Any) -> Exits:
+        """Find the exits of an environment, a preset's laid out along the rotors."""
+        return exits_option(self.exits, config.rotors_end - config.entry_x)
+
+    def action_kind(self, config: Any) -> StreamActions:
+        """Return the kind of action: a choice for each module of a zone, or two for each parcel."""
+        _, rows, _, columns = config.site.zone
+        if config.actions == "parcels":
+            rows, columns = self.max_parcels, HALVES
+        gates = 1 + config.timing.steps if self.gate else 0
+        return StreamActions("modules", config.choices, rows, columns, gates)
+
+    def with_parcels(self, parcels: tuple[Parcel, ...]) -> "StreamTask":
+        """Return the same task: its parcels are those of the stream."""
+        del parcels
+        return self
+
+    def count_periods(self, control_period: float) -> int:
+        return math.ceil(self.duration / control_period - 1e-9)
+
+    def noise_rows(self, used: int) -> int:
+        """Rows of noise for a parcel in a control period: those that it uses, and those of a start."""
+        if used > NOISE_ROWS - ENTRY_ROWS:
+            raise ValueError(
+                f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
+                f"period, got {used}"
+            )
+        return used + ENTRY_ROWS if used else 0
+
+    def check(self, config: Any) -> None:
+        """Raise a ValueError where an environment's configuration does not suit the task."""
+        for name, only in (("observe", ()), ("observe_axes", False)):
+            given = getattr(config, name)
+            if given != only:
+                raise ValueError(f"{name} must be {only!r} for a stream of parcels, got {given!r}")
+        checks.some_of("info", config.info, ("axes",))
+        checks.one_of("actions", config.actions, ACTIONS)
+        if self.duration < config.control_period:
+            raise ValueError(
+                f"duration must be at least a control period, {config.control_period:g} s, "
+                f"got {self.duration!r}"
+            )
+        if self.gate and len(self.inlets) > 1:
+            raise ValueError(f"gate must be False with several inlets, got {len(self.inlets)}")
+        _ = config.entrances
+        if self.gate and config.orientations == ANY:
+            raise ValueError("gate must be False where orientations are 'any', got True")
+        if not config.site.rotor.any():
+            raise ValueError("line must have a rotor, got none")
+        if self.entry_gap > config.chosen_line.length:
+            raise ValueError(
+                f"entry_gap must be at most the line's length, {config.chosen_line.length:g} m, "
+                f"got {self.entry_gap!r}"
+            )
+        _, _, low, high = config.chosen_line.extent
+        middle = config.chosen_line.line_y
+        for each in () if isinstance(self.exits, str) else config.exits:
+            if not each.side and not (each.first < high - middle and each.last > low - middle):
+                raise ValueError(
+                    f"exits straight on must lie across the end, from {low - middle:g} to "
+                    f"{high - middle:g} m, got {each.name!r} from {each.first:g} to {each.last:g} m"
+                )
+            on_line = each.first < config.rotors_end and each.last > config.entry_x
+            if each.side and not on_line:
+                raise ValueError(
+                    f"exits must lie beside the rotors, from {config.entry_x:g} to "
+                    f"{config.rotors_end:g} m, got {each.name!r} from {each.first:g} to "
+                    f"{each.last:g} m"
+                )
+        self.check_stream(self.stream, config)
+
+    def check_stream(self, stream: Any, config: Any) -> None:
+        """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
+        checks.instance("stream", stream, Stream, STREAM)
+        stream.check(config.exits, config.inlets)
+        line: BaseLine = config.chosen_line
+        for parcel in stream.kinds:
+            largest = config.randomisation.largest(parcel.base)
+            site = line.site(largest, config.zone)
+            if (site.rotor != config.site.rotor).any() or site.zone != config.site.zone:
+                raise ValueError(
+                    f"line must have the same rotors and zone for every parcel of the stream, "
+                    f"as flow_line() has, got {type(line).__name__}"
+                )
+            length, width = np.ptp(largest.outline, axis=0)
+            if length > line.length or width > line.width:
+                raise ValueError(
+                    f"parcels must be at most as long and wide as the line, {line.length:g} m x "
+                    f"{line.width:g} m, got {length:g} m x {width:g} m"
+                )
+            # A smaller one would lie between rotors, as if it had left.
+            least = config.randomisation.least(parcel.base)
+            length, width = np.ptp(least.outline, axis=0)
+            if length < line.pitch_x or width < line.pitch_y:
+                raise ValueError(
+                    f"parcels must be at least a pitch long and wide, {line.pitch_x:g} m x "
+                    f"{line.pitch_y:g} m, got {length:g} m x {width:g} m"
+                )
+
+
+# Features that tasks share.
+FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
+GAP = Feature("gap", -20.0, 20.0, f"clear along x; there is none: {FAR:g} m", "m", 0.5)
+SPEED = Feature("speed", -20.0, 20.0, "its vx over the own", "m/s", 0.5)
+ASIDE = Feature("offset", -20.0, 20.0, "its y over the own", "m", 0.3)
+TIME = Feature("time", -1000.0, 1000.0, "since it entered; since it came: < 0", "s", HORIZON)
+PRESENT = Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else")
+WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface")
+
+
+def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:
+    """Return the features of the neighbour ahead, then of the one behind."""
+    ways = ("ahead", "behind")
+    return tuple(replace(each, name=f"{each.name} {way}") for way in ways for each in features)
