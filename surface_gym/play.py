@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from threading import Lock
 
 from surface_gym.cli import typed
-from surface_gym.registration import PERIODS
+from surface_gym.registration import SHIPPED, TASKS
 
 PORT = 8642
 
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    tasks = f"{', '.join(PERIODS)}, or your own as path/to/file.py:Class"
+    tasks = f"{', '.join(TASKS)}, or your own as path/to/file.py:Class"
     first = f"to begin with: {tasks}; by default an empty table"
     parser.add_argument("--task", help=first)
     watched = "folder of a training run, whose policy acts at first"
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--no-browser", action="store_true", help="only serve, and print where")
     options = parser.parse_args(arguments)
     try:
-        if options.task not in (None, *PERIODS) and ":" not in options.task:
+        if options.task not in (None, *TASKS) and ":" not in options.task:
             raise ValueError(f"task must be one of {tasks}, got {options.task!r}")
         serve(options.task, options.run, options.port, not options.no_browser)
     except (RuntimeError, ValueError) as error:
@@ -79,10 +79,10 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             beside = Path(stack.enter_context(TemporaryDirectory()))
             server.add(beside)
             name, agent = task, "you"
-            if task is not None and ":" in task:
+            if task is not None and task not in SHIPPED:
                 from surface_gym.agents.library import find_task
 
-                own = find_task(task)
+                own = TASKS[task]() if task in TASKS else find_task(task)
                 name = modules.add_own(own, beside)
                 if find_spec("torch") is not None:
                     from surface_gym.agents.export import web

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import inlined
-from surface_gym.flow import base, state as fs
+from surface_gym.flow import base as flow, state as fs
 from surface_gym.flow.arrivals import HOUR, Poisson
 from surface_gym.flow.base import FAR, SURFACE_TERMS, StreamTask, both_ways
 from surface_gym.flow.exits import PITCH, RUN_OUT
@@ -104,7 +104,7 @@ class Stops:
 
 # Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
 EXTENT = Feature("extent", -10.0, 100.0, "half of its extent along y", "m", 0.1, 0.2)
-NEIGHBOUR_FEATURES = (base.GAP, base.SPEED, base.ASIDE, EXTENT)
+NEIGHBOUR_FEATURES = (flow.GAP, flow.SPEED, flow.ASIDE, EXTENT)
 FEATURES: tuple[Feature, ...] = (
     Feature("to the end", -20.0, 1000.0, "from its centre along x", "m"),
     Feature("offset", -20.0, 20.0, "y of its centre from the line's middle", "m", 0.5),
@@ -121,7 +121,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("rolling", 0.0, 20.0, "time until it has left if it rolls", "s", HORIZON),
     Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap", "m", 0.5),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
-    base.TIME, base.PRESENT, base.WAITS, *both_ways(NEIGHBOUR_FEATURES),
+    flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
 AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # where neighbours' numbers begin

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from surface_gym import __version__
 from surface_gym.cli import IN_CHECKOUT, typed
-from surface_gym.registration import PERIODS
+from surface_gym.registration import SHIPPED
 
 if TYPE_CHECKING:
     from surface_gym.config import EnvConfig
@@ -27,7 +27,7 @@ PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
 TABLE, NOISE = "table", "noise"
 CAMERA = "-camera"  # ends the name of a task whose parcels a camera senses
-TASKS = (*PERIODS, *(task + CAMERA for task in PERIODS))
+TASKS = (*SHIPPED, *(task + CAMERA for task in SHIPPED))
 ALL = (TABLE, NOISE, *TASKS)
 KINDS = ("wasm", "bin", "json", "starts")  # of a task's files
 SITE = "site.json"  # what a page finds beside it

@@ -17,7 +17,7 @@ from surface_gym import checks
 from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics import rollout, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
-from surface_gym.registration import PERIODS
+from surface_gym.registration import SHIPPED
 from surface_gym.simulation import (
     Encounter,
     Touches,
@@ -202,7 +202,7 @@ class TaskScene:
     commands: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
     camera: bool = False  # whether a camera senses the parcels; otherwise sensors are exact
 
-    tasks: InitVar[Sequence[str]] = tuple(PERIODS)  # tasks of the page
+    tasks: InitVar[Sequence[str]] = tuple(SHIPPED)  # tasks of the page
 
     def __post_init__(self, tasks: Sequence[str]) -> None:
         checks.one_of("task", self.task, tuple(tasks))

@@ -9,7 +9,7 @@ import numpy as np
 from surface_gym.compiler.wasm_image import is_scratch, name_arguments
 from surface_gym.core.batch import BaseBatch
 from surface_gym.physics import types as ph
-from surface_gym.registration import PERIODS
+from surface_gym.registration import SHIPPED
 from surface_gym.rendering import ExitSide, ExitSpeed, Heading, Path, StopLine
 from surface_gym.scenes import exit_marks
 from surface_gym.web.noise import describe_noise, place
@@ -121,7 +121,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
     name = config.task_name
     return {
         "task": name,
-        "file": "" if name in PERIODS else inspect.getsourcefile(type(task)),
+        "file": "" if name in SHIPPED else inspect.getsourcefile(type(task)),
         "summary": (type(task).__doc__ or "").strip().splitlines()[0],
         "rows": line.rows,
         "columns": line.columns,
@@ -132,7 +132,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
         "orientations": list(config.chosen_orientations),
         "dt": config.timing.dt,
         "steps": config.timing.steps,
-        "periods": PERIODS.get(name),
+        "periods": None if task.is_stream else task.periods,
         "outcomes": list(batch.outcomes),
         "terms": list(task.terms),
         "metrics": list(getattr(task, "metrics", ())),
