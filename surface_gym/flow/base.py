@@ -55,7 +55,7 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Turn the actions of so many surfaces, or the one of one, into commands (surfaces, size)."""
+        """Turn actions of many surfaces, or the action of one, into commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -94,30 +94,32 @@ class StreamTask(Task):
     """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
 
     Parcels enter, move, touch each other and depart without code of the task; touches, waiting and
-    jams are counted. A task is one class that says what is observed, what is paid, and who departed
-    correctly. It names what `Task` names: `features` of a parcel, and `terms`, which end in
-    `SURFACE_TERMS`: what waiting and jams cost, by `waiting_reward` and `jam_reward`. Its fields are
-    its parameters; compiled functions find in `surface.params.numbers` what `numbers()` makes of them.
+    jams are counted. A task is one class that says what is observed, what is paid, and which
+    parcels departed correctly. Its class variables are those of `Task`: `features` are of a parcel,
+    and `terms` end in `SURFACE_TERMS`, the costs of waiting and of jams, at the rates
+    `waiting_reward` and `jam_reward`. Its fields are its parameters. Compiled functions read them
+    from `surface.params.numbers`, as `numbers()` returns them.
 
-    The compiled functions read and write the `EnvState` of one parcel. Each has a default:
+    The compiled functions read and write the `EnvState` of one parcel. All have a default but
+    `reward` and `observe`:
 
     - `begin(state)`, as a parcel enters: set `state.memory` from OWN_MEMORY on.
     - `reward(state, outcome)`, after a control period: write `state.terms` but for the
       SURFACE_TERMS. The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG;
-      `state.memory[TOUCHED]` counts touches that began. It has no default.
+      `state.memory[TOUCHED]` counts touches that began.
     - `observe(state, waits)`: write the features from `state.sensed`; of a parcel that waits at the
-      gate, `state.sensed` is how it will enter. It has no default.
-    - `observe_neighbour(state, other, gap, ahead)`, `observe_no_neighbour(state, ahead)`, then: write
-      features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
+      gate, `state.sensed` is how it will enter.
+    - `observe_neighbour(state, other, gap, ahead)` or `observe_no_neighbour(state, ahead)`, then:
+      write features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
 
     Others get the surface, too, as a `SurfaceView`: `surface.params`, the `clock` [s], and what the
     task keeps of the surface (surface_memories,) and of each exit (exits, exit_memories):
 
     - `deliver(surface, state, taken, results) -> bool`, as a parcel departs: whether it did as it
-      was to, by default by its own exit. Keep the exit in mind, in `surface.exits[taken]`. Write the
-      numbers that `results` names, for statistics.
-    - `inform(surface, state)`, before it is observed: write into `state.goal`, from GOALS on, what is
-      observed of the surface and its exits.
+      was to, by default by its own exit. It may change `surface.exits[taken]`, and writes the
+      numbers that the class variable `results` names, for statistics.
+    - `inform(surface, state)`, before a parcel is observed: write into `state.goal`, from GOALS on,
+      numbers of the surface and its exits that `observe` shows.
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
     - `may_jam(surface) -> bool`: whether standing parcels may be a jam, by default always.
     - `has_room(surface, state, other) -> bool`: whether a parcel that is about to enter, as in
@@ -200,7 +202,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether one that enters is as wide as it is and `entry_gap` ahead clear of another."""
+        """Return whether another leaves an entering parcel its width, and `entry_gap` ahead."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -291,7 +293,7 @@ class StreamTask(Task):
 
     @property
     def rows(self) -> int:
-        """Rows of the observed table: for parcels on the line, and with a gate for those waiting."""
+        """Rows of the observed table: of parcels on the line, and with a gate of waiting ones."""
         return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
@@ -325,7 +327,7 @@ class StreamTask(Task):
         return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
-        """Rows of noise for a parcel in a control period: those that it uses, and those of a start."""
+        """Rows of noise for a parcel in a control period: the used ones, and a start's."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
