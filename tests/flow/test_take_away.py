@@ -78,7 +78,7 @@ class TestLeaving:
         stream = traced((0.0, 1.5), turned=math.radians(degrees))
         batch = rolled(begun(stream, alignment=math.radians(10.0)), 3.0)
         assert batch.streams.correct[0, 0] == right
-        assert abs(math.degrees(batch.streams.misalignment[0, 0])) == pytest.approx(
+        assert abs(math.degrees(batch.streams.results[0, 0, ta.MISALIGNMENT])) == pytest.approx(
             min(degrees, 90.0 - degrees), abs=0.6
         )
 
