@@ -78,9 +78,10 @@ class Even(own.StreamTask):
     @staticmethod
     @kernel_function
     def inform(surface: SurfaceView, state: EnvState) -> None:
-        least = surface.exits[:, TAKEN].min()
-        for k in range(surface.exits.shape[0]):
-            state.goal[LOAD + k] = surface.exits[k, TAKEN] - least
+        exits = surface.exits
+        least = min(exits[LEFT, TAKEN], exits[RIGHT, TAKEN], exits[STRAIGHT, TAKEN])
+        for k in range(3):
+            state.goal[LOAD + k] = exits[k, TAKEN] - least
 
     @staticmethod
     @kernel_function
