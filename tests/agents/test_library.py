@@ -72,6 +72,8 @@ def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
         agents.load("juggle-ppo")
     with pytest.raises(ValueError, match="seed must be one of"):
         agents.load("sort-ppo", seed=99)
+    with pytest.raises(ValueError, match="folder must be a path, got 5"):
+        read(5)
     with pytest.raises(ValueError, match="holds no policy"):
         read(tmp_path)
     (tmp_path / "policy.yaml").write_text("algo: modules\n")

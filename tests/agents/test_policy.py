@@ -216,7 +216,8 @@ def test_a_foreign_card_is_refused(folder, text) -> None:
     [
         "env_id: Other-v0", "env_id: SmartSurface/Slow-v0", "algo: sac", "actions: thirds",
         "actions: window", "control_period: -1.0", "hidden: [9]", "hidden: []",
-        "hidden: [60000, 60000]", "more: 1", "env_id", "algo", "actions", "control_period",
+        "hidden: [60000, 60000]", f"hidden: {[1] * 5000}", "more: 1", "env_id", "algo", "actions",
+        "control_period",
     ],
 )  # fmt: skip
 def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong) -> None:
