@@ -16,7 +16,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import ACTIONS, StreamTask
-from surface_gym.registration import FLOW_TASK, env_id
+from surface_gym.registration import DEFAULT_STREAM, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.features import Feature
 
@@ -27,7 +27,7 @@ MATERIAL_FLOW = (
 )
 SINGULATE = "Surface, end, actions, reward and infos: [Singulate](singulate.md)."
 STREAMS = {
-    FLOW_TASK: "Streams, exits, the physics of parcels that touch, and controllers: "
+    DEFAULT_STREAM: "Streams, exits, the physics of parcels that touch, and controllers: "
     "[a flow of parcels](../flow.md).",
     "singulate": MATERIAL_FLOW,
     "merge": f"{SINGULATE} {MATERIAL_FLOW}",

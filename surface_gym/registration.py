@@ -47,9 +47,6 @@ def env_id(task: str) -> str:
     return _IDS.get(task, f"SmartSurface/{task.capitalize()}-v0")
 
 
-FLOW = env_id(FLOW_TASK)
-
-
 def register(task: "type[Task]", name: str) -> None:
     """Register your task in Gymnasium by an id, e.g. "Mine/Reach-v0".
 

@@ -21,12 +21,11 @@ from surface_gym.core.batch import Batch
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks.start import Start
 
-# Those of one parcel an environment; streams have tests of their own.
-IDS = sorted(
-    registration.env_id(name)
-    for name, periods in registration.PERIODS.items()
-    if periods is not None
-)
+STREAMS = tuple(name for name, periods in registration.PERIODS.items() if periods is None)
+ON_SLOPES = tuple(name for name in STREAMS if registration.TASKS[name].takes_away)
+FLOW = registration.env_id(registration.DEFAULT_STREAM)
+# Tasks of one parcel; streams have tests of their own.
+IDS = sorted(map(registration.env_id, {*registration.SHIPPED}.difference(STREAMS)))
 ACTIONS = tuple(actions.KINDS)
 SENSORS = sensors.KINDS
 SORT = "SmartSurface/Sort-v0"

@@ -20,12 +20,11 @@ from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops
 from surface_gym.lines import Pattern
-from surface_gym.registration import FLOW
 from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks, inlet_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
-from tests.environments import HEPTAGON, PARCELS, batch_with as batch_at, put
+from tests.environments import FLOW, HEPTAGON, PARCELS, batch_with as batch_at, put
 from tests.flow import flows
 from tests.flow.flows import BOX, PLUS_45, ROLL, SHORT, bare, same_choice, trace, truths
 

@@ -27,7 +27,7 @@ from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import COLUMN, StreamTask
-from surface_gym.registration import FLOW_TASK, TASKS
+from surface_gym.registration import DEFAULT_STREAM, TASKS
 from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
 
@@ -392,8 +392,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not (folder / SITE).is_file():
         parser.error(f"folder must be one that `surface-gym web` has written, got {folder}")
     agents = write_agents(folder)
-    if FLOW_TASK in agents:  # whose module both lines of the home page run
-        write_home(folder, agents[FLOW_TASK]["obeying"])
+    if DEFAULT_STREAM in agents:  # whose module both lines of the home page run
+        write_home(folder, agents[DEFAULT_STREAM]["obeying"])
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import torch
 from surface_gym.cuda.prefetch import PreparedStarts
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.stream import Stream
-from surface_gym.registration import FLOW
+from surface_gym.registration import DEFAULT_STREAM, env_id
 from surface_gym.tasks.sort import Sort
 
 ID = "SmartSurface/Sort-v0"
@@ -95,7 +95,7 @@ def make_sort(task: Sort, num_envs: int, **arguments: Any) -> Any:
 def make_streams(num_envs: int, **arguments: Any) -> Any:
     """Make lines for 16 parcels each, with more arrivals than can enter."""
     return gym.make_vec(
-        FLOW,
+        env_id(DEFAULT_STREAM),
         num_envs=num_envs,
         stream=Stream(Poisson(PARCELS_PER_HOUR)),
         max_parcels=MAX_PARCELS,

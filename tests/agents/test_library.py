@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 import yaml
 
-from surface_gym import agents, registration
+from surface_gym import agents
 from surface_gym.agents.library import CARD, SHELF, read
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.tasks import TASKS
+from tests.environments import ON_SLOPES as SLOPES
 
 FLOW = "flow-schedule"
 OF_MODULES = {"singulate-local", "merge-local"}
-ON_SLOPES = {f"{task}-parcels" for task in registration.ON_SLOPES} | OF_MODULES
+ON_SLOPES = {f"{task}-parcels" for task in SLOPES} | OF_MODULES
 FOR_THE_LAB = {"sort-dqn-lab", *(f"{task}-ppo-lab" for task in TASKS)}
 
 

@@ -19,8 +19,8 @@ from surface_gym.agents.scheduling.features import USUAL
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.exits import Exit, Exits
 from surface_gym.flow.stream import Stream
-from surface_gym.registration import FLOW
 from tests.agents.rules.runs import counts, gated
+from tests.environments import FLOW
 
 THREE = Exits((Exit("a", 1, 0.5, 1.4), Exit("b", 1, 1.6, 2.9), Exit("c", -1, 0.8, 2.9)))
 CARD = PolicyCard(FLOW, "schedule", "parcels", 0.04, (8, 8))

@@ -20,9 +20,9 @@ from surface_gym.flow.state import ENTERED, INLET
 from surface_gym.flow.stream import Stream
 from surface_gym.physics.step import com_states
 from surface_gym.physics.types import THETA, Array, X, Y
-from surface_gym.registration import FLOW
 from surface_gym.sensors import Camera, Presence
 from tests import environments as te
+from tests.environments import FLOW
 
 BRAKE, PLUS_45, MINUS_45, ROLL = range(4)  # choices of the default orientations
 MIRRORED = np.array([BRAKE, MINUS_45, PLUS_45, ROLL])  # the choice that each is in a mirror

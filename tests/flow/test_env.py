@@ -24,9 +24,9 @@ from surface_gym.flow.batch import BodyPool, list_figures
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES, Flow
 from surface_gym.randomisation import Randomisation
-from surface_gym.registration import FLOW
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 from tests import environments as te
+from tests.environments import FLOW
 from tests.flow import flows
 from tests.test_vector_env import run_beside
 

@@ -22,9 +22,10 @@ from surface_gym.agents.rules.sorting import BestSorting
 from surface_gym.agents.rules.streams import SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
-from surface_gym.registration import ON_SLOPES, env_id
+from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.scene import TaskScene
+from tests.environments import ON_SLOPES
 from tests.web.conftest import Site, end_in_page, end_in_python, open_sort, run_script, wait_for
 
 PERIODS = 300

@@ -8,9 +8,7 @@ pytest.importorskip("wasmtime", reason="wasmtime is not installed (extra 'web')"
 
 from benchmarks.web import ARGUMENTS, Twins
 from surface_gym.flow.state import CORRECT, TOUCHES
-from surface_gym.registration import PERIODS
-
-STREAMS = [task for task, periods in PERIODS.items() if periods is None]
+from tests.environments import STREAMS
 
 
 @pytest.mark.parametrize("task", STREAMS)

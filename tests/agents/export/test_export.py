@@ -20,10 +20,10 @@ from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import GROUPS, group_features
-from surface_gym.registration import ON_SLOPES
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.features import Feature
 from tests.agents.test_policy import policy_of
+from tests.environments import ON_SLOPES
 
 OBSERVED = ("parcel", "rotors")
 CARDS = {

@@ -25,10 +25,8 @@ from surface_gym.env import SmartSurfaceEnv, make_batch
 from surface_gym.flow.batch import StreamBatch, stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.state import NOBODY
-from surface_gym.registration import PERIODS
 from surface_gym.web.build import make_config
-
-STREAMS = [task for task, periods in PERIODS.items() if periods is None]
+from tests.environments import STREAMS
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,9 @@ import yaml
 from surface_gym.agents.learning import algorithms, config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.agents.library import ALGORITHMS
-from surface_gym.registration import ON_SLOPES, env_id
+from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
+from tests.environments import ON_SLOPES
 
 ROOT = Path(__file__).parents[3]
 TRAP = "!!python/object/apply:os.getcwd []"

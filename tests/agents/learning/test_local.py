@@ -12,7 +12,7 @@ from surface_gym.agents.learning.algorithms import LocalConfig
 from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.runs import train
 from surface_gym.config import EnvConfig
-from surface_gym.registration import ON_SLOPES
+from tests.environments import ON_SLOPES
 
 TINY = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8,), steps=192)
 

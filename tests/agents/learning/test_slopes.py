@@ -14,7 +14,7 @@ from surface_gym.agents.learning.local import LocalLearner
 from surface_gym.agents.learning.parcels import ParcelLearner
 from surface_gym.flow import take_away as ta
 from surface_gym.parcel import assortment
-from surface_gym.registration import ON_SLOPES
+from tests.environments import ON_SLOPES
 
 TINY = ParcelsConfig(num_envs=6, n_steps=16, batch_size=32, n_epochs=1, hidden=(8,), steps=192)
 LOCAL = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8,), steps=192)
