@@ -23,25 +23,18 @@ from torch import nn
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
-from surface_gym.lines import BaseLine, Line
-from surface_gym.tasks import planning, sort
+from surface_gym.tasks import sort
 
-from .base import SIDE, Integers, Numbers, Singles, mirrored_orientations
+from .base import SIDE, Integers, Singles, mirrored_orientations
 from .library import PolicyCard, TrainedPolicy, Weights
+from .module_places import AHEAD, ASIDE, PLACE_SIZE, find_places, find_shown
+from .rules.decoding import look_at_line
 from .tensors import load_weights
 
-EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
-ELLIPSE = np.pi / 4.0  # share of a rectangle that the ellipse in it fills
-ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
-LEAST_ROWS = 2.0  # of a line amid supports
-MARGIN = 0.01  # [m] a module this near to the base may bear it
-
-BESIDE, ACROSS = 0.3, 0.15  # [m] scales of a module's place beside the parcel and the line
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
 # The side is mirrored away. The time would tie the policy to one length of lead-in.
 SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
 _ROTORS = {feature.name for feature in group_features(("rotors",))}
-_PLACE_SIZE = 9  # features of a module's place
 
 
 def shared_size(observe: tuple[str, ...]) -> int:
@@ -51,76 +44,7 @@ def shared_size(observe: tuple[str, ...]) -> int:
 
 def place_size(observe: tuple[str, ...]) -> int:
     """Count the features of a single module."""
-    return _PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
-
-
-@dataclass(frozen=True, eq=False)
-class Outline:
-    """Outlines of bases between a rectangle and the ellipse in it."""
-
-    half: Numbers  # (2, num_envs) [m] of length and width
-    roundness: Numbers  # (num_envs,) [-] 0: a rectangle, 1: an ellipse
-    rows: Numbers  # (num_envs,) of the line that the parcel runs on
-
-    def select(self, env: Integers) -> "Outline":
-        return Outline(self.half[:, env], self.roundness[env], self.rows[env])
-
-    def reach(self, theta: Numbers) -> Numbers:
-        """Compute the half extent [m] along x of bases turned by theta (num_envs,) [rad]."""
-        cosine, sine = np.abs([np.cos(theta), np.sin(theta)])
-        length, width = self.half
-        straight = length * (cosine + sine) + (width - length) * sine
-        bent = np.hypot(length * cosine, width * sine)
-        return (1.0 - self.roundness) * straight + self.roundness * bent
-
-    def distance(self, place: Numbers) -> Numbers:
-        """Compute signed distances (num_envs,) [m] of places (2, num_envs) in the base's frame.
-
-        Negative under the base. Beyond an ellipse that is no disc it is an upper bound.
-        """
-        straight = (np.abs(place) - self.half).max(axis=0)
-        bent = (np.hypot(*(place / self.half)) - 1.0) * self.half.min(axis=0)
-        return (1.0 - self.roundness) * straight + self.roundness * bent
-
-
-def outline_from_features(
-    length: Numbers, width: Numbers, fill: Numbers, line: BaseLine
-) -> Outline:
-    """Compute the outlines of bases from their half length and width [m] and how full they are."""
-    half = np.stack([length, width])
-    return Outline(
-        half,
-        np.clip((1.0 - fill) / (1.0 - ELLIPSE), 0.0, 1.0),
-        _count_rows(line, half[1] / line.pitch_y + EXACT),
-    )
-
-
-def outline_from_clearance(
-    see: planning.LineObservation, clearance: Numbers, line: BaseLine
-) -> Outline:
-    """Infer the outlines of bases from their half length alone, as rectangles or discs.
-
-    The clearance lacks the half line and the half extent of the base across it. A wider base has a
-    wider line, so that both follow.
-    """
-    length, pitch = see.half_length, line.pitch_y
-    cosine, sine = np.abs([np.cos(see.theta), np.sin(see.theta)])
-    total = see.offset - clearance  # half line and half extent
-    across = total - length * sine  # half line and the half width's part
-    rows = _count_rows(line, (across / pitch + 1.5 - ROUND) / (1.0 + cosine))
-    half_line = 0.5 * pitch * (rows - 1.0)
-    extent = across - half_line
-    as_wide = np.abs(extent - length * cosine) < EXACT
-    is_disc = np.abs(total - half_line - length) < EXACT
-    width = np.divide(extent, cosine, out=length.copy(), where=cosine > 0.0)
-    width = np.where(as_wide | is_disc, length, np.clip(width, 0.5 * length, 2.0 * length))
-    return Outline(np.stack([length, width]), np.zeros_like(length), rows)
-
-
-def _count_rows(line: BaseLine, pairs: Numbers) -> Numbers:
-    """Count the rows (num_envs,) of a line under which `pairs` of rows fit; else the layout's."""
-    least = LEAST_ROWS if isinstance(line, Line) else line.zone_rows
-    return np.clip(2.0 * np.floor(pairs), least, line.zone_rows)
+    return PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,21 +68,15 @@ class ModuleView:
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("task", config.task_name, ("sort",))
         checks.one_of("actions", config.actions, ("modules",))
-        self._config = config
-        kind = config.action_kind
-        self._size = kind.size
-        self._line = config.chosen_line
-        # [m] from the zone's first edge, and from the line's middle.
-        self._column = self._line.pitch_x * (np.arange(kind.columns) + 0.5)
-        self._row = self._line.pitch_y * (np.arange(kind.rows) - (kind.rows - 1) / 2.0)
+        self._size = config.action_kind.size
+        self._features = len(config.features)
+        self._sight, self._shown = look_at_line(config), find_shown(config)
         self._image = mirrored_orientations(config.chosen_orientations)
         angles = np.array(config.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
         columns = config.columns
         of_groups = [columns[each.name].place for each in group_features(config.observe)]
         self._shared = np.array([*SHARED, *of_groups])
-        exact = "parcel" in config.observe
-        self._locate = self._locate_exactly if exact else self._locate_by_clearance
         # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
         rotors = [name for name in columns if name in _ROTORS]
         self._rotors = np.array([columns[name].place for name in rotors], dtype=np.int64)
@@ -166,75 +84,25 @@ class ModuleView:
 
     def __call__(self, observations: Singles) -> ModuleObservations:
         """Compute the modules' observations from those of environments (num_envs, features)."""
-        shown = self._config.observed(observations)
-        see = _mirrored_to_left(planning.decode_line(shown))
-        outlines, into_zone = self._locate(see, shown)
-        env, index, x, y = self._find_near(see, outlines, into_zone)
-        outline = outlines.select(env)
-        period = self._config.control_period
-        now = _in_parcel_frame(x, y, see.theta[env])
-        later = _in_parcel_frame(
-            x - period * see.vx[env],
-            y - period * see.vy[env],
-            (see.theta + period * see.omega)[env],
-        )
-        distance = np.stack([outline.distance(now), outline.distance(later)])
-        beside = np.stack([x / BESIDE, y / BESIDE, (y + see.offset[env]) / ACROSS])
-        parts = (now / outline.half, later / outline.half, distance <= 0.0, beside)
-        place = np.concatenate([*parts, self._axes(observations, env, x, y)]).T
-        bears = distance.min(axis=0) <= MARGIN
-        return ModuleObservations(
-            observations[:, self._shared], env[bears], place[bears].astype(np.float32), index[bears]
-        )
+        env, index, place = self.room(len(observations))
+        count = find_places(observations, self._sight, self._shown, env, index, place)
+        env, index, place = env[:count], index[:count], place[:count]
+        # A module sees the axes in its own quadrant of the parcel.
+        quadrant = 2 * (place[:, AHEAD] < 0.0) + (place[:, ASIDE] < 0.0)
+        axes = observations[env[:, np.newaxis], self._rotors[quadrant]]
+        place = np.concatenate([place, axes], axis=1)
+        return ModuleObservations(observations[:, self._shared], env, place, index)
 
-    def _locate_by_clearance(
-        self, see: planning.LineObservation, shown: planning.Observed
-    ) -> tuple[Outline, Numbers]:
-        """Infer outlines, and x [m] of the bases' centres (num_envs,) past the zone's edge."""
-        outline = outline_from_clearance(see, shown["clearance"], self._line)
-        return outline, see.into_zone + (outline.reach(see.theta) - see.reach)
+    def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
+        """Make room for the modules that may bear a parcel."""
+        modules = num_envs * self._size
+        places = np.zeros((modules, PLACE_SIZE), dtype=np.float32)
+        return np.zeros(modules, dtype=np.int64), np.zeros(modules, dtype=np.int64), places
 
-    def _locate_exactly(
-        self, see: planning.LineObservation, shown: planning.Observed
-    ) -> tuple[Outline, Numbers]:
-        """Compute the same from an observed outline: the phase in a pitch makes x exact."""
-        names = ("length", "width", "fill", "sine of phase x", "cosine of phase x")
-        length, width, fill, sine, cosine = (shown[name] for name in names)
-        outline = outline_from_features(length, width, fill, self._line)
-        pitch = self._line.pitch_x
-        into_zone = see.into_zone + (outline.reach(see.theta) - see.reach)
-        in_pitch = 0.5 + np.arctan2(sine, cosine) / (2.0 * np.pi)  # from a column's first edge
-        return outline, pitch * (np.round(into_zone / pitch - in_pitch) + in_pitch)
-
-    def _axes(self, observations: Singles, env: Integers, x: Numbers, y: Numbers) -> Singles:
-        """Select features (features, modules) of the axes in each module's quadrant.
-
-        A module is at x and y [m] from the parcel's centre.
-        """
-        quadrant = 2 * (x < 0.0) + (y < 0.0)
-        return observations[env[:, np.newaxis], self._rotors[quadrant]].T
-
-    def _find_near(
-        self, see: planning.LineObservation, outline: Outline, into_zone: Numbers
-    ) -> tuple[Integers, Integers, Numbers, Numbers]:
-        """Find modules that the parcel may reach in a period.
-
-        Returns:
-            Environment, index in the action, and x and y [m] from the parcel's centre (modules,).
-        """
-        mirror = np.where(see.side < 0.0, -1.0, 1.0)[:, np.newaxis]
-        row = mirror * self._row
-        x = self._column - into_zone[:, np.newaxis]
-        y = row - see.offset[:, np.newaxis]
-        moved = self._config.control_period * (np.abs(see.vx) + np.abs(see.vy))
-        close = (np.hypot(*outline.half) + moved + 2.0 * MARGIN)[:, np.newaxis]
-        # Only the line's rotors bear.
-        line = np.abs(row) < 0.5 * self._line.pitch_y * outline.rows[:, np.newaxis]
-        rows = line & (np.abs(y) < close)
-        columns = np.abs(x) < close
-        env, place, column = np.nonzero(rows[:, :, np.newaxis] & columns[:, np.newaxis, :])
-        index = place * len(self._column) + column
-        return env, index, x[env, column], y[env, place]
+    def begin(self) -> tuple[Any, ...]:
+        """List what `find_places` takes in one environment."""
+        observations = np.zeros((1, self._features), dtype=np.float32)
+        return observations, self._sight, self._shown, *self.room(1)
 
     def actions(
         self, observations: Singles, seen: ModuleObservations, choices: Integers
@@ -244,24 +112,6 @@ class ModuleView:
         mirrored = observations[seen.env, SIDE] < 0.0
         actions[seen.env, seen.index] = np.where(mirrored, self._image[choices], choices)
         return actions
-
-
-def _mirrored_to_left(see: planning.LineObservation) -> planning.LineObservation:
-    """Mirror the parcels that are to go to y < 0."""
-    mirror = np.where(see.side < 0.0, -1.0, 1.0)
-    return replace(
-        see,
-        offset=mirror * see.offset,
-        theta=mirror * see.theta,
-        vy=mirror * see.vy,
-        omega=mirror * see.omega,
-    )
-
-
-def _in_parcel_frame(x: Numbers, y: Numbers, theta: Numbers) -> Numbers:
-    """Rotate x and y [m] to (2, modules) [m] along and across the parcel."""
-    cosine, sine = np.cos(theta), np.sin(theta)
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x])
 
 
 GROUPS = 2  # of modules in an environment

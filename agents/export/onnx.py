@@ -21,7 +21,7 @@ from surface_gym.lines import Line
 from surface_gym.tasks.features import decode
 
 from ..base import SIDE, Integers, Singles, mirrored_orientations
-from ..module_policy import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
+from ..module_places import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
 from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators

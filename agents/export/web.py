@@ -32,9 +32,10 @@ from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
 
 from .. import library, local_policy, module_policy, parcel_policy
-from ..base import Singles, mirrored_orientations
+from ..base import SIDE, Singles, mirrored_orientations
 from ..evaluation.methods import policy_folders
 from ..local_policy import LocalPolicy
+from ..module_places import find_places
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
 from ..rules import find_rules
@@ -114,33 +115,31 @@ def describe_policy(source: Source, weights: Weights) -> Card:
     return card
 
 
-def describe_modules_policy(source: Source, weights: Weights) -> Card:
-    """Describe a policy of Sort's modules for `page/sorting.js`, and add its weights."""
+def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
+    """Describe a policy of Sort's modules for `page/sorting.js`, and add its weights; write the
+    function that finds what the modules see.
+    """
     config, tensors = source.config, source.weights
-    line, kind = config.chosen_line, config.action_kind
-    orientations = config.chosen_orientations
+    view = module_policy.ModuleView(config)
     first = torch.cat([tensors["_alike.weight"], tensors["_apart.weight"]], dim=1)
     return {
         "kind": "modules",
+        **write_machine("module-places", "module-places", find_places, view.begin(), folder),
         "layers": [
             weights.add_layer(first, tensors["_alike.bias"]),
             *weights.add_layers(tensors, "_between"),
             *weights.add_layers(tensors, "_logits"),
         ],
         "shared": module_policy.SHARED,
-        "features": [feature.name for feature in config.features],
-        "mirror": mirrored_orientations(orientations).tolist(),
-        "rest": local_policy.find_rest(config),
-        "pitch": [line.pitch_x, line.pitch_y], "zone": [kind.rows, kind.columns],
-        "least": module_policy.LEAST_ROWS, "period": config.control_period,
-        "exact": module_policy.EXACT, "round": module_policy.ROUND, "margin": module_policy.MARGIN,
+        "mirror": mirrored_orientations(config.chosen_orientations).tolist(),
+        "rest": local_policy.find_rest(config), "side": SIDE,
     }  # fmt: skip
 
 
-def describe_source(source: Source, weights: Weights) -> Card:
+def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
     """Describe a policy of single parcels, and add its weights."""
     if isinstance(source.policy, ModulePolicy):
-        return describe_modules_policy(source, weights)
+        return describe_modules_policy(source, weights, folder)
     return describe_policy(source, weights)
 
 
@@ -158,7 +157,7 @@ def write_policies(
         if not is_shown(card) or (card.observe and card.task not in tasks):
             continue
         own = Weights() if card.observe else weights
-        described = describe_source(shipped(name), own)
+        described = describe_source(shipped(name), own, folder)
         if card.observe:
             described["weights"] = f"agent-{name}.bin"
             write(folder / described["weights"], own.to_bytes())
@@ -204,7 +203,7 @@ def write_run(
         described = write_slope_policy(RUN, policy, first, folder)
         there.setdefault("streams", {})[agent] = described
     else:
-        described = describe_source(of_run(run, task=own), weights)
+        described = describe_source(of_run(run, task=own), weights, folder)
         there.setdefault("policies", {})[agent] = described
     _write_beside(agents, weights, folder, package)
     return of_task, agent

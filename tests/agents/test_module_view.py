@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents import module_policy
+from surface_gym.agents import module_places, module_policy
+from surface_gym.agents.module_places import Outline, find_shown
+from surface_gym.agents.rules import decoding
+from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LEAD_IN, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
@@ -13,6 +16,12 @@ from surface_gym.randomisation import Actuators, Randomisation
 from tests.environments import PITCH
 
 NUM_ENVS = 40
+# Compiled as Python calls them.
+see_line = compiled(decoding.see_line.py_func)
+count_rows, find_reach, find_outline, find_distance = (
+    compiled(getattr(module_places, name).py_func)
+    for name in ("count_rows", "find_reach", "find_outline", "find_distance")
+)
 
 
 def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None):
@@ -24,7 +33,7 @@ def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None):
     observation, info = env.reset(seed=0, options=starts)
     view = module_policy.ModuleView(env.config)
     mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
-    rows, columns = view._config.action_kind.shape
+    rows, columns = env.config.action_kind.shape
     for _ in range(6):
         actions = rng.choice(4, p=[0.05, 0.25, 0.6, 0.1], size=(NUM_ENVS, rows, columns))
         if side < 0:
@@ -202,10 +211,22 @@ def seen_turned(
     return env.config, seen, each
 
 
-def assert_outline(outline: module_policy.Outline, bases: list[Base]) -> None:
-    half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in bases]).T
-    np.testing.assert_allclose(outline.half, half, atol=2e-6)
-    assert outline.rows.tolist() == [rows_under(2.0 * width, PITCH) for width in half[1]]
+def find_outlines(config: EnvConfig, seen: np.ndarray) -> list[tuple[decoding.Line, Outline]]:
+    """What is seen of parcels that are to go to y > 0, and their outlines."""
+    sight, shown = decoding.look_at_line(config), find_shown(config)
+    lines = [see_line(row, sight) for row in seen]
+    return [
+        (line, find_outline(row, line, sight, shown, line.theta, line.y))
+        for row, line in zip(seen, lines, strict=True)
+    ]
+
+
+def assert_outlines(outlines: list[Outline], bases: list[Base]) -> None:
+    half = np.array([np.ptp(base.outline, axis=0) / 2.0 for base in bases])
+    found = [(each.length, each.width) for each in outlines]
+    np.testing.assert_allclose(found, half, atol=2e-6)
+    rows = [rows_under(2.0 * width, PITCH) for _, width in half]
+    assert [each.rows for each in outlines] == rows
 
 
 @pytest.mark.parametrize(
@@ -213,13 +234,13 @@ def assert_outline(outline: module_policy.Outline, bases: list[Base]) -> None:
 )
 def test_the_clearance_determines_width_and_rows(bases) -> None:
     config, seen, each = seen_turned(bases)
-    see, clearance = config.decode(seen), config.observed(seen)["clearance"]
-    outline = module_policy.outline_from_clearance(see, clearance, config.chosen_line)
-    assert_outline(outline, each)
-    assert not outline.roundness.any()
+    found = find_outlines(config, seen)
+    assert_outlines([outline for _, outline in found], each)
+    assert not any(outline.roundness for _, outline in found)
     if bases is SQUARES:  # as wide as long, to the last bit
-        np.testing.assert_array_equal(outline.half, [see.half_length, see.half_length])
-        np.testing.assert_array_equal(outline.reach(see.theta), see.reach)
+        for line, outline in found:
+            assert outline.length == outline.width == line.half_length
+            assert find_reach(*outline[:3], line.theta) == line.reach
 
 
 @pytest.mark.parametrize(
@@ -228,31 +249,28 @@ def test_the_clearance_determines_width_and_rows(bases) -> None:
 )
 def test_an_observed_outline_is_exact(bases, roundness) -> None:
     config, seen, each = seen_turned(bases, ("parcel",))
-    shown = config.observed(seen)
-    outline = module_policy.outline_from_features(
-        shown["length"], shown["width"], shown["fill"], config.chosen_line
-    )
-    assert_outline(outline, each)
-    np.testing.assert_allclose(outline.roundness, min(roundness, 1.0), atol=1e-5)
+    outlines = [outline for _, outline in find_outlines(config, seen)]
+    assert_outlines(outlines, each)
+    found = [outline.roundness for outline in outlines]
+    np.testing.assert_allclose(found, min(roundness, 1.0), atol=1e-5)
 
 
 @pytest.mark.parametrize(("base", "roundness"), [(Rectangle(0.4, 0.25), 0.0), (Disc(0.17), 1.0)])
 def test_reach_and_distance_are_the_bases(base, roundness) -> None:
     rng = np.random.default_rng(0)
     theta = rng.uniform(-np.pi, np.pi, 200)
-    half = np.ptp(base.outline, axis=0)[:, np.newaxis] / 2.0 + np.zeros(200)
-    outline = module_policy.Outline(half, np.full(200, roundness), np.full(200, 2.0))
+    outline = Outline(*np.ptp(base.outline, axis=0) / 2.0, roundness, 2.0, 0.0)
     turned = np.stack([np.cos(theta), -np.sin(theta)])
-    np.testing.assert_allclose(outline.reach(theta), (base.outline @ turned).max(axis=0), atol=2e-3)
+    reach = [find_reach(*outline[:3], each) for each in theta]
+    np.testing.assert_allclose(reach, (base.outline @ turned).max(axis=0), atol=2e-3)
     place = rng.uniform(-0.3, 0.3, (2, 200))
     beyond = base.functions(*place).max(axis=0)
-    np.testing.assert_allclose(outline.distance(place), beyond, atol=1e-6)
-    np.testing.assert_array_equal(outline.select(np.array([3, 3])).half, half[:, [3, 3]])
+    distance = [find_distance(outline, *each) for each in place.T]
+    np.testing.assert_allclose(distance, beyond, atol=1e-6)
 
 
 def test_rows_of_a_pattern_are_its_own() -> None:
     rotor = np.zeros((20, 30), dtype=bool)
     rotor[7:13] = True
-    half = np.full(3, 0.175)  # as long and as wide as is between the boxes
-    outline = module_policy.outline_from_features(half, half, np.ones(3), Pattern(rotor, lead_in=4))
-    assert outline.rows.tolist() == [6.0, 6.0, 6.0]
+    shown = find_shown(EnvConfig("sort", actions="modules", line=Pattern(rotor, lead_in=4)))
+    assert count_rows(3.5, shown) == count_rows(1.0, shown) == 6.0

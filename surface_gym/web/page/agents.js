@@ -85,8 +85,9 @@ export class Agents {
     if (kind === "rules")
       return new Rule(card, await Machine.load(card.machine, this.folder, card.code));
     if (kind === "layouts") return new Layout(card);
-    const Kind = card.kind === "modules" ? SortingPolicy : Policy;
-    return new Kind(card, await this._weights(card));
+    if (card.kind !== "modules") return new Policy(card, await this._weights(card));
+    const own = await Machine.load(card.machine, this.folder, card.code);
+    return new SortingPolicy(card, own, await this._weights(card));
   }
 
   async _ofStream(card, obeying, machine) {

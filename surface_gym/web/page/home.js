@@ -89,7 +89,7 @@ class Scheduler extends CompiledRule {
 
   /** Write what modules and the gate are to do for a control period. */
   act(run) {
-    const actions = this.call(run, "tables", "actions");
+    const [actions] = this.call(run, "tables", "actions");
     if (this.card.byGroups) run.wanted.set(actions);
     else this.obeying.act(run, actions);
     run.wanted[run.wanted.length - 1] = actions.at(-1);

@@ -6,7 +6,7 @@
  * @property {string} machine name of its memory
  * @property {[number, number]} [window] rows and columns around the parcel that it chooses for; by
  *   default all modules of the zone
- * @property {Object<string, number>} camera numbers of its memory that are others with a camera
+ * @property {Object<string, number>} [camera] numbers of its memory that are others with a camera
  */
 
 /** A rule that decides by what `parcels.observation` shows. */
@@ -21,16 +21,16 @@ export class CompiledRule {
   begin(run) {
     this.machine.reset();
     if (!run.noise) return;
-    for (const [name, value] of Object.entries(this.card.camera)) this.machine.set(name, value);
+    for (const [name, value] of Object.entries(this.card.camera ?? {})) this.machine.set(name, value);
   }
 
-  /** Call the function on what is observed; return what it writes. */
+  /** Call the function on what is observed; return what it writes, and what it returns. */
   call(run, from, to) {
     const seen = this.machine.view(from);
     // The page may observe more than a rule, after what the rule observes.
     seen.set(run.machine.view("parcels.observation").subarray(0, seen.length));
-    this.machine.step();
-    return Array.from(this.machine.view(to), Number);
+    const found = this.machine.step();
+    return [Array.from(this.machine.view(to), Number), found];
   }
 }
 
@@ -38,7 +38,7 @@ export class CompiledRule {
 export class Rule extends CompiledRule {
   /** Write what is chosen for each module. @param {import("./task.js").TaskRun} run */
   act(run) {
-    const choices = this.call(run, "observations", "commands");
+    const [choices] = this.call(run, "observations", "commands");
     if (!this.card.window) {
       run.wanted.set(choices);
       return;

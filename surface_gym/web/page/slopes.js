@@ -24,7 +24,7 @@ export class SlopeRule extends CompiledRule {
 
   /** Choose for both halves of the parcel in each row, one after the other. */
   choose(run) {
-    return this.call(run, "tables", "halves").map((half) => this.card.choices[half]);
+    return this.call(run, "tables", "halves")[0].map((half) => this.card.choices[half]);
   }
 
   act(run) {

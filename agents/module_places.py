@@ -1,0 +1,173 @@
+"""Places of Sort's modules under a parcel, as a compiled function, which the page calls as well.
+
+The parcel's outline, and the rows of its line, are inferred from the environment's observation.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.compiler.jit import compiled, linked
+from surface_gym.config import EnvConfig
+from surface_gym.lines import Line
+from surface_gym.tasks.features import Column, read
+
+from .base import Integers, Singles
+from .rules import decoding
+from .rules.decoding import ABSENT, Sight, see_line
+
+EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
+ELLIPSE = math.pi / 4.0  # share of a rectangle that the ellipse in it fills
+ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
+LEAST_ROWS = 2.0  # of a line amid supports
+MARGIN = 0.01  # [m] a module this near to the base may bear it
+BESIDE, ACROSS = 0.3, 0.15  # [m] scales of a module's place beside the parcel and the line
+PLACE_SIZE = 9  # features of a module's place,
+AHEAD, ASIDE = 6, 7  # of these, where it is from the parcel's centre along the line and across it
+
+
+class Shown(NamedTuple):
+    """How the outline of a base is shown, and what a line has."""
+
+    is_observed: int  # 1: the outline is; 0: it is inferred from the clearance
+    clearance: Column
+    length: Column
+    width: Column
+    fill: Column
+    sine: Column  # of the phase within a pitch along x
+    cosine: Column
+    least: float  # rows of a line
+    most: float
+    period: float  # [s]
+
+
+def find_shown(config: EnvConfig) -> Shown:
+    """Find how an environment shows the outline of a base."""
+    line, columns = config.chosen_line, config.columns
+    names = ("clearance", "length", "width", "fill", "sine of phase x", "cosine of phase x")
+    return Shown(
+        int("parcel" in config.observe),
+        *(columns.get(name, ABSENT) for name in names),
+        least=LEAST_ROWS if isinstance(line, Line) else float(line.zone_rows),
+        most=float(line.zone_rows),
+        period=config.control_period,
+    )
+
+
+class Outline(NamedTuple):
+    """Outline of a base between a rectangle and the ellipse in it, and where it is."""
+
+    length: float  # [m] half of it
+    width: float  # [m] half of it
+    roundness: float  # [-] 0: a rectangle, 1: an ellipse
+    rows: float  # of the line that the parcel runs on
+    x: float  # [m] of its centre past the zone's first edge
+
+
+@linked
+def count_rows(pairs: float, shown: Shown) -> float:
+    """Count the rows of a line under which `pairs` of rows fit; else the layout's."""
+    return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
+
+
+@linked
+def find_reach(length: float, width: float, roundness: float, theta: float) -> float:
+    """Compute the half extent [m] along x of a base turned by theta [rad]."""
+    cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
+    straight = length * (cosine + sine) + (width - length) * sine
+    bent = math.hypot(length * cosine, width * sine)
+    return (1.0 - roundness) * straight + roundness * bent
+
+
+@linked
+def find_outline(
+    row: Singles, seen: decoding.Line, sight: Sight, shown: Shown, theta: float, offset: float
+) -> Outline:
+    """Read or infer the outline of a base; `theta` and `offset` with the asked side at y > 0."""
+    if shown.is_observed != 0:
+        length, width = read(row, shown.length), read(row, shown.width)
+        roundness = min(1.0, max(0.0, (1.0 - read(row, shown.fill)) / (1.0 - ELLIPSE)))
+        rows = count_rows(width / sight.pitch_y + EXACT, shown)
+        x = seen.x + (find_reach(length, width, roundness, theta) - seen.reach)
+        # The phase in a pitch makes x exact.
+        phase = math.atan2(read(row, shown.sine), read(row, shown.cosine))
+        in_pitch = 0.5 + phase / (2.0 * math.pi)  # from a column's first edge
+        x = sight.pitch_x * (np.rint(x / sight.pitch_x - in_pitch) + in_pitch)
+        return Outline(length, width, roundness, rows, x)
+    # The clearance lacks the half line and the half extent of the base across it. A wider base has
+    # a wider line, so that both follow.
+    length, pitch = seen.half_length, sight.pitch_y
+    cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
+    total = offset - read(row, shown.clearance)  # half line and half extent
+    across = total - length * sine  # half line and the half width's part
+    rows = count_rows((across / pitch + 1.5 - ROUND) / (1.0 + cosine), shown)
+    half_line = 0.5 * pitch * (rows - 1.0)
+    extent = across - half_line
+    width = length
+    is_disc = abs(total - half_line - length) < EXACT
+    if not is_disc and abs(extent - length * cosine) >= EXACT and cosine > 0.0:
+        width = min(2.0 * length, max(0.5 * length, extent / cosine))
+    x = seen.x + (find_reach(length, width, 0.0, theta) - seen.reach)
+    return Outline(length, width, 0.0, rows, x)
+
+
+@linked
+def find_distance(outline: Outline, along: float, across: float) -> float:
+    """Compute the signed distance [m] of a place in a base's frame; negative under the base.
+
+    Beyond an ellipse that is no disc it is an upper bound.
+    """
+    length, width, roundness = outline.length, outline.width, outline.roundness
+    straight = max(abs(along) - length, abs(across) - width)
+    bent = (math.hypot(along / length, across / width) - 1.0) * min(length, width)
+    return (1.0 - roundness) * straight + roundness * bent
+
+
+@compiled
+def find_places(
+    observations: Singles, sight: Sight, shown: Shown, env: Integers, index: Integers,
+    place: Singles,
+) -> int:  # fmt: skip
+    """Find the modules that bear a parcel, now or a period later; return how many there are.
+
+    Args:
+        env: (modules,) the environment of each, which is written to.
+        index: (modules,) its place in the action.
+        place: (modules, PLACE_SIZE) its place under the parcel, with the asked side at y > 0.
+    """
+    count, columns, period = 0, sight.x.shape[0], shown.period
+    for i in range(observations.shape[0]):
+        seen = see_line(observations[i], sight)
+        mirror = -1.0 if seen.side < 0.0 else 1.0
+        theta, offset = mirror * seen.theta, mirror * seen.y
+        vx, vy, omega = seen.vx, mirror * seen.vy, mirror * seen.omega
+        outline = find_outline(observations[i], seen, sight, shown, theta, offset)
+        length, width = outline.length, outline.width
+        close = math.hypot(length, width) + period * (abs(vx) + abs(vy)) + 2.0 * MARGIN
+        cosine, sine = math.cos(theta), math.sin(theta)
+        turned = theta + period * omega
+        cosine_later, sine_later = math.cos(turned), math.sin(turned)
+        for k in range(columns * sight.y.shape[0]):
+            row = mirror * sight.y[k // columns]
+            x, y = sight.x[k % columns] - outline.x, row - offset
+            # Only the line's rotors bear.
+            is_there = abs(row) < 0.5 * sight.pitch_y * outline.rows
+            if not is_there or abs(x) >= close or abs(y) >= close:
+                continue
+            along, across = cosine * x + sine * y, cosine * y - sine * x
+            x_later, y_later = x - period * vx, y - period * vy
+            along_later = cosine_later * x_later + sine_later * y_later
+            across_later = cosine_later * y_later - sine_later * x_later
+            now = find_distance(outline, along, across)
+            later = find_distance(outline, along_later, across_later)
+            if min(now, later) > MARGIN:
+                continue
+            env[count], index[count] = i, k
+            found = place[count]
+            found[0], found[1] = along / length, across / width
+            found[2], found[3] = along_later / length, across_later / width
+            found[4], found[5] = 1.0 if now <= 0.0 else 0.0, 1.0 if later <= 0.0 else 0.0
+            found[6], found[7], found[8] = x / BESIDE, y / BESIDE, (y + offset) / ACROSS
+            count += 1
+    return count
