@@ -26,7 +26,7 @@ from surface_gym.flow import take_away as ta
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
-from surface_gym.flow.task import COLUMN, StreamTask
+from surface_gym.flow.task import COLUMN
 from surface_gym.registration import DEFAULT_STREAM, TASKS
 from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
@@ -358,7 +358,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
     for task in site["tasks"]:
         if task.endswith(CAMERA):
             continue
-        if isinstance(make_config(task).task, StreamTask):
+        if make_config(task).task.is_stream:
             found = write_stream_agents(task, folder)
             agents[task] = {"obeying": write_obeying(task, folder), "streams": found}
         else:

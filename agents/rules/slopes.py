@@ -398,7 +398,8 @@ class SlopeRule(BatchController, Compiled):
 
 def read_slope(config: EnvConfig) -> Slope:
     """Read the surface, the take-away and what is asked from a configuration."""
-    task, line = config.stream_task, config.chosen_line
+    task = checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
+    line = config.chosen_line
     low, high = line.extent[2] - line.line_y, line.extent[3] - line.line_y
     sine, cosine = math.sin(task.tilt), math.cos(task.tilt)
     along, across = float(np.max(line.mu_max)), float(np.max(line.mu_min))

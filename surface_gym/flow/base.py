@@ -280,6 +280,7 @@ class StreamTask(Task):
     def is_running(self, memory: Array) -> bool | None:
         """Return whether the conveyor after the surface runs, for drawing; None: there is none."""
         del memory
+        return None
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
