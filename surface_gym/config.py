@@ -364,7 +364,6 @@ class EnvConfig:
             self.columns,
             self.chosen_line,
             self.zone,
-            *self.sensors.learned_spreads,
         )
 
     def observation_space(self) -> spaces.Box:

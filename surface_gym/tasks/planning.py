@@ -30,8 +30,6 @@ class Observed:
     columns: Mapping[str, Column]  # by the features' names
     line: BaseLine
     zone: tuple[int, int] | None  # first and last column that obey; None: the line's
-    friction_spread: float = 0.0  # [-] scale of "friction learned"; 0 without estimation
-    load_spread: float = 0.0  # [m] scale of "load learned, x" and "load learned, y"
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -41,7 +39,7 @@ class Observed:
             raise ValueError(f"features must contain {name!r}, got {', '.join(self.columns)}")
         return self.columns[name].of(self.shown)
 
-    def get(self, name: str, absent: float | Numbers = 0.0) -> Numbers:
+    def get(self, name: str, absent: float = 0.0) -> Numbers:
         """Return a feature, or `absent` if the observation does not have it."""
         return self[name] if name in self else np.full(len(self.shown), absent)
 
@@ -54,12 +52,6 @@ class Observed:
     def pitch(self) -> tuple[float, float]:
         """[m] distance between modules, in x and y."""
         return self.line.pitch_x, self.line.pitch_y
-
-    @property
-    def zone_length(self) -> float:
-        """[m] length of the widest zone in x."""
-        line, zone = self.line, self.zone
-        return line.pitch_x * (line.zone_columns if zone is None else zone[1] - zone[0] + 1)
 
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
         """(num_envs,) [m] position within a pitch, from -pitch / 2 to pitch / 2."""
@@ -84,12 +76,6 @@ class LineObservation:
     entry_speed: Numbers  # [m/s] entry speed if there is a goal ratio; else 0
     to_go: Numbers  # [m] distance to the goal x; else 0
     angle: Numbers  # [rad] goal theta; else 0
-    front_in_zone: Numbers  # [m] foremost point past the zone's first edge
-    rear_to_go: Numbers  # [m] from the rearmost point to the zone's end
-    half_width: Numbers  # [m] half width of the base; equal to `half_length` if not observed
-    fill: Numbers  # [-] filled share of the base's bounding rectangle; 1 if not observed
-    friction: Numbers  # [-] estimated factor of mu_max; 1 without estimation
-    load_ahead: Numbers  # [m] estimated x from the base's centre to the load; 0 without estimation
 
     @property
     def reach(self) -> Numbers:
@@ -110,16 +96,10 @@ def decode_line(seen: Observed) -> LineObservation:
     theta = mirror * seen.theta
     half_length = seen["size"]
     reach = square_reach(half_length, theta)
-    if "distance into zone" in seen:  # front and rear are observed as for a square
+    if "distance into zone" in seen:
         into_zone = seen["distance into zone"] + reach
-        front_in_zone = into_zone + reach
-        rear_to_go = seen.zone_length - into_zone + reach
     else:
-        front_in_zone, rear_to_go = seen["front in zone"], seen["rear to go"]
-        into_zone = front_in_zone - reach
-    # Mirroring changes the sign of theta and of the load's y, and keeps its x.
-    load_x, load_y = seen.get("load learned, x"), seen.get("load learned, y")
-    load_ahead = np.cos(seen.theta) * load_x - np.sin(seen.theta) * load_y
+        into_zone = seen["front in zone"] - reach
     ratio = seen.get("asked ratio")
     return LineObservation(
         into_zone=into_zone,
@@ -135,12 +115,6 @@ def decode_line(seen: Observed) -> LineObservation:
         entry_speed=np.where(ratio > 0.0, seen.get("entry speed"), 0.0),
         to_go=seen.get("to go"),
         angle=seen.get("asked angle"),
-        front_in_zone=front_in_zone,
-        rear_to_go=rear_to_go,
-        half_width=seen.get("width", half_length),
-        fill=seen.get("fill", 1.0),
-        friction=1.0 + seen.friction_spread * seen.get("friction learned"),
-        load_ahead=seen.load_spread * load_ahead,
     )
 
 

@@ -192,29 +192,22 @@ def test_slowing_brakes_late_yet_rolls_on_for_a_second() -> None:
         assert braking.TRIM_TIME < left < braking.TRIM_TIME + a_period
 
 
-def see_learned(task: str, **features: list[float]) -> tuple[AdaptiveCamera, EnvConfig, Any]:
+def see_learned(task: str, **features: list[float]) -> tuple[AdaptiveCamera, EnvConfig, list[Any]]:
     """What is decoded of features that a lab's sensors learned, the others 0."""
     config = EnvConfig(task=task, observe=("parcel", "load"), preset="lab")
-    names = [feature.name for feature in config.features]
-    seen = np.zeros((len(next(iter(features.values()))), len(names)), dtype=np.float32)
+    seen = np.zeros((len(next(iter(features.values()))), len(config.features)), dtype=np.float32)
     for name, values in features.items():
-        seen[:, names.index(name)] = values
+        seen[:, config.columns[name].place] = values
     assert isinstance(config.sensors, AdaptiveCamera)
-    return config.sensors, config, config.decode(seen)
+    return config.sensors, config, [see_line(row, look_at_line(config)) for row in seen]
 
 
 def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
     learned = {"cosine of theta": [1.0], "friction learned": [1.5], "load learned, x": [-2.0]}
-    sensors, config, see = see_learned("stop", **learned)
-    np.testing.assert_allclose(see.friction, 1.0 + 1.5 * sensors.friction_spread)
-    np.testing.assert_allclose(see.load_ahead, -2.0 * sensors.load_spread)
-    shown = np.zeros(len(config.features), dtype=np.float32)
-    for name, (value,) in learned.items():
-        shown[[feature.name for feature in config.features].index(name)] = value
-    model = Predictor(config, np.full(COLUMNS, ROLL))
-    seen = see_line(shown, model.sight)
-    assert model.span(seen).load == see.load_ahead[0]
-    assert seen.friction == see.friction[0]
+    sensors, config, (see,) = see_learned("stop", **learned)
+    assert see.friction == pytest.approx(1.0 + 1.5 * sensors.friction_spread)
+    assert see.load_ahead == pytest.approx(-2.0 * sensors.load_spread)
+    assert Predictor(config, np.full(COLUMNS, ROLL)).span(see).load == see.load_ahead
     # A box that rolled for 0.2 s is to brake harder, the less friction there is.
     lab: dict[str, Any] = {"observe": ("parcel", "load"), "preset": "lab"}
     env, seen = begun("stop", [{"parcel": "S", "speed": 1.6, "position": 1.5}] * 3, **lab)
@@ -222,16 +215,16 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
     for _ in range(5):
         seen, *_ = env.step(roll)
     seen[:] = seen[0]
-    names = [feature.name for feature in config.features]
-    seen[:, names.index("friction learned")] = -2.0, 0.0, 2.0
+    seen[:, config.columns["friction learned"].place] = -2.0, 0.0, 2.0
     actions, _ = rule("stop", "braking rule").make(env.config).predict(seen)
     assert (np.diff((actions != roll).sum(axis=1)) < 0).all()
     # Where a load lies along the line is the same in Sort's mirror.
     turned = {"cosine of theta": [0.8, 0.8], "sine of theta": [0.6, 0.6]}
     learned = {"side": [1.0, -1.0], **turned, "load learned, y": [2.0, 2.0]}
-    sensors, _, see = see_learned("sort", **learned)
-    np.testing.assert_allclose(see.theta, math.atan2(0.6, 0.8) * np.array([1.0, -1.0]), rtol=1e-6)
-    np.testing.assert_allclose(see.load_ahead, -0.6 * 2.0 * sensors.load_spread, rtol=1e-6)
+    sensors, _, both = see_learned("sort", **learned)
+    theta, ahead = math.atan2(0.6, 0.8), -0.6 * 2.0 * sensors.load_spread
+    assert [each.theta for each in both] == pytest.approx([theta, -theta])
+    assert [each.load_ahead for each in both] == pytest.approx([ahead, ahead])
 
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
