@@ -48,11 +48,6 @@ class Observed:
         """(num_envs,) [rad] observed theta."""
         return np.arctan2(self["sine of theta"], self["cosine of theta"])
 
-    @property
-    def pitch(self) -> tuple[float, float]:
-        """[m] distance between modules, in x and y."""
-        return self.line.pitch_x, self.line.pitch_y
-
     def in_pitch(self, axis: str, pitch: float) -> Numbers:
         """(num_envs,) [m] position within a pitch, from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
@@ -109,7 +104,7 @@ def decode_line(seen: Observed) -> LineObservation:
         vy=mirror * seen["lateral speed"],
         omega=mirror * seen["turning speed"],
         half_length=half_length,
-        pitch=seen.pitch,
+        pitch=(seen.line.pitch_x, seen.line.pitch_y),
         side=side,
         ratio=ratio,
         entry_speed=np.where(ratio > 0.0, seen.get("entry speed"), 0.0),

@@ -210,7 +210,6 @@ asked one |
         return np.array([x for x, _ in points]), np.array([y for _, y in points])
 
     def decode(self, seen: Observed) -> "PathObservation":
-        pitch = seen.pitch
         return PathObservation(
             cross_error=seen["cross error"],
             speed_error=seen["speed error"],
@@ -221,9 +220,8 @@ asked one |
             theta=seen.theta,
             omega=seen["turning speed"],
             half_length=seen["size"],
-            pitch=pitch,
-            x_in_pitch=seen.in_pitch("x", pitch[0]),
-            y_in_pitch=seen.in_pitch("y", pitch[1]),
+            x_in_pitch=seen.in_pitch("x", seen.line.pitch_x),
+            y_in_pitch=seen.in_pitch("y", seen.line.pitch_y),
         )
 
     def decode_start(self, seen: Observed) -> Start:
@@ -414,7 +412,6 @@ class PathObservation:
     theta: Numbers  # [rad]
     omega: Numbers  # [rad/s]
     half_length: Numbers  # [m] of the base, taken as a square
-    pitch: tuple[float, float]  # [m] of the line, in x and in y
     x_in_pitch: Numbers  # [m] of the centre past the nearest module's, in -pitch/2 to pitch/2
     y_in_pitch: Numbers  # [m]
 
