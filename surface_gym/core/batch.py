@@ -138,9 +138,25 @@ class BaseBatch(ABC):
     def make_kernel(self) -> Any:
         """Build the kernel of this configuration, not compiled yet."""
 
-    @abstractmethod
     def _fault(self) -> ValueError:
         """Return an error that describes the fault of the first faulty environment."""
+        name, fault = type(self.task).__name__, self.episodes.fault
+        i = int(np.nonzero(fault)[0][0])
+        if fault[i] == st.UNKNOWN_OUTCOME:
+            return ValueError(
+                f"{name}.outcome must return RUNNING, SUCCESS or a failure, one of the numbers of "
+                f"{self.outcomes}, got {self.outcome[i]}"
+            )
+        if fault[i] == st.BAD_REWARD:
+            terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
+            return ValueError(f"{name}.reward must write finite terms, got {terms}")
+        features = self.config.features
+        wrong = ~np.isfinite(self.observation[i].reshape(-1, len(features))).all(axis=0)
+        listed = ", ".join(features[k].name for k in np.nonzero(wrong)[0])
+        return ValueError(
+            f"{name}.observe, with {type(self.config.sensors).__name__}, must write finite "
+            f"features, got others for {listed}"
+        )
 
     @abstractmethod
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
@@ -516,28 +532,6 @@ class Batch(BaseBatch):
             mass = np.array([self._plan.parcel(body).mass for body in used])[which]
             found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
         return found
-
-    def _fault(self) -> ValueError:
-        state, task = self.parcels, self.task
-        i = int(np.nonzero(state.fault)[0][0])
-        name = type(task).__name__
-        if state.fault[i] == st.UNKNOWN_OUTCOME:
-            return ValueError(
-                f"{name}.outcome must return RUNNING, SUCCESS or a failure, one of the numbers of "
-                f"{self.outcomes}, got {state.outcome[i]}"
-            )
-        if state.fault[i] == st.BAD_REWARD:
-            terms = dict(zip(task.terms, state.terms[i].tolist(), strict=True))
-            return ValueError(f"{name}.reward must write finite terms, got {terms}")
-        assert state.fault[i] == st.BAD_OBSERVATION
-        bad = ~np.isfinite(state.observation[i])
-        listed = ", ".join(
-            feature.name for feature, wrong in zip(self.config.features, bad, strict=True) if wrong
-        )
-        return ValueError(
-            f"{name}.observe, with {type(self.config.sensors).__name__}, must write finite "
-            f"features, got others for {listed}"
-        )
 
 
 @compiled

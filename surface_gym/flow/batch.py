@@ -14,7 +14,6 @@ from surface_gym import state as st
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import choose_actuation, compiled_functions
 from surface_gym.core.batch import BaseBatch, Infos, Snapshot
-from surface_gym.core.kernel import EnvParams
 from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_in, with_body
 from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
@@ -183,19 +182,9 @@ class StreamBatch(BaseBatch):
         return self.parcels.observation.reshape(self.num_envs, self.rows, -1)
 
     @property
-    def _arrays(
-        self,
-    ) -> tuple[
-        EnvParams, fs.StreamParams, st.SurfaceState, st.ParcelState, st.BodyTable, fs.StreamState
-    ]:
-        return (
-            self.params,
-            self.stream_params,
-            self.surfaces,
-            self.parcels,
-            self.bodies,
-            self.streams,
-        )
+    def _arrays(self) -> tuple[Any, ...]:
+        state = (self.surfaces, self.parcels, self.bodies, self.streams)
+        return (self.params, self.stream_params, *state)
 
     def make_kernel(self) -> Any:
         return kernel.make_stream_kernel(stream_functions(self.config))
@@ -387,11 +376,3 @@ class StreamBatch(BaseBatch):
             here = self.parcels.body[first : first + self.rows]
             for used in (self.streams.body[i, :count], here):
                 used[:] = [taken.get(row, 0) for row in used.tolist()]
-
-    def _fault(self) -> ValueError:
-        i, name = int(np.nonzero(self.streams.fault)[0][0]), type(self.task).__name__
-        if self.streams.fault[i] == st.BAD_REWARD:
-            terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
-            return ValueError(f"{name}.reward must write finite terms, got {terms}")
-        sensor = type(self.config.sensors).__name__
-        return ValueError(f"{name}.observe, with {sensor}, must write finite numbers, got others")

@@ -19,11 +19,13 @@ from stable_baselines3.common.env_checker import check_env as check_by_stable_ba
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.core.resets import place_parcel
+from surface_gym.env import make_batch
 from surface_gym.flow.arrivals import Schedule
 from surface_gym.flow.batch import BodyPool, list_figures
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import FEATURES, Flow
 from surface_gym.randomisation import Randomisation
+from surface_gym.state import BAD_OBSERVATION, BAD_REWARD
 from surface_gym.vector_env import SmartSurfaceVectorEnv
 from tests import environments as te
 from tests.environments import FLOW
@@ -378,3 +380,15 @@ class TestVector:
             env.reset(seed=1, options=[{}, {}, {"stream": 3}])
         te.assert_same(env.step(action)[:4], twin.step(action)[:4])
         te.assert_same(env.reset()[0], twin.reset()[0])
+
+
+def test_a_fault_is_named_by_the_features_or_the_terms() -> None:
+    batch = make_batch(EnvConfig("flow"), 2, compiles=False)
+    batch.episodes.fault[1] = BAD_OBSERVATION
+    batch.observation[1, 3, 2] = math.nan
+    assert "Flow.observe, with Exact, must write finite features, got others for cosine of" in str(
+        batch._fault()
+    )
+    batch.episodes.fault[0] = BAD_REWARD
+    batch.terms[0] = math.inf
+    assert str(batch._fault()).startswith("Flow.reward must write finite terms, got {'right': inf")
