@@ -294,7 +294,7 @@ def flow_still(file: Path) -> None:
 
 def trajectories(file: Path) -> None:
     """Draw the trajectories of sorted parcels under the fixed layout and under PPO."""
-    from surface_gym.agents.evaluation.methods import all_methods, rivals
+    from surface_gym.agents.evaluation.method import all_methods, rivals
     from surface_gym.agents.evaluation.report import write_trajectories
 
     with replacing(file) as part:

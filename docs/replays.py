@@ -51,26 +51,20 @@ def _shown(asked: re.Match[str]) -> str:
 
 def record_method(task: str, name: str) -> Recording:
     """Record the start that films of a task show, under a rule or an agent that ships."""
-    from surface_gym.agents.evaluation.benchmark import find_benchmark
-    from surface_gym.agents.evaluation.methods import rules, shipped
-    from surface_gym.agents.evaluation.video import Player
-    from surface_gym.config import PRESETS
+    from surface_gym.agents.evaluation.method import rules, shipped
+    from surface_gym.agents.evaluation.report import start_player
 
-    benchmark = find_benchmark(task)
     method = next(each for each in (*rules(task), *shipped(task)) if each.name == name)
-    config = method.config(benchmark.task, PRESETS["exact"])
-    controller = method.make(config, method.seeds[0])
-    rng = np.random.default_rng(0)
-    return _record(Player(name, controller, config, rng, benchmark.example))
+    return _record(start_player(method, np.random.default_rng(0)))
 
 
 def record_stream(name: str) -> Recording:
     """Record a stream under a method of the comparison."""
-    from surface_gym.agents.evaluation.report import stream_player
-    from surface_gym.agents.evaluation.streams import FILMED, stream_methods
+    from surface_gym.agents.evaluation.method import all_methods
+    from surface_gym.agents.evaluation.report import filmed_scenario, stream_player
 
-    method = next(each for each in stream_methods() if each.name == name)
-    return _record(stream_player(method, FILMED, RATE))
+    method = next(each for each in all_methods("flow") if each.name == name)
+    return _record(stream_player(method, filmed_scenario("flow"), RATE))
 
 
 def record_agent(task: str, name: str) -> Recording:

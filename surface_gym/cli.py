@@ -14,7 +14,10 @@ IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
 TRAIN = ("python", "train.py") if IN_CHECKOUT else (NAME, "train")
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
-OPTIONAL = ("matplotlib", "moviepy", "mujoco", "rich", "stable_baselines3", "torch", "tyro", "yaml")
+OPTIONAL = (
+    "matplotlib", "moviepy", "mujoco", "pandas", "rich", "stable_baselines3", "torch", "tyro",
+    "yaml",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,10 @@ class Job(Protocol[Result_co]):
 
 
 def map_jobs(
-    jobs: Iterable[Job[Result]], workers: Workers, on_report: OnReport = lambda *_: None
+    jobs: Iterable[Job[Result]],
+    workers: Workers,
+    on_report: OnReport = lambda *_: None,
+    grace: float = GRACE,
 ) -> Iterator[tuple[int, Result]]:
     """Run jobs, and yield index and result of each when it is finished, in any order.
 
@@ -80,6 +83,7 @@ def map_jobs(
             when a worker is free.
         workers: number of processes, or a cluster; with one process, jobs run in this process.
         on_report: called with a job's index and its report.
+        grace: [s] for which interrupted jobs may go on.
 
     Raises:
         WorkFailed: a job has cost `MAX_LOSSES` processes without a report, or a node has another
@@ -102,7 +106,7 @@ def map_jobs(
         yield from _map(enumerate(jobs), executor, on_report)
     except BaseException:
         executor.interrupt()
-        deadline = time.monotonic() + GRACE
+        deadline = time.monotonic() + grace
         while executor.running and time.monotonic() < deadline:
             for index, kind, value in executor.events():
                 if kind == REPORTED:

@@ -74,8 +74,6 @@ OF_SLOPES = tuple(
 LEARNING_ON_SLOPES = (
     "tests/agents/learning/test_local.py::test_a_policy_is_left_that_acts_in_its_task",
     "tests/agents/learning/test_parcels.py::test_a_policy_is_left_that_acts_in_its_task",
-    "tests/agents/evaluation/test_material_flow_report.py::"
-    "test_a_card_has_each_seed_beside_the_rules",
 )
 # Infos of each task in two processes of Gymnasium's; of Sort, Flow and Merge each time.
 OF_INFOS = (

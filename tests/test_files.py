@@ -19,8 +19,8 @@ import torch
 import surface_gym as sg
 from surface_gym import files
 from surface_gym.agents import library
-from surface_gym.agents.evaluation import benchmark, robustness
-from surface_gym.agents.evaluation.methods import of_run
+from surface_gym.agents.evaluation import results
+from surface_gym.agents.evaluation.method import of_run
 from surface_gym.agents.export.policy import of_run as exported
 from surface_gym.agents.learning import config as configs, runs
 from surface_gym.agents.tensors import check_like
@@ -34,10 +34,13 @@ from surface_gym.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[1]
 
-ROWS = [
-    robustness.SweepResult("sort", "PPO", "drag", k, 4, [0.7, 1.2], ["1011", "0111"], [0.1, 0.25])
-    for k in range(3)
-]
+ROWS = results.make_rows(
+    [
+        {"task": "sort", "scenario": "drag 0.7", "preset": "exact", "method": "PPO", "seed": k,
+         "kind": "agent", "episode": 0, "success": True, "time": 0.1 + k}
+        for k in range(3)
+    ]
+)  # fmt: skip
 STATE = {"steps": 64, "weights": torch.arange(6.0), "recent": [1.0, 2.0]}
 LOW = replace(sg.layouts.box("S"), com_height=0.0)  # which never tips
 
@@ -140,9 +143,9 @@ KINDS = [
     ),
     Kind("curve.csv", _curve, lambda at: repr(runs.read_curve(at))),
     Kind(
-        "robustness.jsonl",
-        lambda at: (at / "robustness.jsonl").write_text("".join(map(benchmark._line, ROWS))),
-        lambda at: benchmark.read_kept(at / "robustness.jsonl", robustness.SweepResult),
+        "results.csv",
+        lambda at: results.write_results(ROWS, at / "results.csv"),
+        lambda at: repr(results.read_results(at / "results.csv")),
     ),
     Kind(
         "checkpoint.pt",
@@ -350,25 +353,3 @@ def test_a_row_of_a_curve_is_named(tmp_path: Path, line: str, message: str) -> N
     (tmp_path / runs.CURVE).write_text(f"{head}{line}\n")
     with pytest.raises(ValueError, match=rf"curve\.csv holds no learning curve: {message}"):
         runs.read_curve(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
-        ({"seed": "0"}, "seed must be a whole number of at least 0, got '0'"),
-        ({"starts": True}, "starts must be a whole number of at least 1, got True"),
-        ({"error": [0.1]}, "success and error must be of each level"),
-        ({"success": ["1011", "01"]}, "success must be 4 of '0' and '1', got '01'"),
-        ({"success": ["1011", 3]}, "success must be 4 of '0' and '1', got 3"),
-        ({"error": [0.1, math.inf]}, "error must be a finite number, got inf"),
-        ({"levels": [0.7, None]}, "levels must be of "),
-        ({"more": 1}, "unexpected keyword argument 'more'"),
-    ],
-)
-def test_a_result_that_is_none_is_named_by_its_line(tmp_path, change, message) -> None:
-    plain = {**vars(ROWS[0]), **change}
-    text = benchmark._line(ROWS[1]) + benchmark.json.dumps(plain) + "\n"
-    (tmp_path / "robustness.jsonl").write_text(text)
-    with pytest.raises(ValueError, match=rf"robustness\.jsonl .*: line 2: .*{re.escape(message)}"):
-        benchmark.read_kept(tmp_path / "robustness.jsonl", robustness.SweepResult)

@@ -19,11 +19,7 @@ OWN = {*MODULES, "surface_gym.registration", "surface_gym.tasks"}
 OF_A_TASK = ("surface_gym.agents.rules", "surface_gym.design")
 # Those that are to ask a task instead. No file is to be added.
 REMAINING = {
-    "surface_gym.agents.evaluation.capacity",
-    "surface_gym.agents.evaluation.generalisation",
-    "surface_gym.agents.evaluation.material_flow",
-    "surface_gym.agents.evaluation.material_flow_report",
-    "surface_gym.agents.evaluation.streams",
+    "surface_gym.agents.evaluation.ladder",
     "surface_gym.agents.export.web",
     "surface_gym.agents.learning.algorithms",
     "surface_gym.agents.learning.config",

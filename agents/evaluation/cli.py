@@ -1,27 +1,28 @@
 """The command behind `python evaluate.py`: compare every controller and agent on every task."""
 
+import json
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tyro
-from rich.console import Console
-
 from surface_gym import checks, parallel
 from surface_gym.cli import typed
-from surface_gym.registration import FLOW_TASK, ON_SLOPES, PERIODS
+from surface_gym.registration import SHIPPED, TASKS
 
 if TYPE_CHECKING:
-    from .methods import Method
-    from .report import Section
+    from rich.console import Console
 
-TASK_NAMES = (FLOW_TASK, *(name for name in PERIODS if name != FLOW_TASK))
-SINGLE = tuple(name for name, periods in PERIODS.items() if periods is not None)
+    from .report import Selection
+    from .scenario import ScenarioJob
+
+TASK_NAMES = tuple(SHIPPED)
 EXIT_NAMES = ("sides", "chutes")
-LOADING = "loading what compares"
-STARTS = 240  # of the sweep, at each level
+OUT = Path("runs/evaluation")
+SETTINGS = "settings.json"  # with which the results of a folder were computed
+INTERRUPTED = 130  # exit code after Ctrl-C
+QUICK_NOTE = "Quick: few starts, streams, levels and seeds, which say little of who is better."
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,9 @@ class EvaluateConfig:
     columns and modules, each with its scheduler, on streams of parcels.
     """
 
-    out: Path = Path("runs/evaluation")
-    """Folder for tables, plots, videos and report.html."""
+    out: Path = OUT
+    """Folder for results.csv, tables, plots, videos and report.html; "-quick" is added for a quick
+    comparison unless another is given."""
     tasks: tuple[str, ...] = TASK_NAMES
     """Tasks to compare on; "flow" is of streams of parcels; "singulate", "merge" and "sequence" of
     streams on a slope.
@@ -57,12 +59,14 @@ class EvaluateConfig:
     """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
     resume: bool = False
     """Keep the results that the folder has already, and go on."""
+    quick: bool = False
+    """Fewer starts, streams, levels and seeds: the same tables in about three minutes."""
     robustness: bool = False
     """Sweep instead: success of rules and agents where one thing at a time differs from training,
     and in the lab by shape of parcel; and the agent of streams beside the scheduler, on lines that
     it never trained on.
     """
-    starts: int = STARTS
+    starts: int = 240
     """Of the sweep: starts at each level of each factor."""
 
     def __post_init__(self) -> None:
@@ -75,109 +79,98 @@ class EvaluateConfig:
         for exits in self.exits:
             checks.one_of("exits", exits, EXIT_NAMES)
         for task in self.tasks:
-            checks.one_of("tasks", task, TASK_NAMES)
-        if self.task is not None:
-            from ..library import find_task
-
-            find_task(self.task)
+            checks.one_of("tasks", task, TASKS)
         parallel.choose_workers(self.cluster, self.workers)
 
+    @property
+    def folder(self) -> Path:
+        """The folder of results."""
+        return OUT.with_name(f"{OUT.name}-quick") if self.quick and self.out == OUT else self.out
 
-def evaluate(config: EvaluateConfig, console: Console) -> None:
-    """Compare, and leave a folder with tables, plots, videos and a page."""
+
+def evaluate(config: EvaluateConfig, console: "Console") -> None:
+    """Compare, and leave a folder with results, tables, plots, videos and a page."""
     from ..library import task_files
 
     workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
     if config.run is not None:
-        with console.status(LOADING):
-            from .report import evaluate_run
+        from .report import evaluate_run
 
         evaluate_run(config.run, config.task, workers, console)
         return
-    config.out.mkdir(parents=True, exist_ok=True)
-    if config.robustness:
-        _sweep(config, workers, console)
-    else:
-        _compare(config, workers, console)
+    from .report import write_report, write_sweep
+    from .results import FILE
+    from .runner import compute, show_progress
+
+    selection = make_selection(config)
+    jobs = selection.sweep_jobs() if config.robustness else selection.jobs()
+    _prepare(config, jobs)
+    note = QUICK_NOTE if config.quick else ""
+    title = "sweeping" if config.robustness else "comparing"
+    with show_progress(console, title) as advance:
+        table = compute(jobs, workers, config.folder / FILE, advance)
+        show: Callable[[str], None] = lambda part: advance(len(jobs), len(jobs), part)  # noqa: E731
+        if config.robustness:
+            write_sweep(selection, table, config.folder, console, note)
+        else:
+            write_report(selection, table, config.folder, console, show, note)
+    page = "" if config.robustness else f"; open {config.folder / 'report.html'}"
+    console.print(f"everything is in {config.folder}{page}")
 
 
-def _compare(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
-    with console.status(LOADING):
-        from . import benchmark, material_flow, material_flow_report, report, streams
+def make_selection(config: EvaluateConfig) -> "Selection":
+    """Choose what a command asks for."""
+    from .method import find_benchmark
+    from .report import Selection
+    from .scenario import QUICK, WHOLE
 
-    _forget(config, benchmark.FILE, streams.FILE, material_flow.FILE)
-    methods = chosen_methods(config)
-    with benchmark.show_progress(console, "comparing") as advance:
-        sections: list[Section] = []
-        if config.task is None and FLOW_TASK in config.tasks:
-            several = streams.stream_methods()
-            rows = streams.compute_streams(several, workers, config.out, advance, config.exits)
-            sections = report.write_stream_report(several, rows, config.out, console)
-        on_slopes = [name for name in ON_SLOPES if name in config.tasks]
-        if config.task is None and on_slopes:
-            found = material_flow.compute_material_flow(on_slopes, workers, config.out, advance)
-            tables = material_flow_report.write_material_flow(found, config.out, console)
-            for task, table in zip(on_slopes, tables, strict=True):
-                advance(len(found), len(found), f"filming {task}")
-                shown = [
-                    each
-                    for preset in ("exact", "lab")
-                    for each in material_flow_report.film(task, preset, config.out)
-                ]
-                sections.append(report.Section(table, shown))
-        results = benchmark.compute_results(methods, workers, config.out, advance)
-        report.write_report(
-            methods,
-            results,
-            config.out,
-            console,
-            lambda part: advance(len(results), len(results), part),
-            sections,
-        )
-    console.print(f"everything is in {config.out}; open {config.out / 'report.html'}")
-
-
-def _sweep(config: EvaluateConfig, workers: parallel.Workers, console: Console) -> None:
-    with console.status(LOADING):
-        from . import benchmark, generalisation, robustness, robustness_report
-
-    _forget(config, robustness.FILE, generalisation.FILE)
-    methods = robustness.can_sweep(chosen_methods(config))
-    with benchmark.show_progress(console, "sweeping") as advance:
-        if config.task is None and FLOW_TASK in config.tasks:
-            found = generalisation.compute_generalisation(workers, config.out, advance)
-            generalisation.write_generalisation(found, config.out, console)
-        if methods:
-            rows = robustness.compute_sweep(methods, config.starts, workers, config.out, advance)
-            robustness_report.write_sweep(rows, config.out, console)
-    console.print(f"everything is in {config.out}")
-
-
-def chosen_methods(config: EvaluateConfig) -> "list[Method]":
-    """List the methods of single parcels that a command asks for."""
-    from .methods import all_methods, of_runs
-
+    extent = QUICK if config.quick else replace(WHOLE, level_starts=config.starts)
     if config.task is None:
-        tasks = [task for task in config.tasks if task in SINGLE]
-        return [method for task in tasks for method in all_methods(task)]
-    known = all_methods(config.task)
-    names = {method.name for method in known}
-    found = [each for each in of_runs(config.task, config.runs) if each.name not in names]
-    return [*known, *found]
+        return Selection(config.tasks, config.exits, extent=extent)
+    find_benchmark(config.task)
+    return Selection((config.task,), config.exits, config.runs, extent)
 
 
-def _forget(config: EvaluateConfig, *files: str) -> None:
-    if not config.resume:
-        for file in files:
-            (config.out / file).unlink(missing_ok=True)
+def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
+    """Make the folder, or raise a ValueError where it has other results, or the same already."""
+    from .results import FILE, KEY, read_results
+
+    settings = {"quick": config.quick, "starts": config.starts}
+    file = config.folder / SETTINGS
+    if file.is_file() and (config.folder / FILE).is_file():
+        if json.loads(file.read_text()) != settings:
+            raise ValueError(
+                f"out must be a folder with results of the same --quick and --starts, "
+                f"got {config.folder} with {file.read_text().strip()}"
+            )
+        kept = read_results(config.folder / FILE)
+        known = set(kept[list(KEY)].drop_duplicates().itertuples(index=False, name=None))
+        if not config.resume and any(job.key in known for job in jobs):
+            raise ValueError(
+                f"out must be a folder without these results, got {config.folder}: add --resume to "
+                "go on with them, or --out for another folder"
+            )
+    config.folder.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(settings) + "\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compare; an error ends it with one line."""
-    config = tyro.cli(EvaluateConfig, prog=typed("evaluate"), args=arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not {"-h", "--help"} & set(given):
+        print("loading what compares", flush=True)
     try:
-        evaluate(config, Console())
+        _run(given)
     except (ValueError, parallel.WorkError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
-        sys.exit("interrupted; --resume goes on with what is there")
+        print("interrupted; --resume goes on with what is there", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _run(given: list[str]) -> None:
+    import tyro
+    from rich.console import Console
+
+    config = tyro.cli(EvaluateConfig, prog=typed("evaluate"), args=given)
+    evaluate(config, Console())

@@ -1,24 +1,31 @@
-"""Plots of the comparison: success, errors, times, trajectories and capacities."""
+"""Plots of the comparison: success, errors, times, trajectories, capacities and the sweep."""
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon as Patch
 
 import surface_gym as sg
 from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
+from ..library import task_label
 from ..rollout import Episodes
-from .benchmark import Summaries
-from .streams import BEST, CANNOT, ENTRANCE, SIX_MODULES, StreamResults, cases
-from .tables import list_methods
+from . import method as methods
+from .ladder import SIX_MODULES
+from .results import Results
+from .robustness import FACTORS, LAB, SHAPES, TRAINED, Factor
+from .scenario import STARTS
+from .stream_views import BEST, CANNOT, ENTRANCE, Capacities
+from .views import Sweep, level_text
 
 DOTS = 150  # to the inch
 LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
@@ -46,38 +53,38 @@ def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None)
     figure.savefig(file, dpi=DOTS)
 
 
-def draw_success(task: str, summaries: Summaries, file: Path) -> None:
+def draw_success(task: str, results: Results, file: Path) -> None:
     """Draw success rates by preset with their 95 % intervals, a bar for each method."""
-    names = list_methods(task, summaries)
+    names = results.methods(task, STARTS)
     colours = choose_colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     width = 0.84 / len(names)
     for k, name in enumerate(names):
         for place, preset in enumerate(PRESETS):
-            summary = summaries.get((task, name, preset))
-            if summary is None:
+            sample = results.find(task, STARTS, preset, name)
+            if sample is None:
                 continue
-            low, high = summary.interval
+            low, high = sample.interval
             x = place + (k - 0.5 * (len(names) - 1)) * width
             label = name if preset == "exact" else None
-            panel.bar(x, summary.rate, 0.92 * width, color=colours[name], label=label)
-            errors = [[max(0.0, summary.rate - low)], [max(0.0, high - summary.rate)]]
-            panel.errorbar(x, summary.rate, errors, color=INK, elinewidth=0.8)
+            panel.bar(x, sample.rate, 0.92 * width, color=colours[name], label=label)
+            errors = [[max(0.0, sample.rate - low)], [max(0.0, high - sample.rate)]]
+            panel.errorbar(x, sample.rate, errors, color=INK, elinewidth=0.8)
     panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
     _save(figure, file, panel)
 
 
-def draw_errors(task: str, error: ErrorPlot, summaries: Summaries, file: Path) -> None:
+def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> None:
     """Draw the share of starts by the size of their error, exact sensors."""
-    names = list_methods(task, summaries)
-    colours = choose_colours(names)
+    samples = {key[3]: each for key, each in results.among(task, STARTS) if key[2] == "exact"}
+    colours = choose_colours(samples)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
     errors = {
-        name: np.sort(error.scale * summaries[task, name, "exact"].metric(error.metric).ravel())
-        for name in names
+        name: np.sort(error.scale * sample.metric(error.metric).ravel())
+        for name, sample in samples.items()
     }
     for name, values in errors.items():
         share = np.arange(1, len(values) + 1) / len(values)
@@ -92,20 +99,23 @@ def draw_errors(task: str, error: ErrorPlot, summaries: Summaries, file: Path) -
     _save(figure, file, panel)
 
 
-def draw_times(task: str, grid: SpeedGrid, summaries: Summaries, file: Path) -> None:
+def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None:
     """Draw the time of success by entry speed, the slower side of the first seed.
 
     A line has gaps where the method fails; methods that did not run on all starts have none.
     """
-    runs = {name: summaries[task, name, "exact"] for name in list_methods(task, summaries)}
     count = math.prod(grid.shape)
-    whole = {name: each for name, each in runs.items() if each.success.shape[1] == count}
+    whole = {
+        key[3]: sample
+        for key, sample in results.among(task, STARTS)
+        if key[2] == "exact" and sample.success.shape[1] == count
+    }
     colours = choose_colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
     for panel, parcel in zip(panels, PARCELS, strict=True):
-        for name, summary in whole.items():
-            time = grid.slower_time(summary, parcel)[0]
+        for name, sample in whole.items():
+            time = grid.slower_time(sample, parcel)[0]
             time = np.where(np.isfinite(time), time, np.nan)
             panel.plot(grid.speeds, time, color=colours[name], label=name, linewidth=1.6)
         panel.set(title=f"{parcel}-box", xlabel="entry speed [m/s]")
@@ -165,38 +175,156 @@ def _draw_path(
     panel.add_patch(Patch(outline, fill=False, edgecolor=colour, linewidth=1.0, **style))
 
 
-def draw_capacities(results: StreamResults, file: Path, exits: str = "sides") -> None:
-    """Draw the capacities of all streams, exact: a bar for each method, the bounds above them."""
-    colours = choose_colours(results.names)
+def draw_capacities(found: Capacities, file: Path) -> None:
+    """Draw the capacities on all streams: a bar for each method, the bounds above them."""
+    colours = choose_colours(found.names)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
-    streams = cases(exits=exits)
-    width = 0.84 / len(results.names)
-    for place, case in enumerate(streams):
-        for k, name in enumerate(results.names):
-            x = place + (k - 0.5 * (len(results.names) - 1)) * width
-            row = results.find(name, case)
+    width = 0.84 / len(found.names)
+    for place, offer in enumerate(found.offers):
+        for k, name in enumerate(found.names):
+            x = place + (k - 0.5 * (len(found.names) - 1)) * width
+            sample, able = found.find(name, offer), found.able(name, offer)
             label = name if place == 0 else None
-            rate = results.rate(name, case) if row is not None else 0.0
+            rate = 0.0 if able is None else able.throughput
             panel.bar(x, rate, 0.92 * width, color=colours[name], label=label)
-            if row is None or row.capacity is None:
-                panel.annotate(
-                    "0" if row is not None and row.actuators else CANNOT, (x, 0.0), (0, 3),
-                    textcoords="offset points", ha="center", va="bottom", rotation=90, color=INK,
-                    fontsize=8,
-                )  # fmt: skip
-            else:
-                panel.errorbar(x, rate, row.capacity.margin, color=INK, elinewidth=0.8)
-        row = results.find(SIX_MODULES, case)
-        best = None if row is None else row.best
+            if able is not None:
+                panel.errorbar(x, rate, able.margin, color=INK, elinewidth=0.8)
+                continue
+            hardware = sample is not None and sample.constant("actuators")
+            panel.annotate(
+                "0" if hardware else CANNOT, (x, 0.0), (0, 3), textcoords="offset points",
+                ha="center", va="bottom", rotation=90, color=INK, fontsize=8,
+            )  # fmt: skip
+        six = found.find(SIX_MODULES, offer)
+        best = math.nan if six is None else six.constant("best")
         for name, bound, style in (
-            (ENTRANCE, case.ceiling, "-"), (BEST.format(SIX_MODULES), best, "--"),
+            (ENTRANCE, found.bound(offer), "-"), (BEST.format(SIX_MODULES), best, "--"),
         ):  # fmt: skip
-            if bound is not None:
+            if bound is not None and math.isfinite(bound):
                 panel.hlines(
                     bound, place - 0.45, place + 0.45, color=LIMIT, linestyle=style, linewidth=1.2,
                     label=name if place == 0 else "_again",
                 )  # fmt: skip
-    panel.set_xticks(range(len(streams)), [case.label for case in streams])
+    panel.set_xticks(range(len(found.offers)), [each.name for each in found.offers])
     panel.set(ylabel="capacity [parcels/h]")
     _save(figure, file, panel)
+
+
+# The picture of the sweep has a column for each task and a line for each method. Factors are rows,
+# so that it is as wide as a page and can be read there.
+WIDTH, HEIGHT = 2.0, 1.35  # [inch] of a panel
+NARROWEST = 9.0  # [inch] of the picture, which the legend needs
+IN_LAB = ("all", "square", "rect.", "disc", "poly.")
+ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
+OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one for each task
+
+
+@dataclass(frozen=True)
+class Style:
+    """The line of a method."""
+
+    label: str  # in the legend; several may share one
+    colour: str
+    dashes: Literal["-", "--", "-.", ":", "None"] = "-"
+    width: float = 1.6  # [pt]
+    marker: str = "o"  # where levels are names
+    above: int = 2  # what lies below it
+
+
+STYLES = {
+    methods.FIXED: Style(methods.FIXED, "#8c8c8c", ":", 1.3, "x"),
+    "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
+    "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
+    **{name: Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
+       for name in OWN_RULES},
+    **{name: Style(name, colour, "--", 1.2, "o", 4) for name, colour in ALGORITHMS.items()},
+    methods.PLANNER: Style(methods.PLANNER, INK, "None", 1.0, "_", 6),
+}  # fmt: skip
+
+
+def find_style(name: str) -> Style:
+    """Find the line of a method; an agent for a preset stands out in its algorithm's colour."""
+    algorithm, comma, preset = name.partition(", ")
+    if comma and algorithm in ALGORITHMS:
+        label = f"{algorithm}, trained for the {preset}"
+        return Style(label, ALGORITHMS[algorithm], "-", 2.0, "D", 5)
+    return STYLES.get(name, Style(name, INK, "--"))
+
+
+def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
+    """Draw success against each factor."""
+    factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
+    sweeps = [Sweep(task, results) for task in tasks]
+    figure = Figure(
+        figsize=(max(NARROWEST, WIDTH * len(tasks) + 0.5), HEIGHT * len(factors) + 1.2),
+        layout="constrained",
+    )
+    panels = figure.subplots(len(factors), len(tasks), squeeze=False, sharey=True)
+    for row, factor in zip(panels, factors, strict=True):
+        unit = f" [{factor.unit}]" if factor.unit else ""
+        row[0].set_ylabel(f"{factor.label}{unit}", fontsize=9, color=INK)
+        for panel, sweep in zip(row, sweeps, strict=True):
+            _draw_panel(panel, sweep, factor)
+    for panel, task in zip(panels[0], tasks, strict=True):
+        panel.set_title(task_label(task).capitalize(), fontsize=12, fontweight="bold", color=INK)
+    styles = {
+        style.label: style for style in (find_style(n) for sweep in sweeps for n in sweep.methods)
+    }
+    handles = [
+        Line2D([], [], color=style.colour, linestyle=style.dashes, linewidth=style.width,
+               marker=style.marker, markersize=5, label=style.label)
+        for style in styles.values()
+    ]  # fmt: skip
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9,
+    )  # fmt: skip
+    figure.savefig(file, dpi=DOTS)
+
+
+def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
+    """Draw success at each level; where levels are names, points beside each other."""
+    names = sweep.methods
+    drawn = False
+    for place, name in enumerate(names):
+        style = find_style(name)
+        points = _points(sweep, name, factor)
+        if not points:
+            continue
+        drawn = True
+        x, rates = np.array(points).T
+        aside = 0.7 * ((place + 0.5) / len(names) - 0.5) if factor.is_named else 0.0
+        panel.plot(
+            x + aside, rates, color=style.colour, linewidth=style.width, zorder=style.above,
+            linestyle="None" if factor.is_named else style.dashes,
+            marker=style.marker if factor.is_named or style.dashes == "None" else "",
+            markersize=4.5, clip_on=False,
+        )  # fmt: skip
+    panel.set(ylim=(0.0, 1.0), yticks=(0.0, 0.5, 1.0))
+    panel.tick_params(labelsize=8, colors=INK, length=2)
+    panel.grid(color="#e9e9e9", linewidth=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color("#b0b0b0")
+    if factor.trained is not None and not factor.is_named:
+        panel.axvline(float(factor.trained), color="#c9c9c9", linewidth=2.5, zorder=1)
+    if factor.is_named:
+        ticks = IN_LAB if factor.name == LAB else tuple(map(level_text, factor.levels))
+        panel.set_xlim(-0.5, len(ticks) - 0.5)
+        panel.set_xticks(range(len(ticks)), ticks, fontsize=8)
+    if not drawn:
+        panel.axis("off")
+
+
+def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
+    """Find where on the panel each level lies, and its rate; none if only the trained one ran."""
+    if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
+        return []
+    rates = [sweep.rate(name, factor.name, level) for level in factor.levels]
+    if factor.name == LAB:
+        shapes = sweep.by_shape(name)
+        rates += [float(shapes[each].mean()) if each in shapes else None for each in SHAPES]
+    places = range(len(rates)) if factor.is_named else map(float, factor.levels)
+    return [
+        (float(place), rate) for place, rate in zip(places, rates, strict=True) if rate is not None
+    ]

@@ -1,122 +1,191 @@
-"""The folder of a comparison: tables, plots, videos, and one web page that holds them all; and the
-comparison of a training run's policies, for its folder and its card.
-"""
+"""The folder of a comparison: tables, numbers, plots, videos and a page; and a run's comparison."""
 
-import base64
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from html import escape
 from itertools import islice
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
+import pandas as pd
 from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
-from surface_gym.config import PRESETS, EnvConfig
+from surface_gym.config import PRESETS
+from surface_gym.files import replacing
 from surface_gym.parallel import Workers
-from surface_gym.player import frame_page
-from surface_gym.registration import FLOW_TASK, ON_SLOPES, env_id
-from surface_gym.tasks.benchmark import Column
 
 from .. import library
-from ..base import Controller
-from ..yaml_file import read_yaml
-from . import benchmark, plots, streams, tables as texts
-from .benchmark import (
-    SEED,
-    Result,
-    Summaries,
-    compute_results,
+from . import plots, stream_views, views
+from .ladder import MODULES, ON_FILM
+from .method import (
+    AGENT,
+    FIXED,
+    RULE,
+    Method,
+    all_methods,
     find_benchmark,
-    show_progress,
-    summarise,
+    is_on_streams,
+    of_run,
+    of_runs,
+    rivals,
+    rules,
+    start_benchmark,
+    stream_benchmark,
 )
-from .capacity import STREAM_PRESETS, Case, StreamMethod
-from .material_flow_report import compare_run
-from .methods import FIXED, PLANNER, Method, of_run, policy_folders, rivals, rules
-from .streams import ARRANGED, COLUMNS, FILMED, MODULES, SERIES, StreamResult, StreamResults
+from .page import Pictures, Section, write_page
+from .results import Results, Sample
+from .robustness import changed_scenarios
+from .runner import compute, show_progress
+from .scenario import (
+    SEED,
+    STARTS,
+    WHOLE,
+    Extent,
+    ScenarioJob,
+    StartScenario,
+    make_jobs,
+    start_scenarios,
+)
+from .stream_scenario import StreamScenario, stream_scenarios, unseen_jobs
+from .tables import Table, write_markdown
 from .video import Player, play, write_comparison
 
 NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
-LENGTH = 20.0  # [s] of the video
+LENGTH = 20.0  # [s] of the video of a stream
 SHOWN_AT = 12.0  # [s] since the start of a stream, of the picture
 TABLE = "table.md"  # of a run
 COMPARED = ("exact", "camera", "lab")  # presets under which a run's policies are compared
+SWEEP_TITLE = "# Robustness\n\nSuccess where one thing at a time differs from training.\n\n"
 
-Pictures = list[tuple[Path, str]]  # files, and what each shows
+Advance = Callable[[str], None]  # what is under way
 
 
 @dataclass(frozen=True)
-class Section:
-    """A part of the page: a table, pictures and videos, and columns whose meaning is explained."""
+class Selection:
+    """What a comparison is of."""
 
-    table: texts.Table
-    pictures: Pictures
-    columns: tuple[Column, ...] = ()
+    tasks: tuple[str, ...]
+    groups: tuple[str, ...] = ()  # of offered streams; none: the first of each task
+    runs: Path | None = None  # folder of runs whose policies are compared, too
+    extent: Extent = WHOLE
+
+    def methods(self, task: str) -> list[Method]:
+        """List the methods of a task."""
+        known = all_methods(task)
+        names = {each.name for each in known}
+        found = [] if self.runs is None else of_runs(task, self.runs)
+        return [*known, *(each for each in found if each.name not in names)]
+
+    def jobs(self) -> list[ScenarioJob]:
+        """List what the comparison computes, streams first."""
+        jobs = []
+        for task in sorted(self.tasks, key=lambda each: not is_on_streams(each)):
+            if is_on_streams(task):
+                scenarios = stream_scenarios(task, self.extent, self.groups)
+            else:
+                scenarios = start_scenarios(task, self.extent)
+            jobs += make_jobs(scenarios, self.methods(task))
+        return jobs
+
+    def sweep_jobs(self) -> list[ScenarioJob]:
+        """List what the sweep computes: one factor at a time, and streams that no agent knows."""
+        jobs = []
+        for task in self.tasks:
+            if is_on_streams(task):
+                jobs += unseen_jobs(task, self.extent)
+            else:
+                jobs += make_jobs(changed_scenarios(task, self.extent), self.methods(task))
+        return jobs
 
 
 def write_report(
-    methods: Sequence[Method],
-    results: Sequence[Result],
-    folder: Path,
-    console: Console,
-    advance: Callable[[str], None] = lambda _: None,
-    first: Sequence[Section] = (),
-) -> None:
-    """Write everything of a comparison into a folder, and show its tables."""
-    summaries = summarise(results)
-    tasks = list(dict.fromkeys(method.task for method in methods))
-    sections = []
-    for task in tasks:
+    selection: Selection, table: pd.DataFrame, folder: Path, console: Console, advance: Advance,
+    note: str = "",
+) -> None:  # fmt: skip
+    """Write everything of a comparison into a folder, and show its tables.
+
+    Args:
+        note: what readers must know of the whole.
+    """
+    results = Results(table)
+    sections, numbers = [], []
+    single = [task for task in selection.tasks if not is_on_streams(task)]
+    for task in sorted(selection.tasks, key=single.__contains__):
         advance(f"drawing {task}")
-        table = texts.task_table(task, summaries)
-        pictures = _draw_task([m for m in methods if m.task == task], summaries, folder)
-        sections.append(Section(table, pictures, find_benchmark(task).columns))
-        sections += [Section(table, []) for table in speed_tables(task, summaries)]
-    if tasks:
-        texts.write_markdown([each.table for each in sections], folder / "comparison.md")
-        texts.write_numbers(
-            [row for task in tasks for row in texts.task_numbers(task, summaries)],
-            folder / "comparison.csv",
-            folder / "comparison.json",
-        )
-        decisions = texts.decision_table(tasks, summaries)
-        texts.write_markdown([decisions], folder / texts.DECISIONS)
+        methods, label = selection.methods(task), library.task_label(task)
+        if task in single:
+            made = [views.task_table(task, results), *views.speed_tables(task, results)]
+            pictures = _draw_starts(task, methods, results, folder)
+            numbers += views.task_numbers(task, results)
+        else:
+            made = stream_views.stream_tables(task, results)
+            pictures = _draw_streams(task, methods, results, folder)
+            numbers += stream_views.stream_numbers(task, results)
+        write_markdown(made, folder / f"{label}.md", f"{note}\n\n" if note else "")
+        sections += [
+            Section(each, [] if k else pictures, () if k else find_benchmark(task).columns)
+            for k, each in enumerate(made)
+        ]
+    if single:
+        decisions = views.decision_table(single, results)
+        write_markdown([decisions], folder / "decisions.md")
         sections.append(Section(decisions, []))
-    for section in sections:
-        section.table.show(console)
-    write_page([*first, *sections], folder / "report.html")
+    write_numbers(numbers, folder / "comparison.csv")
+    _show([each.table for each in sections], console, note)
+    write_page(sections, folder / "report.html", note)
 
 
-def speed_tables(task: str, summaries: Summaries) -> list[texts.Table]:
-    """Make the table by entry speed of a task whose starts are a grid of speeds; else none."""
-    grid = find_benchmark(task).grid
-    if grid is None:
-        return []
-    exact = {
-        method: summary
-        for (of_task, method, preset), summary in summaries.items()
-        if (of_task, preset) == (task, "exact") and method != PLANNER
-    }
-    return [texts.speed_table(grid, exact)]
+def write_sweep(
+    selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
+) -> None:
+    """Write the tables, numbers and the picture of a sweep into a folder, and show the tables."""
+    results, numbers = Results(table), []
+    single = [task for task in selection.tasks if not is_on_streams(task)]
+    tables, unseen = [], []
+    for task in selection.tasks:
+        if task in single:
+            tables += views.sweep_tables(task, results)
+            numbers += views.sweep_numbers(task, results)
+        else:
+            unseen += stream_views.unseen_tables(task, results)
+            numbers += stream_views.stream_numbers(task, results)
+    if tables:
+        write_markdown(
+            tables, folder / "robustness.md", SWEEP_TITLE + (f"{note}\n\n" if note else "")
+        )
+        plots.draw_sweep(single, results, folder / "robustness.png")
+    if unseen:
+        write_markdown(unseen, folder / "generalisation.md", f"{note}\n\n" if note else "")
+    write_numbers(numbers, folder / "robustness.csv")
+    _show([*unseen, *tables], console, note)
 
 
-def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) -> Pictures:
-    task = methods[0].task
-    compared, label = find_benchmark(task), library.task_label(task)
+def write_numbers(rows: Sequence[dict[str, Any]], file: Path) -> None:
+    """Write rows of numbers as CSV; what is not finite stays empty."""
+    table = pd.DataFrame(rows).replace([np.inf, -np.inf], np.nan)
+    with replacing(file) as part:
+        table.to_csv(part, index=False)
+
+
+def _show(tables: Sequence[Table], console: Console, note: str) -> None:
+    for table in tables:
+        table.show(console)
+    if note:
+        console.print(note)
+
+
+def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder: Path) -> Pictures:
+    compared, label = start_benchmark(task), library.task_label(task)
     success = folder / f"{label}-success.png"
-    plots.draw_success(task, summaries, success)
+    plots.draw_success(task, results, success)
     pictures = [(success, "Success by preset, with 95 % intervals.")]
     both = rivals(methods)
     if compared.grid is not None:
         times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        plots.draw_times(task, compared.grid, summaries, times)
+        plots.draw_times(task, compared.grid, results, times)
         pictures.append(
             (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
         )
@@ -124,285 +193,207 @@ def _draw_task(methods: Sequence[Method], summaries: Summaries, folder: Path) ->
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
     elif compared.error is not None:
         errors = folder / f"{label}-errors.png"
-        plots.draw_errors(task, compared.error, summaries, errors)
+        plots.draw_errors(task, compared.error, results, errors)
         pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
     return [*pictures, write_example(both, folder)]
 
 
-def write_trajectories(methods: Iterable[Method], file: Path) -> bool:
+def write_trajectories(methods: Sequence[Method], file: Path) -> bool:
     """Draw where parcels go by entry speed, of a task whose starts are a grid; say whether."""
-    several = list(methods)
-    grid = find_benchmark(several[0].task).grid
+    grid = start_benchmark(methods[0].task).grid
     if grid is not None:
-        episodes = {each.name: benchmark.play(each, each.seeds[0], "exact")[1] for each in several}
+        exact = StartScenario(methods[0].task, "exact", WHOLE)
+        episodes = {each.name: exact.run(each, each.seeds[0])[0] for each in methods}
         plots.draw_trajectories(grid, episodes, file)
     return grid is not None
+
+
+def start_player(method: Method, rng: np.random.Generator) -> Player:
+    """Put the first seed of a method on the start of its task that is filmed."""
+    compared = start_benchmark(method.task)
+    config = method.config(compared.task, PRESETS["exact"])
+    controller = method.controller(config, method.seeds[0])
+    return Player(method.name, controller, config, rng, compared.example)
 
 
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
     """Film methods of a task side by side, the first seed of each; return file and caption."""
     task = methods[0].task
-    compared = find_benchmark(task)
-    players = []
-    for method in methods:
-        config = method.config(compared.task, PRESETS["exact"])
-        controller = method.make(config, method.seeds[0])
-        rng = np_random(SEED)[0]
-        players.append(Player(method.name, controller, config, rng, compared.example))
+    players = [start_player(method, np_random(SEED)[0]) for method in methods]
     file = folder / f"{library.task_label(task)}.mp4"
     outcomes = ", ".join(
         f"{player.name} {'succeeds' if success else 'fails'}"
         for player, success in zip(players, write_comparison(players, file), strict=True)
     )
-    return file, f"{compared.example_description}: {outcomes}"
+    return file, f"{start_benchmark(task).example_description}: {outcomes}"
 
 
-def write_stream_report(
-    methods: Sequence[StreamMethod], rows: Sequence[StreamResult], folder: Path, console: Console
-) -> list[Section]:
-    """Write flow.md, flow.csv, plots, a picture and a video, and show tables; return sections."""
-    results = StreamResults(tuple(rows))
-    tables = streams.stream_tables(results)
-    for table in tables:
-        table.show(console)
-    texts.write_markdown(tables, folder / "flow.md")
-    texts.write_numbers(streams.stream_numbers(results), folder / "flow.csv")
-    pictures = _draw_streams(methods, results, folder)
-    return [Section(tables[0], pictures), *(Section(table, []) for table in tables[1:])]
+def filmed_scenario(task: str, preset: str = "exact", group: str | None = None) -> StreamScenario:
+    """Find the stream of a task that is filmed."""
+    benchmark = stream_benchmark(task)
+    offers = [each for each in benchmark.offers if group in (None, each.group)]
+    named = [each for each in offers if each.name == benchmark.filmed]
+    return StreamScenario(task, preset, WHOLE, (named or offers)[0].scenario)
 
 
-def _draw_streams(
-    methods: Sequence[StreamMethod], results: StreamResults, folder: Path
-) -> Pictures:
-    exits = results.exits[0]
-    case = replace(FILMED, exits=exits)
-    capacities = folder / "flow-capacity.png"
-    plots.draw_capacities(results, capacities, exits)
-    rate = NEAR * results.rate(MODULES, case)
-    named = {
-        method.name: method for method in methods if results.capacity(method.name, case) is not None
-    }
-    picture, video = folder / "flow.png", folder / "flow.mp4"
-    imageio.imwrite(picture, stream_picture(named[MODULES], rate, case))
-    shown = [named[name] for name in (ARRANGED, SERIES, COLUMNS, MODULES) if name in named]
-    write_comparison([stream_player(each, case, rate) for each in shown], video, LENGTH)
-    stream = f"{case.label}, exits “{exits}”, {rate:.0f} parcels an hour offered"
-    return [
-        (capacities, f"Capacity by stream, exits “{exits}”, exact sensors, 95 % intervals."),
-        (picture, f"Each module by itself: {stream}."),
-        (video, f"The same stream under {', '.join(each.name for each in shown)}: {stream}."),
-    ]
-
-
-def stream_player(method: StreamMethod, case: Case, rate: float) -> Player:
+def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
     """Put a method on the first replication of a stream, at a rate [parcels/h]."""
-    config = method.config(case, rate)
-    controller = method.make(config)
+    config = scenario.config(method, rate)
+    controller = method.controller(config, method.seeds[0])
     if controller is None:
-        raise ValueError(f"method must be able to sort {case.label}, got {method.name!r}")
+        raise ValueError(f"method must be able to sort {scenario.name}, got {method.name!r}")
     return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
-def stream_picture(method: StreamMethod, rate: float, case: Case = FILMED) -> np.ndarray:
-    """Draw the stream of the video in its midst, at a rate [parcels/h]."""
-    at = round(SHOWN_AT / method.control_period)
-    picture, _ = next(islice(play(stream_player(method, case, rate), every=at), at, None))
+def stream_picture(player: Player) -> np.ndarray:
+    """Draw a stream in its midst."""
+    at = round(
+        min(SHOWN_AT, 0.5 * player.config.stream_task.duration) / player.config.control_period
+    )
+    picture, _ = next(islice(play(player, every=at), at, None))
     return picture
 
 
-_PAGE = Template("""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>surface_gym: the comparison</title>
-<style>
-:root { color-scheme: light; }
-body { font: 16px/1.55 system-ui, sans-serif; color: #212730; background: #fff;
-  max-width: 72rem; margin: 0 auto; padding: 2rem 1.2rem 5rem; }
-h1 { font-size: 1.9rem; margin: 0 0 .4rem; }
-h2 { font-size: 1.35rem; margin: 3.2rem 0 .3rem; padding-top: 1.6rem;
-  border-top: 1px solid #dde1e6; }
-p, li { max-width: 46rem; }
-.caption { color: #5c6672; }
-nav a { margin-right: 1rem; color: #21618c; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums;
-  margin: 1rem 0; }
-th, td { padding: .32rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed;
-  white-space: nowrap; }
-th { color: #5c6672; font-weight: 600; white-space: normal; vertical-align: bottom; }
-th:first-child, td:first-child { text-align: left; }
-tbody tr:hover { background: #f5f7f9; }
-img, video { max-width: 100%; height: auto; margin: .6rem 0; }
-figcaption { color: #5c6672; font-size: .86rem; }
-figure { margin: 1.2rem 0; }
-dl { font-size: .86rem; } dt { font-weight: 600; } dd { margin: 0 0 .4rem 0; color: #5c6672; }
-</style>
-</head>
-<body>
-<h1>Which controller steers the parcel best?</h1>
-<p>Fixed layouts, as the study arranges them once beforehand, beside rules, a planner and agents
-that turn every axis while the parcel passes. All of them meet the same starts and see only what
-the sensors say.</p>
-<nav>$contents</nav>
-<h2>How it is measured</h2>
-<p>Success is given with a 95 % interval over seeds and starts: Wilson's, at the number of
-independent starts that would spread the mean as the seeds and the starts together do. All other
-metrics of a table are those of exact sensors. Presets:</p>
-<dl>$presets</dl>
-$sections
-</body>
-</html>
-""")
-
-
-def write_page(sections: Sequence[Section], file: Path) -> None:
-    """Write the page, which holds its pictures and videos and needs nothing else."""
-    text = _PAGE.substitute(
-        contents="".join(
-            f'<a href="#{escape(each.table.title)}">{escape(each.table.heading)}</a>'
-            for each in sections
-            if each.pictures
-        ),
-        presets=_definitions({each.label: each.meaning for each in PRESETS.values()}),
-        sections="\n".join(map(_section, sections)),
-    )
-    file.write_text(text, encoding="utf-8")
-
-
-def _section(section: Section) -> str:
-    table = section.table
-    parts = [
-        f'<h2 id="{escape(table.title)}">{escape(table.heading)}</h2>',
-        f'<p class="caption">{escape(table.caption)}</p>',
-        f'<div class="wide">{table.html()}</div>',
-        *(_figure(file, caption) for file, caption in section.pictures),
-    ]
-    if section.columns:
-        meanings = _definitions({column.label: column.meaning for column in section.columns})
-        parts.append(
-            f"<details><summary>What the columns mean</summary><dl>{meanings}</dl></details>"
+def _draw_streams(task: str, methods: Sequence[Method], results: Results, folder: Path) -> Pictures:
+    found = stream_views.list_capacities(task, results)
+    label, pictures = library.task_label(task), []
+    if found:
+        first, capacities = found[0], folder / f"{label}-capacity.png"
+        plots.draw_capacities(first, capacities)
+        exits = f"exits “{first.group}”"
+        pictures.append(
+            (capacities, f"Capacity by stream, {exits}, exact sensors, 95 % intervals.")
         )
-    return "\n".join(parts)
+        scenario = filmed_scenario(task, group=first.group)
+        offer = scenario.offer
+        able = {name: each for name in first.names if (each := first.able(name, offer)) is not None}
+        shown = [each for each in methods if each.name in able and each.name in ON_FILM]
+        if not shown:
+            return pictures
+        rate = NEAR * able[shown[-1].name].throughput
+        said = f"{offer.name}, {exits}, {rate:.0f} parcels an hour offered"
+        return [*pictures, *_film(shown, scenario, rate, folder / label, said)]
+    for preset in ("exact", "lab"):
+        scenario = filmed_scenario(task, preset)
+        if preset in scenario.benchmark.presets:
+            said = f"{scenario.offer.name}, {preset}"
+            pictures += _film(rivals(methods), scenario, None, folder / f"{label}-{preset}", said)
+    return pictures
 
 
-def _figure(file: Path, caption: str) -> str:
-    data = base64.b64encode(file.read_bytes()).decode()
-    if file.suffix == ".mp4":
-        shown = (
-            f'<video controls loop muted playsinline src="data:video/mp4;base64,{data}"></video>'
-        )
-        replayed = file.with_suffix(".html")
-        if replayed.exists():
-            shown += frame_page(caption, replayed.read_text(encoding="utf-8"))
-    else:
-        shown = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
-    return f"<figure>{shown}<figcaption>{escape(caption)}</figcaption></figure>"
-
-
-def _definitions(meanings: Mapping[str, str]) -> str:
-    return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in meanings.items())
+def _film(
+    methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
+) -> Pictures:
+    """Film methods side by side, and draw the last of them."""
+    picture, video = file.with_suffix(".png"), file.with_suffix(".mp4")
+    players = [stream_player(each, scenario, rate) for each in methods]
+    write_comparison(players, video, LENGTH)
+    imageio.imwrite(picture, stream_picture(stream_player(methods[-1], scenario, rate)))
+    names = " and ".join(each.name for each in methods)
+    return [(picture, f"{methods[-1].name}: {said}."), (video, f"{names}: {said}.")]
 
 
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout, of streams with the scheduler or rule.
+    """Compare the policies of a run with the fixed layout, of streams with scheduler or rules.
 
     table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
     each time.
     """
-    of_streams = stream_task(run)
-    if of_streams in ON_SLOPES:
-        files = {seed: library.read_files(each) for seed, each in policy_folders(run).items()}
-        results = compare_run(of_streams, files, run, workers, console)
-    elif of_streams is not None:
-        found = compare_streams(run, workers, console)
-        results = {
-            preset: {case.label: _stream_card(found, case) for case in streams.cases(preset)}
-            for preset in STREAM_PRESETS
-        }
+    agent = of_run(run, task)
+    if is_on_streams(agent.task):
+        card = _compare_stream_run(agent, run, workers, console)
     else:
-        results = _parcel_run(of_run(run, task), run, workers, console)
+        card = _compare_start_run(agent, run, workers, console)
     console.print(f"everything is in {run}")
-    return results
+    return card
 
 
-def _parcel_run(
+def _compare_start_run(
     agent: Method, folder: Path, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
     both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
+    jobs = make_jobs(start_scenarios(agent.task), both)
     with show_progress(console, "comparing with the fixed layout") as advance:
-        results = compute_results(both, workers, advance=advance)
-        advance(len(results), len(results), "drawing and filming")
+        results = Results(compute(jobs, workers, advance=advance))
+        advance(len(jobs), len(jobs), "drawing and filming")
         write_trajectories(both, folder / "trajectories.png")
         file, caption = write_example(both, folder)
-    summaries = summarise(results)
-    tables = [texts.task_table(agent.task, summaries), *speed_tables(agent.task, summaries)]
-    for table in tables:
-        table.show(console)
-    texts.write_markdown(tables, folder / TABLE)
-    console.print(f"{file.name}: {caption}")
-    return {preset: _card_results(summaries, agent, preset) for preset in COMPARED}
+    tables = [views.task_table(agent.task, results), *views.speed_tables(agent.task, results)]
+    write_markdown(tables, folder / TABLE)
+    _show(tables, console, f"{file.name}: {caption}")
+    return {preset: _start_card(results, agent, preset) for preset in COMPARED}
 
 
-def _card_results(summaries: Summaries, agent: Method, preset: str) -> dict[str, Any]:
-    summary = summaries[agent.task, agent.name, preset]
-    fixed = summaries[agent.task, FIXED, preset]
-    low, high = summary.interval
-    values = {c.name: summary.value(c, fixed) for c in find_benchmark(agent.task).columns}
+def _start_card(results: Results, agent: Method, preset: str) -> dict[str, Any]:
+    sample, fixed = (
+        results.samples[agent.task, STARTS, preset, name] for name in (agent.name, FIXED)
+    )
+    low, high = sample.interval
+    columns = start_benchmark(agent.task).columns
+    values = {each.name: views.column_value(each, sample, fixed) for each in columns}
     return {
-        "success": round(summary.rate, 4),
+        "success": round(sample.rate, 4),
         "interval": [round(low, 4), round(high, 4)],
-        "success_of_each_seed": [round(float(each.mean()), 4) for each in summary.success],
+        "success_of_each_seed": [round(float(each.mean()), 4) for each in sample.success],
         **{name: round(value, 5) for name, value in values.items() if not math.isnan(value)},
     }
 
 
-def stream_task(run: Path) -> str | None:
-    """Find the task on streams that the first policy of a run is for; a damaged one has none."""
-    folder = next(iter(policy_folders(run).values()))
-    try:
-        wanted = read_yaml(folder / library.CARD)["env_id"]
-    except (OSError, ValueError, KeyError):
-        return None
-    return next((each for each in (FLOW_TASK, *ON_SLOPES) if env_id(each) == wanted), None)
-
-
-def compare_streams(run: Path, workers: Workers, console: Console) -> StreamResults:
-    """Measure the policies of a run on streams, into the run's folder."""
-    scheduler = next(each for each in streams.stream_methods() if each.name == MODULES)
-    files = {seed: library.read_files(each) for seed, each in policy_folders(run).items()}
-    period = library.from_files(next(iter(files.values()))).card.control_period
-    methods = [
-        scheduler,
-        *(
-            streams.learned_method(f"seed {k}", period, partial(_read, each))
-            for k, each in files.items()
-        ),
+def _compare_stream_run(
+    agent: Method, folder: Path, workers: Workers, console: Console
+) -> dict[str, dict[str, Any]]:
+    task, benchmark = agent.task, stream_benchmark(agent.task)
+    searched = not benchmark.offers[0].rates
+    if searched:  # the table has each seed beside the scheduler
+        several = [each for each in all_methods(task) if each.name == MODULES]
+        several += [replace(agent, name=f"seed {seed}", seeds=(seed,)) for seed in agent.seeds]
+    else:
+        several = [*(each for each in all_methods(task) if each.kind == RULE), agent]
+    scenarios = [
+        each
+        for each in stream_scenarios(task)
+        if isinstance(each, StreamScenario) and AGENT in each.offer.kinds
     ]
-    results = StreamResults(tuple(streams.compute_streams(methods, workers)))
-    tables = streams.stream_tables(results)
-    texts.write_markdown(tables, run / TABLE)
-    for table in tables:
-        table.show(console)
-    return results
+    jobs = make_jobs(scenarios, several)
+    with show_progress(console, f"comparing on {task}") as advance:
+        results = Results(compute(jobs, workers, advance=advance))
+    tables = stream_views.stream_tables(task, results)
+    write_markdown(tables, folder / TABLE)
+    _show(tables, console, "")
+    card: dict[str, dict[str, Any]] = {}
+    for each in scenarios:
+        samples = {
+            key[3]: sample
+            for key, sample in results.among(task, each.name)
+            if key[2] == each.preset
+        }
+        made = _capacity_card if searched else _stream_card
+        card.setdefault(each.preset, {})[each.offer.name] = made(samples)
+    return card
 
 
-def _read(files: library.PolicyFiles, config: EnvConfig) -> Controller:
-    return library.from_files(files, config=config)
-
-
-def _stream_card(results: StreamResults, case: Case) -> dict[str, Any]:
-    names = [name for name in results.names if name != MODULES]
-    found = [row for name in names if (row := results.find(name, case)) is not None]
+def _capacity_card(samples: dict[str, Sample]) -> dict[str, Any]:
+    seeds = [sample for name, sample in samples.items() if name != MODULES]
     return {
-        "capacity_of_each_seed": [
-            0 if row.capacity is None else round(row.capacity.rate) for row in found
-        ],
-        "scheduler": round(results.rate(MODULES, case)),
+        "capacity_of_each_seed": [round(each.throughput) for each in seeds],
+        "scheduler": round(samples[MODULES].throughput),
         "share_right": [
-            None if row.capacity is None else round(row.capacity.share_right, 5) for row in found
+            round(each.share_correct, 5) if each.is_sustained else None for each in seeds
         ],
+    }
+
+
+def _stream_card(samples: dict[str, Sample]) -> dict[str, Any]:
+    (learned,) = (each for each in samples.values() if each.kind == AGENT)
+    gaps = learned.mean("right_gaps")
+    return {
+        "right_an_hour_of_each_seed": [round(each) for each in learned.of_seeds.mean(axis=1)],
+        "share_right": round(learned.share_correct, 4),
+        **({} if math.isnan(gaps) else {"share_of_right_gaps": round(gaps, 4)}),
+        "jams": round(learned.jams, 2),
+        "rules": {
+            name: round(each.throughput) for name, each in samples.items() if each.kind == RULE
+        },
     }

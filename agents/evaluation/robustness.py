@@ -1,28 +1,24 @@
-"""The sweep of robustness: success where one thing at a time differs from training."""
+"""The sweep of robustness: scenarios in which one thing at a time differs from training."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
-from pathlib import Path
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import surface_gym as sg
-from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
-from surface_gym.parallel import Workers
 from surface_gym.parcel import Base
 from surface_gym.tasks.benchmark import Benchmark
 
-from ..base import Booleans, time_for, with_zone
+from ..base import time_for, with_zone
 from ..planning.oracle import run_oracle
-from ..rollout import Episodes, run_episodes, run_sequentially
-from .benchmark import SEED, Advance, compute_kept, drawn_parcels, find_benchmark, interval
-from .methods import ANY_ANGLE, BEST_FIXED, PLANNER, Method
+from ..rollout import run_episodes, run_sequentially
+from .method import ANY_ANGLE, BEST_FIXED, PLANNER, Method, start_benchmark
+from .scenario import SEED, WHOLE, Extent, Row, Scenario, drawn_parcels
 
-FILE = "robustness.jsonl"
 # Made for one parcel or zone, or a search for each start.
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
 # Methods that look far ahead run on a quarter of the starts, the planner on a sixth.
@@ -42,7 +38,6 @@ SENSORS = {
 SHAPES = ("square", "rectangle", "disc", "polygon")
 
 Level = float | int | str
-SweepKey = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
@@ -174,182 +169,64 @@ FACTORS = {factor.name: factor for factor in _EACH}
 
 
 @dataclass(frozen=True)
-class SweepResult:
-    """A method's seed on a task at the levels of a factor."""
+class ChangedScenario(Scenario):
+    """Drawn starts of a task, with one factor at one of its levels."""
 
-    task: str
-    method: str
     factor: str
-    seed: int
-    starts: int  # at each level
-    levels: list[Level]
-    success: list[str]  # (levels,) a letter for each start: 1 for success, else 0
-    error: list[float]  # (levels,) median size of the task's first metric; 0 where it has none
-
-    def __post_init__(self) -> None:
-        checks.integer("seed", self.seed, least=0)
-        checks.integer("starts", self.starts, least=1)
-        if not len(self.levels) == len(self.success) == len(self.error):
-            raise ValueError(f"success and error must be of each level, got {self.levels}")
-        for letters in self.success:
-            if len(str(letters)) != self.starts or set(str(letters)) - {"0", "1"}:
-                raise ValueError(f"success must be {self.starts} of '0' and '1', got {letters!r}")
+    level: Level
 
     @property
-    def key(self) -> SweepKey:
-        """The job that gave it: another number of starts, or other levels, make another result."""
-        return (
-            self.task, self.method, self.factor, self.seed, self.starts, tuple(self.levels)
-        )  # fmt: skip
+    def name(self) -> str:
+        return scenario_name(self.factor, self.level)
+
+    def accepts(self, method: Method) -> bool:
+        factor = FACTORS[self.factor]
+        if method.name in LEFT_OUT or self.level == factor.trained:
+            return False
+        if factor.of_lines and not isinstance(start_benchmark(self.task).task.line, sg.lines.Line):
+            return False
+        return method.kind != PLANNER or (self.factor in PLANNED and self.level in factor.shown)
+
+    def episodes(self, method: Method) -> int:
+        return max(1, self.extent.level_starts // FEWER.get(method.name, 1))
+
+    def play(self, method: Method, seed: int) -> list[Row]:
+        benchmark = start_benchmark(self.task)
+        where = situation(method, benchmark, FACTORS[self.factor].change(self.level))
+        count = self.episodes(method)
+        drawn: list[dict[str, Any]] = [{}] * count
+        if method.kind == PLANNER:
+            episodes = run_oracle(where.true, drawn, SEED, FOLLOWED)
+        else:
+            run = run_episodes if method.most is None else run_sequentially
+            episodes = run(method.controller(where.assumed, seed), where.true, drawn, SEED)
+        rows = [
+            {
+                "success": episodes.success[k], "time": episodes.time[k],
+                **{name: values[k] for name, values in episodes.metrics.items()},
+            }
+            for k in range(count)
+        ]  # fmt: skip
+        if self.factor == LAB:
+            shapes = lab_shapes(self.task, count)
+            rows = [{**row, "shape": shape} for row, shape in zip(rows, shapes, strict=True)]
+        return rows
 
 
-def can_sweep(methods: Sequence[Method]) -> list[Method]:
-    """List methods that run on any parcel and any zone."""
-    return [method for method in methods if method.name not in LEFT_OUT]
+def scenario_name(factor: str, level: Level) -> str:
+    """Name a level of a factor; the level that is as trained is the same for every factor."""
+    return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 
-def levels_for(method: Method, factor: Factor) -> tuple[Level, ...]:
-    """List levels of a factor that a method runs at; none where the factor does not concern it."""
-    if factor.of_lines and not isinstance(find_benchmark(method.task).task.line, sg.lines.Line):
-        return ()
-    if method.name != PLANNER:
-        return factor.swept
-    return factor.shown if factor.name in PLANNED else ()
-
-
-def starts_for(method: Method, starts: int) -> int:
-    """Count the starts that a method runs on."""
-    return max(1, starts // FEWER.get(method.name, 1))
-
-
-def compute_factor(
-    method: Method, seed: int, name: str, levels: tuple[Level, ...], starts: int
-) -> SweepResult:
-    """Run a method's seed at the levels of a factor."""
-    benchmark = find_benchmark(method.task)
-    success, errors = [], []
-    for level in levels:
-        where = situation(method, benchmark, FACTORS[name].change(level))
-        episodes = _run(method, seed, where, starts)
-        success.append("".join("1" if each else "0" for each in episodes.success))
-        metric = next(iter(episodes.metrics.values()), np.zeros(1))
-        errors.append(float(np.median(np.abs(metric))))
-    return SweepResult(method.task, method.name, name, seed, starts, list(levels), success, errors)
-
-
-def _run(method: Method, seed: int, where: Situation, starts: int) -> Episodes:
-    drawn: list[dict[str, Any]] = [{}] * starts
-    if method.name == PLANNER:
-        return run_oracle(where.true, drawn, SEED, FOLLOWED)
-    run = run_episodes if method.starts is None else run_sequentially
-    return run(method.make(where.assumed, seed), where.true, drawn, SEED)
-
-
-def sweep_jobs(methods: Sequence[Method], starts: int) -> dict[SweepKey, Callable[[], SweepResult]]:
-    """List every result to compute, by its key; the slowest first, to fill the cores."""
-    jobs = [
-        (method, seed, factor.name, levels_for(method, factor), starts_for(method, starts))
-        for method in sorted(methods, key=lambda each: -FEWER.get(each.name, 1))
-        for seed in method.seeds
-        for factor in FACTORS.values()
-    ]
-    return {
-        (method.task, method.name, factor, seed, count, levels): partial(
-            compute_factor, method, seed, factor, levels, count
-        )
-        for method, seed, factor, levels, count in jobs
-        if levels
-    }
-
-
-def compute_sweep(
-    methods: Sequence[Method],
-    starts: int,
-    workers: Workers,
-    folder: Path | None = None,
-    advance: Advance = lambda *_: None,
-) -> list[SweepResult]:
-    """Compute all results, in an order that does not depend on the processes."""
-    file = None if folder is None else folder / FILE
-    found = compute_kept(sweep_jobs(methods, starts), SweepResult, workers, file, advance)
-    order = {(each.task, each.name): place for place, each in enumerate(methods)}
-    factors = list(FACTORS)
-    return sorted(
-        found.values(),
-        key=lambda row: (order[row.task, row.method], factors.index(row.factor), row.seed),
-    )
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of successes, over seeds and starts."""
-
-    value: float  # [-]
-    low: float  # [-] of the 95 % interval
-    high: float  # [-]
-    seeds: int
-    starts: int  # of each seed
-
-    @classmethod
-    def of(cls, success: Booleans) -> "Rate":
-        return cls(float(success.mean()), *interval(success), *success.shape)
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """All results of a sweep."""
-
-    rows: tuple[SweepResult, ...]
-
-    @cached_property
-    def _found(self) -> dict[tuple[str, str, str], list[SweepResult]]:
-        found: dict[tuple[str, str, str], list[SweepResult]] = {}
-        for row in self.rows:
-            found.setdefault((row.task, row.method, row.factor), []).append(row)
-        return found
-
-    @property
-    def tasks(self) -> list[str]:
-        return list(dict.fromkeys(row.task for row in self.rows))
-
-    def methods(self, task: str | None = None) -> list[str]:
-        """List names in their order; None: of all tasks."""
-        return list(dict.fromkeys(r.method for r in self.rows if task in (None, r.task)))
-
-    def success(self, task: str, method: str, factor: str, level: Level) -> Booleans | None:
-        """Collect successes (seeds, starts); None where the method did not run."""
-        rows, place = self._at(task, method, factor, level)
-        if place is None:
-            return None
-        return np.array([[letter == "1" for letter in row.success[place]] for row in rows])
-
-    def rate(self, task: str, method: str, factor: str, level: Level) -> Rate | None:
-        """Compute the share of successes; None where the method did not run."""
-        success = self.success(task, method, factor, level)
-        return None if success is None else Rate.of(success)
-
-    def error(self, task: str, method: str, factor: str, level: Level) -> float | None:
-        """Compute the first metric's median size, mean over seeds; None where it did not run."""
-        rows, place = self._at(task, method, factor, level)
-        return None if place is None else float(np.mean([row.error[place] for row in rows]))
-
-    def by_shape(self, task: str, method: str) -> dict[str, Rate]:
-        """Compute rates in the lab by the shape of the parcel, without those that no start drew."""
-        success = self.success(task, method, LAB, LAB)
-        if success is None:
-            return {}
-        shapes = np.array(lab_shapes(task, success.shape[1]))
-        return {shape: Rate.of(success[:, shapes == shape]) for shape in SHAPES if shape in shapes}
-
-    def _at(
-        self, task: str, method: str, factor: str, level: Level
-    ) -> tuple[Sequence[SweepResult], int | None]:
-        """Find a result for each seed, and the level's place in each; None where there is none."""
-        if level == FACTORS[factor].trained:
-            factor = level = TRAINED
-        rows = self._found.get((task, method, factor), [])
-        tried = rows[0].levels if rows else []
-        return rows, tried.index(level) if level in tried else None
+def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
+    """List the scenarios of the sweep of a task."""
+    found: list[Scenario] = []
+    for factor in FACTORS.values():
+        levels = factor.shown[: extent.levels] if extent.levels else factor.levels
+        for level in levels:
+            preset = factor.change(level).preset.name
+            found.append(ChangedScenario(task, preset, extent, factor.name, level))
+    return found
 
 
 def name_shape(base: Base) -> str:
@@ -362,6 +239,6 @@ def name_shape(base: Base) -> str:
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
     """Name the shape of each start's parcel, as the lab draws it."""
-    config = EnvConfig(task=find_benchmark(task).task, preset=PRESETS[LAB])
+    config = EnvConfig(task=start_benchmark(task).task, preset=PRESETS[LAB])
     drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

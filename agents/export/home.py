@@ -18,8 +18,9 @@ from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.web.starts import describe, goal_marks
 
-from ..evaluation.capacity import WARM_UP, StreamMethod
-from ..evaluation.streams import ARRANGED, FILMED, MODULES, stream_methods
+from ..evaluation.ladder import ARRANGED, MODULES, TASK, ladder
+from ..evaluation.method import Method, stream_benchmark
+from ..evaluation.report import filmed_scenario
 from ..scheduling.leading import schedule
 from ..scheduling.scheduler import Scheduler
 from .rules import write, write_machine
@@ -29,21 +30,21 @@ BOXES = 1000  # that come within an hour; a page lets them come as fast as its r
 SEED = 0  # of their kinds and exits
 
 
-def find_methods() -> list[StreamMethod]:
+def find_methods() -> list[Method]:
     """Find the methods that both lines have in the comparison, the upper line's first."""
-    named = {each.name: each for each in stream_methods()}
+    named = {each.name: each for each in ladder()}
     return [named[ARRANGED], named[MODULES]]
 
 
-def make_config(method: StreamMethod) -> EnvConfig:
+def make_config(method: Method) -> EnvConfig:
     """Configure the line of a method."""
-    return method.config(FILMED, BOXES).replace(duration=HOUR)
+    return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
 
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
     """Make the scheduler of each line; takes seconds."""
-    made = [method.make(make_config(method)) for method in find_methods()]
+    made = [method.controller(make_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 
 
@@ -68,7 +69,7 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
         **image.layout(),
         "scene": describe(batch),
         "starts": {"fields": [], "marks": [goal_marks(batch)]},  # the image is the only start
-        "warmUp": WARM_UP,
+        "warmUp": stream_benchmark(TASK).warm_up,
         "obeying": obeying,
         "lines": [
             {

@@ -15,7 +15,7 @@ from surface_gym.tasks import Task
 
 from .. import library
 from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
-from ..evaluation.methods import policy_folders
+from ..evaluation.method import policy_folders
 from ..learning import runs
 from ..learning.config import NOMINAL, current_option
 from ..module_policy import ModulePolicy

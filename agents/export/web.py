@@ -33,7 +33,7 @@ from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
 
 from .. import library, local_policy, module_policy, parcel_policy
 from ..base import SIDE, Singles, mirrored_orientations
-from ..evaluation.methods import policy_folders
+from ..evaluation.method import policy_folders
 from ..local_policy import LocalPolicy
 from ..module_places import find_places
 from ..module_policy import ModulePolicy

@@ -26,6 +26,7 @@ from surface_gym.physics.types import THETA, Array, X, Y
 from surface_gym.sensors.base import ENTRY_ROWS
 from surface_gym.state import NOISE_ROWS, EnvState, reach_along
 from surface_gym.tasks.base import Task
+from surface_gym.tasks.benchmark import default_stream_benchmark
 from surface_gym.tasks.features import Feature
 from surface_gym.tasks.sort import HORIZON
 
@@ -281,6 +282,15 @@ class StreamTask(Task):
         """Return whether the conveyor after the surface runs, for drawing; None: there is none."""
         del memory
         return None
+
+    def benchmark(self) -> Any:
+        """Describe the streams that methods are compared on, and the columns of the table."""
+        return default_stream_benchmark(self)
+
+    def rate_bound(self, config: Any) -> float:
+        """Compute the rate [parcels/h] that no controller can exceed; nan: none is known."""
+        del config
+        return math.nan
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int

@@ -6,6 +6,7 @@ from typing import Any
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.benchmarks import merging_benchmark
 from surface_gym.flow.inlets import MOST_INLETS, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import FEATURES, NEARLY_STRAIGHT, TakeAwayTask, bulk_parcels
@@ -90,6 +91,9 @@ class Merge(TakeAwayTask):
     def training_tasks(self) -> tuple["Merge", ...]:
         """Return the task with more parcels than it can take."""
         return (replace(self, stream=lines(10_000.0)),)
+
+    def benchmark(self) -> Any:
+        return merging_benchmark(self, side_by_side(2))
 
     @staticmethod
     @inlined

@@ -1,11 +1,13 @@
 """The task of bringing parcels into an order on a slope."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from surface_gym import checks
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.benchmarks import sequencing_benchmark
 from surface_gym.flow.state import SurfaceView
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import (
@@ -95,6 +97,9 @@ class Sequence(TakeAwayTask):
     def training_tasks(self) -> tuple["Sequence", ...]:
         """Return the task with parcels out of order in a narrow and in a wide window."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
+
+    def benchmark(self) -> Any:
+        return sequencing_benchmark(self)
 
     @staticmethod
     @inlined

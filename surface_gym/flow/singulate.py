@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
-from surface_gym.flow.take_away import TakeAwayTask, bulk
+from surface_gym.flow.benchmarks import singulation_benchmark
+from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,9 @@ class Singulate(TakeAwayTask):
         """Return the task with more parcels than it can take, and a mouth that they leave by."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
+
+    def benchmark(self) -> Any:
+        return singulation_benchmark(self, Stops())
 
 
 MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] that the comparison asks for through a mouth

@@ -241,6 +241,15 @@ def is_there(row: NDArray[np.float32]) -> bool:
     return row[COLUMN.present.place] > 0.5 and row[COLUMN.waits.place] < 0.5
 
 
+def narrowest(parcel: Parcel) -> float:
+    """Compute the least extent [m] of a base, however it is turned: across one of its edges."""
+    if not len(parcel.body.edges):
+        return 2.0 * parcel.base.reach
+    outline = parcel.base.outline
+    normals = np.asarray(parcel.base.edges)[:, :2]
+    return float(np.ptp(outline @ normals.T, axis=0).min())
+
+
 @dataclass(frozen=True)
 class TakeAwayStatistics:
     """Statistics of one episode; nan where nothing happened."""
@@ -387,6 +396,16 @@ class TakeAwayTask(StreamTask):
 
     def is_running(self, memory: Array) -> bool:
         return bool(memory[CHANGES] % 2.0 == 0.0)
+
+    def rate_bound(self, config: Any) -> float:
+        """Compute the rate at which parcels lie on the take-away as close as is allowed.
+
+        Each has its least extent along it. Nobody delivers more rightly, by one mouth or by each.
+        """
+        odds = np.array([each for _, each in self.stream.parcels])
+        extent = np.array([narrowest(parcel) for parcel, _ in self.stream.parcels])
+        mean = float((odds * extent).sum() / odds.sum())
+        return HOUR * len(config.exits) * self.take_away / (mean + self.gap)
 
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
@@ -17,6 +18,7 @@ from surface_gym.flow.base import (
     StreamTask,
     both_ways,
 )  # fmt: skip
+from surface_gym.flow.benchmarks import sorting_benchmark
 from surface_gym.physics.types import HALF_LENGTH, THETA, VX, VY, X, Y
 from surface_gym.state import ROWS, EnvState, reach_along, zone_start
 from surface_gym.tasks.base import SIZE, WIDTH, show_on_line
@@ -203,6 +205,9 @@ class Flow(StreamTask):
     features = FEATURES
     terms = TERMS
     memories = 2
+
+    def benchmark(self) -> Any:
+        return sorting_benchmark(self)
 
     @staticmethod
     @inlined

@@ -1,7 +1,11 @@
-"""Benchmarks of tasks: the starts that methods are compared on, and the columns of the tables."""
+"""Benchmarks of tasks: the scenarios that methods are compared on, and the columns of the tables.
 
+A scenario of a task of one parcel is a list of starts, of a task on streams an offered stream.
+"""
+
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -13,12 +17,15 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.float64]
 
 DRAWN = 500  # starts of a benchmark that draws them
+ENTRANCE = math.inf  # a rate: as many parcels as the entrance takes
+# Kinds of methods that are compared on a stream unless it names others; "planner" is one more.
+KINDS = ("baseline", "rule", "agent")
 PARCELS = ("S", "B")
 SIDES = (1, -1)
 
 
 class Runs(Protocol):
-    """Results of one method: every seed on the same starts."""
+    """Results of one method: every seed on the same episodes."""
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -31,6 +38,12 @@ class Runs(Protocol):
     def metric(self, name: str) -> Numbers:
         """(seeds, starts) size of one of the task's metrics."""
 
+    def mean(self, name: str) -> float:
+        """Mean of a statistic of streams over episodes, by the parcels delivered; nan: none."""
+
+    def most(self, name: str) -> float:
+        """Largest value of a statistic of streams."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -42,6 +55,7 @@ class Column:
     value: Callable[[Runs, Runs], float]  # of a method and of the fixed layout; nan: none
     form: str = ".2f"
     scale: float = 1.0  # to the label's unit
+    unit: str = ""  # behind the number
     every_start: bool = False  # undefined where a method did not run on all starts
 
 
@@ -152,3 +166,70 @@ def default_benchmark(task: "Task") -> Benchmark:
     first = task.metrics[0] if task.metrics else None
     error = None if first is None else ErrorPlot(first, first.replace("_", " "))
     return Benchmark(task, (*columns, time), error=error)
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """A stream of parcels that is offered to every method.
+
+    Args:
+        name: for tables.
+        task: with its stream, its exits, and how long it takes.
+        rates: [parcels/h] offered: of several the first at which nearly all leave rightly, else the
+            last; None: the stream's own; `ENTRANCE`: all that the entrance takes. Without a rate
+            the highest is searched that a method sustains.
+        group: of offers that a table shows together; only the first group is compared by default.
+        arguments: of the environment beside the method's, as sensors that no preset has.
+        kinds: of methods that are compared.
+        most_touches: [-] per delivery allowed where controllers choose clearances in a trial.
+    """
+
+    name: str
+    task: Any  # a `StreamTask`
+    rates: tuple[float | None, ...] = (None,)
+    group: str = ""
+    arguments: dict[str, Any] = field(default_factory=dict)
+    kinds: tuple[str, ...] = KINDS
+    most_touches: float = 0.0
+
+    @property
+    def scenario(self) -> str:
+        """The name by which results are kept."""
+        return f"{self.name}, {self.group}" if self.group else self.name
+
+
+@dataclass(frozen=True, eq=False)
+class StreamBenchmark:
+    """The streams that methods are compared on, and the columns of the task's table."""
+
+    task: Any  # a `StreamTask`
+    offers: tuple[Offer, ...]
+    columns: tuple[Column, ...]  # beside the rate and the share of right parcels
+    description: str  # of the offers
+    presets: tuple[str, ...] = ("exact", "camera")  # of streams
+    replications: int = 10
+    warm_up: float = 0.0  # [s] at least, in which nothing counts
+    filmed: str = ""  # name of the offer on film; "": the first
+    held_out: tuple[Offer, ...] = ()  # that no agent trained on, with sensors of their own
+
+
+def mean_column(
+    name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
+) -> Column:
+    """Compute the mean of a statistic of streams, by the parcels delivered."""
+    return Column(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
+
+
+def share_column(name: str, label: str, meaning: str) -> Column:
+    """Compute a share [%] that is a statistic of streams."""
+    return mean_column(name, label, meaning, ".2f", 100.0, " %")
+
+
+TOUCHES = mean_column("touches_per_1000", "touches", "per 1000 parcels delivered", ".0f")
+STAY = mean_column("time_mean", "time [s]", "on the surface, mean")
+
+
+def default_stream_benchmark(task: Any) -> StreamBenchmark:
+    """Offer a task's own stream for two minutes."""
+    offers = (Offer("its own stream", replace(task, duration=120.0)),)
+    return StreamBenchmark(task, offers, (TOUCHES, STAY), "the task's own stream")

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -97,20 +96,17 @@ def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(run, file, com
 
 
 def test_the_comparison_of_a_task(tmp_path) -> None:
-    """Everything but the waiting: the results are there already, of few starts."""
-    from surface_gym.agents.evaluation.benchmark import compute_results
-    from surface_gym.agents.evaluation.methods import all_methods
-
+    """Of few starts: the form of `--quick`, which says so."""
     out = tmp_path / "out"
-    out.mkdir()
-    compute_results([replace(each, starts=1) for each in all_methods("stop")], 1, out)
-    flags = ("--tasks", "stop", "--out", str(out), "--resume", "--workers", "1")
+    flags = ("--tasks", "stop", "--out", str(out), "--quick", "--workers", "1")
     done = run_in_process("evaluate.py", *flags, folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    tables = [f"comparison.{end}" for end in ("md", "csv", "json")]
-    for name in (*tables, "decisions.md", "report.html", "stop.mp4"):
+    assert done.stdout.startswith("loading what compares\n")
+    assert done.stdout.count("Quick: few starts") == 1
+    for name in ("results.csv", "stop.md", "comparison.csv", "decisions.md", "stop.mp4"):
         assert (out / name).stat().st_size > 0
     text = (out / "report.html").read_text()
+    assert "Quick: few starts" in text
     assert "braking rule" in text
     assert "data:video/mp4;base64," in text
     assert not re.search(r'(?:src|href)="(?!data:|#)', text)
@@ -223,7 +219,7 @@ class TestARun:
         flags = ("--task", REACH, "--out", "out", "--workers", "2")
         done = run_in_process("evaluate.py", *flags, folder=folder)
         assert done.returncode == 0, done.stderr
-        table = (folder / "out" / "comparison.md").read_text()
+        table = (folder / "out" / "reach.md").read_text()
         assert "fixed layout" in table
         assert "PPO" in table
         assert (folder / "out" / "report.html").stat().st_size > 0

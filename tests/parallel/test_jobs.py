@@ -20,8 +20,9 @@ from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
 
 from surface_gym import checks, parallel, ray_executor
-from surface_gym.agents.evaluation.benchmark import compute_results
-from surface_gym.agents.evaluation.methods import policy_folders, rules, trained
+from surface_gym.agents.evaluation.method import policy_folders, rules, trained
+from surface_gym.agents.evaluation.runner import compute
+from surface_gym.agents.evaluation.scenario import make_jobs, start_scenarios
 from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
@@ -190,13 +191,13 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cl
 def test_results_are_the_same_those_of_a_runs_policies_too(cluster, tmp_path):
     one = PPOConfig(task="slow", steps=512, **TINY)
     train_seeds(one, tmp_path, Console(quiet=True), 1)
-    run = replace(trained(policy_folders(tmp_path)), presets=("exact",), starts=6)
-    methods = [replace(rules("slow")[0], presets=("exact", "stuck"), starts=6), run]
+    run = replace(trained(policy_folders(tmp_path)), presets=("exact",), most=6)
+    methods = [replace(rules("slow")[0], presets=("exact", "stuck"), most=6), run]
+    work = make_jobs(start_scenarios("slow"), methods)
     local, elsewhere = (
-        [replace(result, decision_time=0.0) for result in compute_results(methods, workers)]
-        for workers in (1, cluster)
+        compute(work, workers).drop(columns="decision_time") for workers in (1, cluster)
     )
-    assert elsewhere == local
+    assert elsewhere.equals(local)
 
 
 def test_a_design_s_answer_is_the_same(cluster):

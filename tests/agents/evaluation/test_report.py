@@ -1,151 +1,81 @@
-"""Tables, pages that stand alone, films, and the folders that `evaluate.py` fills with them."""
+"""Pages that stand alone, films, and the folders that `evaluate.py` fills with them."""
 
-import csv
 import io
-import json
 import re
 import subprocess
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 from typing import Any
 
 import imageio.v2 as imageio
 import numpy as np
+import pandas as pd
 import pytest
 from gymnasium.utils.seeding import np_random
 from matplotlib.figure import Figure
 from moviepy.config import FFMPEG_BINARY
 from rich.console import Console
 
-from surface_gym.agents.evaluation import capacity, report, streams, tables
-from surface_gym.agents.evaluation.benchmark import find_benchmark, summarise
-from surface_gym.agents.evaluation.capacity import Case
+from surface_gym.agents.evaluation import cli, ladder, report, views
 from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
-from surface_gym.agents.evaluation.methods import rules
-from surface_gym.agents.evaluation.robustness import FILE as SWEPT
-from surface_gym.agents.evaluation.tables import task_table
+from surface_gym.agents.evaluation.method import all_methods, rules, start_benchmark
+from surface_gym.agents.evaluation.page import Section, write_page
+from surface_gym.agents.evaluation.report import filmed_scenario, stream_player
+from surface_gym.agents.evaluation.results import FILE, write_results
+from surface_gym.agents.evaluation.scenario import Extent
 from surface_gym.agents.evaluation.video import Player, write_comparison
 from surface_gym.agents.library import SHELF
 from surface_gym.agents.rules.streams import StreamEventRule
-from surface_gym.agents.scheduling import scheduler
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.registration import FLOW_TASK, ON_SLOPES
+from surface_gym.registration import TASKS
 from surface_gym.rendering import with_caption
-from surface_gym.tasks import TASKS
 from tests.agents.evaluation import made
+from tests.agents.evaluation.test_views import SLOW
 from tests.flow.flows import DENSE, SHORT
 
-SLOW = summarise(
-    [
-        made.slow_result("fixed layout", [0.1, 0.004, 0.02, 0.2]),
-        made.slow_result("fixed layout", [0.1, 0.1, 0.02, 0.2], preset="camera"),
-        made.slow_result("a <rule>", [0.001, 0.004, 0.002, 0.02]),
-        made.slow_result("a <rule>", [0.001, 0.04, 0.002, 0.02], preset="camera"),
-        made.slow_result("planner", [0.0, 0.001]),
-    ]
-)
-
-
-def test_a_row_for_each_method() -> None:
-    table = task_table("slow", SLOW)
-    assert table.header[:4] == ("controller", "seeds", "success (95 % interval)", "camera")
-    fixed, rule, planner = table.rows
-    assert fixed[0] == "fixed layout"
-    assert fixed[2].startswith("0.250 (")
-    assert rule[3:5] == ("0.500", "0.0030")  # the median's
-    assert (planner[0], planner[3]) == ("planner (2 starts)", "-")
-    # Decision times stand apart.
-    assert not any("decision" in name for name in table.header)
-    times = tables.decision_table(["slow"], SLOW)
-    assert times.header == ("controller", "slow")
-    expected = f"{1e6 * SLOW['slow', 'a <rule>', 'exact'].decision_time:.1f}"
-    assert dict(times.rows)["a <rule>"] == expected
-
-
-def test_a_wide_table_is_shown_in_parts_that_repeat_the_first_column() -> None:
-    header = ("name", *(f"[{k}] long heading" for k in range(9)))
-    table = tables.Table("wide", "a [b]", header, (("row one", *(f"{k}.000" for k in range(9))),))
-    for width, parts in ((400, 1), (60, 2)):
-        screen = io.StringIO()
-        table.show(Console(file=screen, width=width))
-        text = screen.getvalue()
-        assert text.count("row one") == parts
-        assert all(f"{k}.000" in text for k in range(9))
-        assert "[8]" in text
-        assert "a [b]" in text
-        assert max(map(len, text.splitlines())) <= width
-
-
-def test_files_agree(tmp_path) -> None:
-    page, *files = (tmp_path / f"a.{end}" for end in ("md", "csv", "json"))
-    tables.write_markdown([task_table("slow", SLOW)], page)
-    tables.write_numbers(tables.task_numbers("slow", SLOW), *files)
-    numbers = json.loads(files[1].read_text())
-    with files[0].open(newline="") as file:
-        lines = list(csv.DictReader(file))
-    assert [line["metric"] for line in lines] == [number["metric"] for number in numbers]
-    for line, number in zip(lines, numbers, strict=True):
-        assert line["value"] == ("" if number["value"] is None else str(number["value"]))
-    key, wanted = ("controller", "preset", "metric"), ["a <rule>", "exact", "success"]
-    (rate,) = [each["value"] for each in numbers if [each[name] for name in key] == wanted]
-    assert f"| a <rule> | 1 | {rate:.3f} (" in page.read_text()
-
-
-def test_by_speed() -> None:
-    fixed = made.sort_result("fixed layout", {"S": 0.72, "B": 1.0})
-    summaries = summarise([fixed, made.sort_result("b", {"S": 0.36, "B": 0.52})])
-    table = tables.speed_table(
-        made.GRID, {name: summary for (_, name, _), summary in summaries.items()}
-    )
-    rows = {row[0]: row[1:] for row in table.rows}
-    assert rows["0.5"] == ("fails", "2.000", "fails", "fails")
-    assert rows["2.7"][0] == f"{1 / 2.7:.3f}"
-    assert rows["minimum [m/s]"] == ("0.72", "0.36", "1.00", "0.52")
+RULES = [each for each in all_methods("flow") if each.name in made.SHARES]
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_page_needs_nothing_else(tmp_path) -> None:
     picture, film = tmp_path / "a.png", tmp_path / "a.mp4"
     Figure().savefig(picture)
     film.write_bytes(b"film")
-    table = task_table("slow", SLOW)
-    section = report.Section(
-        table, [(picture, "a > b"), (film, "both")], find_benchmark("slow").columns
-    )
-    report.write_page([section], tmp_path / "report.html")
+    table = views.task_table("slow", SLOW)
+    section = Section(table, [(picture, "a > b"), (film, "both")], start_benchmark("slow").columns)
+    write_page([section], tmp_path / "report.html", "Quick: few <starts>.")
     text = (tmp_path / "report.html").read_text()
     sources = re.findall(r'(?:src|href)="([^"]*)"', text)
     assert all(source.startswith(("data:", "#")) for source in sources)
     assert len(sources) == 3
     assert "http" not in re.sub(r"data:[^\"]*", "", text)
+    assert "Quick: few &lt;starts&gt;." in text
     assert "a &lt;rule&gt;" in text
     assert "<rule>" not in text
     assert "a &gt; b" in text
     assert text.count("<td>") == sum(len(row) for row in table.rows)
 
 
-def keep(rows: Sequence[Any], file: Path) -> list[str]:
-    lines = [json.dumps(asdict(row)) + "\n" for row in rows]
-    file.write_text("".join(lines))
-    return lines
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"tasks": ("juggle",)}, "tasks must be one of 'flow', .*, got 'juggle'"),
+        ({"tasks": ("juggle",)}, "tasks must be one of 'sort', .*, got 'juggle'"),
         ({"exits": ("ends",)}, "exits must be one of 'sides', 'chutes', got 'ends'"),
         ({"exits": ()}, "exits must be at least one"),
         ({"starts": 0}, "^starts must be .* at least 1, got 0"),
         ({"robustness": True, "run": Path("a")}, "^run must be None where robustness is swept"),
     ],
 )
-def test_streams_are_compared_first_unless_asked_otherwise(given, message) -> None:
-    assert EvaluateConfig().tasks == TASK_NAMES == (FLOW_TASK, *TASKS, *ON_SLOPES)
+def test_every_task_is_compared_unless_asked_otherwise(given, message) -> None:
+    assert EvaluateConfig().tasks == TASK_NAMES == tuple(TASKS)
+    assert EvaluateConfig(quick=True).folder == Path("runs/evaluation-quick")
+    assert EvaluateConfig(quick=True, out=Path("a")).folder == Path("a")
     with pytest.raises(ValueError, match=message):
         EvaluateConfig(**given)
 
@@ -156,13 +86,15 @@ def quick_scheduler(config: EnvConfig, groups: ColumnGroups | None) -> Scheduler
 
 
 def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(streams, "stream_methods", lambda: made.RULES)
-    monkeypatch.setattr(streams, "make_scheduler", quick_scheduler)
+    monkeypatch.setattr(report, "all_methods", lambda _: RULES)
+    monkeypatch.setattr(ladder, "make_scheduler", quick_scheduler)
     monkeypatch.setattr(report, "LENGTH", 0.4)
     monkeypatch.setattr(report, "SHOWN_AT", 0.2)
-    lines = keep(made.stream_rows(), tmp_path / streams.FILE)
+    monkeypatch.setattr(cli, "replace", lambda *_, **__: Extent(replications=10))
+    write_results(pd.concat(made.capacity_rows()), tmp_path / FILE)
+    kept = (tmp_path / FILE).read_bytes()
     screen = io.StringIO()
-    config = EvaluateConfig(out=tmp_path, tasks=(FLOW_TASK,), workers=1, resume=True)
+    config = EvaluateConfig(out=tmp_path, tasks=("flow",), workers=1, resume=True)
     evaluate(config, Console(file=screen, width=160))
     assert "modules over columns" in screen.getvalue()
     page = (tmp_path / "report.html").read_text()
@@ -173,15 +105,9 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     assert len(re.findall("data-name=", replayed)) == page.count("data-name=") > 1
     assert 'sandbox="allow-scripts"' in page
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
-    assert not (tmp_path / "comparison.md").exists()
-    kept = (tmp_path / streams.FILE).read_text().splitlines()
-    assert list(map(json.loads, kept)) == list(map(json.loads, lines))
-    text = (tmp_path / "flow.md").read_text()
-    assert all(
-        f"## {each.heading}" in text for each in streams.stream_tables(made.stream_results())
-    )
-    count = len(streams.stream_numbers(made.stream_results()))
-    assert len((tmp_path / "flow.csv").read_text().splitlines()) == count + 1
+    assert (tmp_path / FILE).read_bytes() == kept
+    assert "## Flow: ladder of hardware, exact, exits “sides”" in (tmp_path / "flow.md").read_text()
+    assert len(pd.read_csv(tmp_path / "comparison.csv")) > 100
     for name in ("flow-capacity.png", "flow.png"):
         assert imageio.imread(tmp_path / name).std() > 10.0  # there is something on it
     with imageio.get_reader(tmp_path / "flow.mp4") as video:
@@ -189,56 +115,84 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
         assert video.get_data(0).shape[0] >= 2 * imageio.imread(tmp_path / "flow.png").shape[0]
 
 
-def test_a_sweep_becomes_tables(tmp_path, monkeypatch) -> None:
-    fixed = rules("slow")[:1]
-    monkeypatch.setattr("surface_gym.agents.evaluation.methods.all_methods", lambda _: fixed)
-    keep(made.sweep_results("slow", {"fixed layout": 0.5}), tmp_path / SWEPT)
+def test_a_sweep_becomes_tables_and_is_never_lost(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(report, "all_methods", lambda _: rules("slow")[:1])
+    write_results(pd.concat(made.whole_sweep("slow", {"fixed layout": 0.5})), tmp_path / FILE)
+    kept = (tmp_path / FILE).read_bytes()
     screen = io.StringIO()
-    config = EvaluateConfig(
-        out=tmp_path, tasks=("slow",), workers=1, resume=True, robustness=True, starts=made.STARTS
-    )
-    evaluate(config, Console(file=screen, width=160))
+    given: dict[str, Any] = {
+        "out": tmp_path, "tasks": ("slow",), "workers": 1, "robustness": True, "starts": made.COUNT
+    }  # fmt: skip
+    (tmp_path / cli.SETTINGS).write_text(f'{{"quick": false, "starts": {made.COUNT}}}')
+    for wrong, message in (
+        ({}, "out must be a folder without these results, got .*: add --resume"),
+        ({"resume": True, "quick": True}, "out must be a folder with results of the same --quick"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            evaluate(EvaluateConfig(**given, **wrong), Console(quiet=True))
+        assert (tmp_path / FILE).read_bytes() == kept
+    evaluate(EvaluateConfig(**given, resume=True), Console(file=screen, width=160))
     assert "fixed layout" in screen.getvalue()
-    assert (tmp_path / "robustness.csv").is_file()
-    assert not (tmp_path / "comparison.md").exists()
+    assert (tmp_path / "robustness.png").read_bytes().startswith(b"\x89PNG")
+    assert "## Slow: lab" in (tmp_path / "robustness.md").read_text()
+    assert (tmp_path / FILE).read_bytes() == kept
+    assert not (tmp_path / "report.html").exists()
 
 
-def test_every_seed_of_a_run_is_measured_beside_the_scheduler(tmp_path, monkeypatch) -> None:
-    case = Case("S", 2.0)
-    monkeypatch.setattr(
-        streams, "cases", lambda preset="exact", exits="sides": [Case("S", 2.0, preset, exits)]
-    )
-    for name, value in (("REPLICATIONS", 2), ("WARM_UP", 4.0), ("SECONDS", 12.0)):
-        monkeypatch.setattr(capacity, name, value)
-    monkeypatch.setattr(scheduler, "TRIED", 4)
-    monkeypatch.setattr(scheduler, "TRIAL", 10.0)
+def test_a_command_shows_at_once_that_it_works_and_ends_at_once(tmp_path) -> None:
+    """Its first line comes before its libraries; Ctrl-C leaves the exit code of a shell."""
+    command = [sys.executable, str(ROOT / "evaluate.py"), "--tasks", "slow", "--workers", "1"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
+        assert running.stdout is not None
+        assert running.stdout.readline() == "loading what compares\n"
+        time.sleep(0.2)
+        running.send_signal(2)
+        _, errors = running.communicate(timeout=60.0)
+    assert running.returncode == cli.INTERRUPTED
+    assert "interrupted; --resume goes on" in errors
+
+
+def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, monkeypatch) -> None:
+    """A card of a task whose rates are searched has each seed beside the scheduler."""
+    few = Extent(replications=2, duration=6.0)
+    asked = report.stream_scenarios
+    monkeypatch.setattr(report, "stream_scenarios", lambda task: asked(task, few))
     for seed in (0, 1):
-        copytree(SHELF / "flow-schedule" / f"seed-{seed}", tmp_path / f"seed-{seed}")
-    seen: list[streams.StreamResults] = []
-    compare = report.compare_streams
-
-    def watched(*given: Any) -> streams.StreamResults:
-        seen.append(compare(*given))
-        return seen[0]
-
-    monkeypatch.setattr(report, "compare_streams", watched)
+        copytree(SHELF / "merge-parcels" / f"seed-{seed}", tmp_path / f"seed-{seed}")
     card = report.evaluate_run(tmp_path, None, 1, Console(quiet=True))
-    (found,) = seen
-    assert set(found.names) == {streams.MODULES, "seed 0", "seed 1"}
-    for name in found.names:
-        assert found.rate(name, case) > 0.4 * case.ceiling
-    assert "seed 1" in (tmp_path / report.TABLE).read_text()
-    for preset in ("exact", "camera"):
-        (stream,) = card[preset].values()
-        assert len(stream["capacity_of_each_seed"]) == 2
-        assert min(stream["share_right"]) > 0.99
+    assert list(card) == ["exact", "camera", "lab"]
+    for each in (each for offers in card.values() for each in offers.values()):
+        assert len(each["right_an_hour_of_each_seed"]) == 2
+        assert {"time slots", "hold and release"} <= each["rules"].keys()
+        assert "roll on" not in each["rules"]
+    assert (tmp_path / report.TABLE).read_text().count("PPO per parcel") == 6
+    samples = {
+        name: report.Sample(rows)
+        for (_, scenario, preset, name), rows in pd.concat(made.capacity_rows()).groupby(
+            ["task", "scenario", "preset", "method"], sort=False
+        )
+        if (scenario, preset) == ("S, 2 m/s, sides", "exact")
+    }
+    made_card = report._capacity_card({k: samples[k] for k in (ladder.MODULES, ladder.SERIES)})
+    assert made_card["capacity_of_each_seed"] == [0]
+    assert made_card["share_right"] == [None]
+    assert made_card["scheduler"] == pytest.approx(0.6 * made.CEILINGS[2], rel=0.01)
 
 
-@pytest.mark.parametrize("text", [None, "", "[1", "env_id: SmartSurface/Sort-v0", "- a"])
-def test_other_runs_are_of_no_streams(tmp_path, text) -> None:
-    if text is not None:
-        (tmp_path / "policy.yaml").write_text(text)
-    assert report.stream_task(tmp_path) is None
+def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(report, "LENGTH", 0.2)
+    monkeypatch.setattr(report, "SHOWN_AT", 0.08)
+    scenario = filmed_scenario("merge", "lab")
+    both = report.rivals(all_methods("merge"))
+    pictures = report._film(both, scenario, None, tmp_path / "merge-lab", "three lines, lab")
+    (picture, drawn), (video, filmed) = pictures
+    assert imageio.imread(picture).std() > 10.0
+    with imageio.get_reader(video) as frames:
+        assert frames.count_frames() >= 5
+    assert drawn.startswith("PPO per module: three lines")
+    assert "time slots" in filmed
 
 
 GIVEN: dict[str, Any] = {
@@ -275,22 +229,22 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
 
 
 def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:
-    rule = next(method for method in made.RULES if method.name == streams.EVENT)
-    both = [rule, replace(rule, control_period=0.08)]
-    players = [report.stream_player(method, streams.FILMED, 3000.0) for method in both]
+    rule = next(each for each in RULES if each.name == ladder.EVENT)
+    both = [rule, replace(rule, arguments=rule.arguments | {"control_period": 0.08})]
+    players = [stream_player(each, filmed_scenario("flow"), 3000.0) for each in both]
     write_comparison(players, tmp_path / "both.mp4", 0.4)
     with imageio.get_reader(tmp_path / "both.mp4") as video:
         assert video.count_frames() == 10 + 25
         last = video.get_data(9)
     replayed = (tmp_path / "both.html").read_text()
-    assert re.findall('data-name="(.*?)"', replayed) == [streams.EVENT, f"{streams.EVENT} 2"]
+    assert re.findall('data-name="(.*?)"', replayed) == [ladder.EVENT, f"{ladder.EVENT} 2"]
     half = last.shape[0] // 2
     # Both show 0.36 s, the second to a period of its own: hardly a pixel differs.
     assert np.abs(last[:half].astype(float) - last[-half:]).mean() < 8.0
 
 
 def test_a_method_that_cannot_sort_cannot_be_filmed(monkeypatch) -> None:
-    monkeypatch.setattr(streams, "make_scheduler", lambda *_: None)
-    zone = next(method for method in made.RULES if method.name == streams.MODULES)
-    with pytest.raises(ValueError, match=r"method must be able to sort S, 1\.5 m/s"):
-        report.stream_player(zone, Case("S", 1.5), 3000.0)
+    monkeypatch.setattr(ladder, "make_scheduler", lambda *_: None)
+    modules = next(each for each in RULES if each.name == ladder.MODULES)
+    with pytest.raises(ValueError, match=r"method must be able to sort S and B, 1\.5 m/s"):
+        stream_player(modules, filmed_scenario("flow"), 3000.0)

@@ -1,41 +1,49 @@
 """The sweep: one thing differs, unknown to controllers where they could not know it."""
 
-import csv
-import io
-import json
 import math
-import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.evaluation import robustness, robustness_report as report
-from surface_gym.agents.evaluation.benchmark import find_benchmark, interval
-from surface_gym.agents.evaluation.methods import PLANNER, Method, all_methods, rules, shipped
-from surface_gym.agents.evaluation.robustness import TRAINED, Change, situation, sweep_jobs
+from surface_gym.agents.evaluation import robustness
+from surface_gym.agents.evaluation.method import (
+    PLANNER,
+    Method,
+    all_methods,
+    rules,
+    shipped,
+    start_benchmark,
+)
+from surface_gym.agents.evaluation.results import Sample, make_rows
+from surface_gym.agents.evaluation.robustness import (
+    TRAINED,
+    Change,
+    ChangedScenario,
+    changed_scenarios,
+    situation,
+)
+from surface_gym.agents.evaluation.scenario import WHOLE, Extent, ScenarioJob, make_jobs
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
 from surface_gym.parcel import Disc, Rectangle
 from surface_gym.tasks import TASKS, Slow
-from tests.agents.evaluation.made import STARTS, sweep_result, sweep_results
 
 FIXED = rules("slow")[0]
-BENCHMARK = find_benchmark("slow")
+BENCHMARK = start_benchmark("slow")
 EVERYTHING_EXACT = Change().preset
 
 
 def true_of(change: Change, method: Method = FIXED) -> EnvConfig:
-    return situation(method, find_benchmark(method.task), change).true
+    return situation(method, start_benchmark(method.task), change).true
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_no_change_is_as_trained(task) -> None:
-    method = next(each for each in all_methods(task) if each.starts is None)
-    benchmark = find_benchmark(task)
+    method = next(each for each in all_methods(task) if each.most is None)
+    benchmark = start_benchmark(task)
     assumed, true = situation(method, benchmark, robustness.FACTORS[TRAINED].change(TRAINED))
     assert assumed == true
     config = method.config(benchmark.task, EVERYTHING_EXACT)
@@ -91,9 +99,9 @@ def test_entries_are_aside_and_turned_by_just_so_much(task) -> None:
 def test_modules_that_share_weights_run_on_any_zone() -> None:
     modules = next(each for each in shipped("sort") if each.name == "PPO per module")
     for columns in (8, 20):
-        assumed, true = situation(modules, find_benchmark("sort"), Change(zone_columns=columns))
+        assumed, true = situation(modules, start_benchmark("sort"), Change(zone_columns=columns))
         starts = [{"speed": 1.5, "parcel": "S", "side": side} for side in (1, -1)]
-        assert run_episodes(modules.make(assumed, 0), true, starts, 0).success.all()
+        assert run_episodes(modules.controller(assumed, 0), true, starts, 0).success.all()
 
 
 def test_loads_lie_off_centre_in_every_direction_and_boxes_are_drawn_as_ever() -> None:
@@ -123,126 +131,44 @@ def test_each_level_makes_an_environment_and_the_trained_one_changes_nothing(fac
         assert replace(trained, task=task) == replace(true_of(Change()), task=task)
 
 
-@pytest.fixture
-def two_factors(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {
-        TRAINED: robustness.FACTORS[TRAINED],
-        "square": replace(robustness.FACTORS["square"], levels=(0.2, 0.4), shown=(0.4,)),
-    }
-    monkeypatch.setattr(robustness, "FACTORS", few)
+def test_other_starts_make_other_results_and_slow_methods_run_on_fewer() -> None:
+    planner = all_methods("slow")[-1]
+    counts = [
+        ChangedScenario("slow", "exact", Extent(level_starts=starts), "lab", "lab").episodes(method)
+        for method, starts in ((planner, 240), (planner, 5), (FIXED, 240))
+    ]
+    assert counts == [40, 1, 240]
 
 
-class TestComputing:
-    @pytest.mark.usefixtures("two_factors")
-    def test_finished_results_are_kept(self, tmp_path, monkeypatch) -> None:
-        rows = robustness.compute_sweep([FIXED], 6, 1, tmp_path)
-        levels = [(row.factor, row.levels) for row in rows]
-        assert levels == [(TRAINED, [TRAINED]), ("square", [0.2, 0.4])]
-        assert all(len(line) == row.starts == 6 for row in rows for line in row.success)
-        monkeypatch.setattr(robustness, "run_episodes", None)  # nothing is left to compute
-        assert robustness.compute_sweep([FIXED], 6, 1, tmp_path) == rows
-        assert len((tmp_path / robustness.FILE).read_text().splitlines()) == 2
-
-    def test_other_starts_make_other_results_and_slow_methods_run_on_fewer(self) -> None:
-        jobs = sweep_jobs([FIXED], 6)
-        assert not jobs.keys() & sweep_jobs([FIXED], 7).keys()
-        assert pickle.loads(pickle.dumps(jobs)).keys() == jobs.keys()  # sent to other processes
-        planner = all_methods("slow")[-1]
-        given = ((planner, 240), (planner, 5), (FIXED, 240))
-        assert [robustness.starts_for(*each) for each in given] == [40, 1, 240]
-        assert next(iter(sweep_jobs([FIXED, planner], 240)))[1] == PLANNER
-
-    def test_the_planner_sees_the_truth(self) -> None:
-        """By observation it takes squares of 0.5 m, partly on supports, to brake as boxes do."""
-        planner = all_methods("stop")[-1]
-        assert planner.name == PLANNER
-        row = robustness.compute_factor(planner, 0, "square", (0.5,), 3)
-        assert row.success == ["111"]
-        assert row.error[0] < 1e-3  # [m]
-
-    @pytest.mark.parametrize("task", TASKS)
-    def test_methods_that_run_on_any_parcel(self, task) -> None:
-        chosen = robustness.can_sweep(all_methods(task))
-        names = {each.name for each in chosen}
-        assert not names & set(robustness.LEFT_OUT)
-        assert {"fixed layout", "PPO", "DQN", PLANNER} <= names
-        factors = robustness.FACTORS
-        wanted = set(factors) - ({"zone"} if task == "track" else set())
-        for method in chosen:
-            tried = {name for name in factors if robustness.levels_for(method, factors[name])}
-            assert tried == (set(robustness.PLANNED) if method.name == PLANNER else wanted)
+def test_the_planner_sees_the_truth() -> None:
+    """By observation it takes squares of 0.5 m, partly on supports, to brake as boxes do."""
+    planner = all_methods("stop")[-1]
+    at = ChangedScenario("stop", "exact", Extent(level_starts=18), "square", 0.5)
+    found = Sample(make_rows(ScenarioJob(at, planner, 0)()))
+    assert found.success.tolist() == [[True] * 3]
+    metric = start_benchmark("stop").task.metrics[0]
+    assert np.median(found.metric(metric)) < 1e-3  # [m]
 
 
-SQUARE = robustness.FACTORS["square"]
-ROWS = [
-    *sweep_results("slow", {"fixed layout": 0.25, "PPO": 0.5, "PPO, lab": 1.0}, seeds=2),
-    *sweep_results("track", {"PPO": 0.75}),
-    sweep_result("slow", PLANNER, robustness.FACTORS[TRAINED], 1.0, starts=6),
-    sweep_result("slow", PLANNER, SQUARE, 1.0, levels=SQUARE.shown, starts=6),
-]
-SWEEP = robustness.Sweep(tuple(ROWS))
+@pytest.mark.parametrize("task", TASKS)
+def test_methods_that_run_on_any_parcel(task) -> None:
+    jobs = make_jobs(changed_scenarios(task, WHOLE), all_methods(task))
+    assert len({job.key for job in jobs}) == len(jobs)
+    tried: dict[str, set[str]] = {}
+    for job in jobs:
+        assert isinstance(job.scenario, ChangedScenario)
+        tried.setdefault(job.method.name, set()).add(job.scenario.factor)
+    assert not tried.keys() & set(robustness.LEFT_OUT)
+    assert {"fixed layout", "PPO", "DQN", PLANNER} <= tried.keys()
+    wanted = set(robustness.FACTORS) - ({"zone"} if task == "track" else set())
+    for name, factors in tried.items():
+        assert factors == (set(robustness.PLANNED) if name == PLANNER else wanted)
 
 
-class TestReport:
-    def test_rates_have_the_interval_of_their_seeds_and_starts(self) -> None:
-        success = SWEEP.success("slow", "PPO", "load", 1)
-        assert success.shape == (2, STARTS)
-        rate = SWEEP.rate("slow", "PPO", "load", 1)
-        assert (rate.value, rate.low, rate.high) == (success.mean(), *interval(success))
-        # The level that is as trained is the same for every factor.
-        trained = SWEEP.rate("slow", "PPO", TRAINED, TRAINED)
-        for factor in robustness.FACTORS.values():
-            if factor.trained is not None:
-                assert SWEEP.rate("slow", "PPO", factor.name, factor.trained) == trained
-        assert SWEEP.rate("slow", "nobody", TRAINED, TRAINED) is None
-        assert SWEEP.rate("track", "PPO", "zone", 8) is None
-
-    def test_a_row_for_each_method_and_a_column_for_each_factor(self) -> None:
-        table = report.factor_table(SWEEP, "slow")
-        assert [row[0] for row in table.rows] == ["fixed layout", "PPO", "PPO, lab", PLANNER]
-        squares = "square: 0.15 / 0.2 / 0.3 / 0.35 / 0.4 / 0.5 m"
-        assert table.header[1:3] == ("as trained", squares)
-        fixed = dict(zip(table.header, table.rows[0], strict=True))
-        assert (fixed["as trained"], fixed["stuck modules: 2 / 10 %"]) == ("0.25", "0.25 / 0.12")
-        assert table.rows[-1][-1] == "-"
-        assert "24 starts (planner: 6)" in table.caption
-        assert not any("zone" in name for name in report.factor_table(SWEEP, "track").header)
-
-    def test_squares_beside_the_planners(self) -> None:
-        rows = {row[0]: row[1:] for row in report.square_table(SWEEP, "slow").rows}
-        assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
-        shares = []
-        for level in SQUARE.shown:
-            own, best = (SWEEP.success("slow", name, "square", level) for name in ("PPO", PLANNER))
-            assert best.shape == (1, 6)
-            shares.append(own[:, :6].mean() / best.mean())
-        assert rows["PPO"][2] == f"{min(shares):.2f}"
-        assert report.square_table(SWEEP, "track").rows[0][-1] == "-"
-
-    def test_the_lab_by_shape(self) -> None:
-        shapes = robustness.lab_shapes("slow", STARTS)
-        success = SWEEP.success("slow", "PPO", robustness.LAB, robustness.LAB)
-        found = SWEEP.by_shape("slow", "PPO")
-        assert set(found) == set(shapes)
-        for shape, rate in found.items():
-            assert rate.value == success[:, np.array(shapes) == shape].mean()
-        table = report.shape_table(SWEEP, "slow")
-        assert table.header[2:] == robustness.SHAPES
-        assert PLANNER not in [row[0] for row in table.rows]
-        bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
-        assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
-        assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
-
-    def test_files_agree(self, tmp_path) -> None:
-        report.write_sweep(ROWS, tmp_path, Console(file=io.StringIO(), width=160))
-        numbers = json.loads((tmp_path / "robustness.json").read_text())
-        with (tmp_path / "robustness.csv").open(newline="") as file:
-            lines = list(csv.DictReader(file))
-        assert [line["success"] for line in lines] == [str(each["success"]) for each in numbers]
-        key, wanted = ("task", "controller", "factor"), ["slow", "PPO", "square"]
-        squares = [each["level"] for each in numbers if [each[name] for name in key] == wanted]
-        assert squares == list(SQUARE.levels)
-        text = (tmp_path / "robustness.md").read_text()
-        assert "## Slow: lab" in text
-        assert "## Track: squares" in text
-        assert (tmp_path / report.PICTURE).read_bytes().startswith(b"\x89PNG")
+def test_shapes_of_the_lab() -> None:
+    bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
+    assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
+    assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
+    at = ChangedScenario("slow", "lab", Extent(level_starts=6), "lab", "lab")
+    rows = ScenarioJob(at, FIXED, 0)()
+    assert [row["shape"] for row in rows] == list(robustness.lab_shapes("slow", 6))

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.evaluation.benchmark import find_benchmark
-from surface_gym.agents.evaluation.methods import BEST_FIXED, FIXED, rules
+from surface_gym.agents.evaluation.method import BEST_FIXED, FIXED, find_benchmark, rules
 from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
 from surface_gym.agents.rules.sorting import BestSorting, BoxLayouts, GradedLayout

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.evaluation.methods import FIXED
+from surface_gym.agents.evaluation.method import FIXED
 from surface_gym.agents.rules import decoding, steering
 from surface_gym.agents.rules.decoding import Motion, look_at_line, look_at_path
 from surface_gym.agents.rules.layouts import FixedTurning

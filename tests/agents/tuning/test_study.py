@@ -20,7 +20,7 @@ import pytest
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 
-from surface_gym.agents.evaluation.benchmark import SEED
+from surface_gym.agents.evaluation.scenario import SEED
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.config import defaults, make_card
 from surface_gym.agents.learning.runs import TrainResult, train

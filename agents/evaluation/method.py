@@ -1,0 +1,281 @@
+"""Methods that are compared: fixed layouts, rules, planners and agents, of any task."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surface_gym.config import EnvConfig, Preset
+from surface_gym.files import DAMAGE, describe_damage
+from surface_gym.registration import TASKS
+from surface_gym.registry import Registry
+from surface_gym.tasks import Task
+from surface_gym.tasks.benchmark import Benchmark, StreamBenchmark
+
+from .. import library
+from ..base import Controller, find_axes
+from ..learning.config import NOMINAL
+from ..learning.runs import CONFIG, read_config, task_name
+from ..planning.receding_horizon import RecedingHorizon
+from ..rules import RULES, Rule, find_apart, find_rules
+
+FIXED = "fixed layout"
+BEST_FIXED = "best fixed layout"
+ANY_ANGLE = "fixed layout, any angle"
+ROLL_ON = "roll on"
+BASELINE, RULE, AGENT, PLANNER = "baseline", "rule", "agent", "planner"  # kinds of methods
+PERIOD = 0.04  # [s] between decisions, usually
+SEARCH_STARTS = 40  # starts on which methods that search run
+PLANNED = 3  # streams that a planner plays
+AT_ONCE = {"time slots": 8}  # rules that are compared with so few parcels on the surface, too
+
+
+@dataclass(frozen=True)
+class Method:
+    """A controller of one task, in as many seeds as it was trained in."""
+
+    name: str
+    task: str
+    # for an environment and a seed, on streams with the touches per delivery that a trial allows;
+    # None where it cannot sort the parcels
+    make: Callable[..., Controller | None]
+    arguments: dict[str, Any] = field(default_factory=dict)  # of the environment it acts in
+    kind: str = RULE
+    seeds: tuple[int, ...] = (0,)
+    most: int | None = None  # episodes, played one after the other; None: all at once
+    presets: tuple[str, ...] | None = None  # names; None: all
+    observed_task: Callable[[Task], Task] | None = None  # that shows it more; None: the benchmark's
+
+    @property
+    def control_period(self) -> float:
+        """[s] between decisions."""
+        return float(self.arguments.get("control_period", PERIOD))
+
+    def config(self, task: Task, preset: Preset) -> EnvConfig:
+        """Configure the environment of one parcel under a preset."""
+        shown = task if self.observed_task is None else self.observed_task(task)
+        return EnvConfig(task=shown, preset=preset, **self.arguments)
+
+    def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
+        """Make the controller of a seed for an environment; None where it cannot sort."""
+        if most_touches:
+            return self.make(config, seed, most_touches)
+        return self.make(config, seed)
+
+    def under(self, *presets: str) -> "Method":
+        return replace(self, presets=presets)
+
+
+# Functions that list the methods of a task, where these are more than its rules and agents.
+METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.ladder")
+
+
+@lru_cache(maxsize=32)
+def find_benchmark(task: str) -> Benchmark | StreamBenchmark:
+    """Find the benchmark of a task, the package's or the user's own."""
+    found: Any = TASKS[task]() if task in TASKS else library.find_task(task)
+    return found.benchmark()
+
+
+def start_benchmark(task: str) -> Benchmark:
+    """Find the benchmark of a task of one parcel."""
+    found = find_benchmark(task)
+    if not isinstance(found, Benchmark):
+        raise ValueError(f"task must be one of a single parcel, got {task!r}")
+    return found
+
+
+def stream_benchmark(task: str) -> StreamBenchmark:
+    """Find the benchmark of a task on streams."""
+    found = find_benchmark(task)
+    if not isinstance(found, StreamBenchmark):
+        raise ValueError(f"task must be one on streams of parcels, got {task!r}")
+    return found
+
+
+def is_on_streams(task: str) -> bool:
+    """Return whether a task is one on streams of parcels."""
+    return isinstance(find_benchmark(task), StreamBenchmark)
+
+
+def all_methods(task: str) -> list[Method]:
+    """List every method of a task, those that know most last."""
+    if task in METHODS:
+        return METHODS[task]()
+    return [*rules(task), *shipped(task), *planner(task)]
+
+
+def rules(task: str) -> list[Method]:
+    """List methods that neither learn nor plan; the fixed layout first, then the best of such."""
+    kind = library.task_kind(task)
+    if is_on_streams(task):
+        own = [_of_rule(each, task) for each in RULES.values() if each.task == kind]
+        fewer = [
+            replace(
+                each, name=f"{each.name}, {AT_ONCE[each.name]} at once",
+                arguments=each.arguments | {"max_parcels": AT_ONCE[each.name]},
+            )
+            for each in own
+            if each.name in AT_ONCE
+        ]  # fmt: skip
+        roll_on = Method(ROLL_ON, task, RollOn, {"actions": "parcels"}, BASELINE)
+        return [roll_on, *sorted([*own, *fewer], key=lambda each: each.name)]
+    more = [r for r in find_apart() if r.task == (kind if r.observed_task is None else task)]
+    order = {FIXED: 0, BEST_FIXED: 1, ANY_ANGLE: 2}
+    found = [_of_rule(rule, task) for rule in (*find_rules(kind), *more)]
+    return sorted(found, key=lambda method: order.get(method.name, len(order)))
+
+
+def planner(task: str) -> list[Method]:
+    """List the planner: the near-optimum, slow, so on fewer episodes and by exact sensors only.
+
+    On streams it varies the last rule of a task, and there is none without a rule. A user's task of
+    one parcel has none.
+    """
+    planned = Method(PLANNER, task, _planned, {"actions": "halves"}, PLANNER, most=SEARCH_STARTS)
+    if not is_on_streams(task):
+        known = library.task_kind(task) in TASKS
+        return [planned.under("exact")] if known else []
+    varied = [each for each in rules(task) if each.kind == RULE and len(each.arguments) == 1]
+    return [
+        replace(
+            planned, make=partial(_vary, each.make), arguments=each.arguments, most=PLANNED,
+            presets=("exact", "lab"),
+        )
+        for each in varied[-1:]
+    ]  # fmt: skip
+
+
+def shipped(task: str) -> list[Method]:
+    """List the package's agents of a task, such as "slow-ppo"; "slow-ppo-lab" is for a preset."""
+    found, algorithms = [], list(library.ALGORITHMS)
+    for name in library.names():
+        of_task, algo, *preset = name.split("-")
+        if of_task == task:
+            agent = trained(policy_folders(library.SHELF / name))
+            name = ", ".join((library.ALGORITHMS.find(algo).label, *preset))
+            found.append((len(preset), algorithms.index(algo), replace(agent, name=name)))
+    return [method for *_, method in sorted(found, key=itemgetter(0, 1))]
+
+
+def of_runs(task: str, folder: Path) -> list[Method]:
+    """Find the policies of a task that runs left below `folder`, the latest of each kind."""
+    latest: dict[str, Method] = {}
+    for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
+        run = config.parent
+        whole = all((each / library.CARD).is_file() for each in policy_folders(run).values())
+        if task_name(config) == task and whole:
+            found = of_run(run, task)
+            latest[found.name] = found
+    return list(latest.values())
+
+
+def of_run(run: Path, task: str | None = None) -> Method:
+    """Find the policies that a run left, named by the preset they were trained for."""
+    agent = trained(policy_folders(run), task)
+    config = run / CONFIG
+    preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
+    return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
+
+
+def policy_folders(run: Path) -> dict[int, Path]:
+    """Find the folders of a run's policies by seed; a single policy is in the run's own."""
+    named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
+    found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
+    return dict(sorted(found.items())) or {0: run}
+
+
+def trained(folders: dict[int, Path], task: str | None = None) -> Method:
+    """Read the policies that a run left, a folder for each seed."""
+    files = {seed: library.read_files(folder) for seed, folder in folders.items()}
+    card = _read_card(next(iter(files.values())))
+    return Method(
+        library.ALGORITHMS.find(card.algo).label, task or card.task, partial(_read, files, task),
+        dict(card.env_kwargs), AGENT, tuple(folders),
+    )  # fmt: skip
+
+
+def _read_card(files: library.PolicyFiles) -> library.PolicyCard:
+    """Read the card of a policy, or raise a ValueError that names its folder."""
+    try:
+        return library.read_card(files)
+    except DAMAGE as error:
+        raise ValueError(
+            f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
+        ) from None
+
+
+def rivals(methods: Iterable[Method]) -> list[Method]:
+    """Pick two methods of a task for pictures: the fixed layout, or the last rule of streams, and
+    PPO, or else the last other method.
+    """
+    several = [each for each in methods if each.kind != PLANNER]
+    first = [each for each in several if each.name == FIXED]
+    if several and is_on_streams(several[0].task):
+        first = [each for each in several if each.kind != AGENT][-1:]
+    others = [each for each in several if each not in first]
+    learned = [each for each in others if each.name == "PPO"]
+    return [*first, *(learned or others[-1:])][:2]
+
+
+class RollOn:
+    """Let every parcel of a stream roll, whatever it does."""
+
+    def __init__(self, config: EnvConfig, _seed: int = 0) -> None:
+        self._size = config.action_kind.size
+        self._choice = find_axes(config).roll
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, None]:  # fmt: skip
+        """Choose 90 deg for every parcel; see `Controller`."""
+        del state, episode_start, deterministic
+        return np.full((*np.shape(observation)[:-2], self._size), self._choice), None
+
+
+def _of_rule(rule: Rule, task: str) -> Method:
+    given: dict[str, Any] = {"actions": rule.actions}
+    if rule.orientations is not None:
+        given["orientations"] = rule.orientations
+    if rule.observe:
+        given["observe"] = rule.observe
+    return Method(
+        rule.name, task, partial(_ruled, rule.make), given,
+        BASELINE if rule.name == FIXED else RULE, most=SEARCH_STARTS if rule.searches else None,
+        observed_task=rule.observed_task,
+    )  # fmt: skip
+
+
+def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
+    return make(config)
+
+
+def _planned(config: EnvConfig, _seed: int) -> Controller:
+    from ..planning.planner import Planner
+
+    return Planner(config)
+
+
+def _vary(make: Callable[..., Any], config: EnvConfig, seed: int) -> Controller:
+    return RecedingHorizon(make(config, seed), config)
+
+
+def _read(
+    files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int,
+    most_touches: float = 0.0,
+) -> Controller:  # fmt: skip
+    """Build the policy of a seed; fit one whose weights all modules share to the zone."""
+    own = None if task is None or task in TASKS else library.find_task(task)
+    shown = config if config.task.is_stream else None
+    policy: Any = library.from_files(files[seed], own, shown, most_touches)
+    if hasattr(policy, "for_zone"):
+        columns = config.action_kind.columns
+        if columns != policy.card.env_config().action_kind.columns:
+            policy = policy.for_zone((0, columns - 1))
+    return policy

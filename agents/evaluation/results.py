@@ -1,0 +1,273 @@
+"""The table of results: a row for each method, seed, scenario and episode, and samples of it."""
+
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from surface_gym.files import DAMAGE, describe_damage, replacing
+from surface_gym.flow.arrivals import HOUR
+
+from ..base import Booleans, Numbers
+
+CONFIDENCE = 0.95
+FILE = "results.csv"
+KEY = ("task", "scenario", "preset", "method", "seed")  # of a job
+TEXTS = ("task", "scenario", "preset", "method", "kind", "shape")  # all other columns are numbers
+
+# Numbers are read to the bit: by default from pandas 3.1 on.
+_VERSION = tuple(map(int, pd.__version__.split(".")[:2]))
+_EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _VERSION < (3, 1) else {}
+
+Key = tuple[Any, ...]
+
+
+def interval(success: Booleans) -> tuple[float, float]:
+    """Compute the 95 % interval of a success rate over seeds and starts.
+
+    It is Wilson's interval. Its number of trials is the number of independent starts that would
+    spread the mean as the seeds and the starts together do: a seed that fails everywhere must not
+    count as many starts.
+
+    Args:
+        success: (seeds, starts) the same starts for every seed.
+    """
+    seeds, starts = success.shape
+    share = float(success.mean())
+    spread = _variance_of_mean(success.mean(axis=0))
+    if seeds > 1:
+        spread += _variance_of_mean(success.mean(axis=1))
+    count = share * (1.0 - share) / spread if spread > 0.0 else float(starts)
+    return wilson(share, min(count, float(success.size)))
+
+
+def wilson(share: float, count: float) -> tuple[float, float]:
+    """Compute Wilson's score interval of a share of `count` trials, which need not be whole."""
+    z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
+    centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
+    half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))
+    half /= 1.0 + z * z / count
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+
+
+def half_interval(values: Numbers) -> float:
+    """Compute half of Student's 95 % interval of a mean of independent values; nan of one."""
+    count = len(values)
+    if count < 2:
+        return math.nan
+    spread = float(values.std(ddof=1)) / math.sqrt(count)
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2.0, count - 1)) * spread
+
+
+def is_ahead(difference: Numbers) -> bool:
+    """Return whether paired differences are positive beyond their interval."""
+    return bool(difference.mean() > half_interval(difference))
+
+
+def _variance_of_mean(values: Numbers) -> float:
+    return float(values.var(ddof=1)) / len(values) if len(values) > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """All episodes of a method under one scenario; arrays are (seeds, episodes)."""
+
+    rows: pd.DataFrame
+
+    @cached_property
+    def seeds(self) -> tuple[int, ...]:
+        return tuple(dict.fromkeys(self.rows["seed"].tolist()))
+
+    @property
+    def kind(self) -> str:
+        """The kind of method."""
+        return str(self.rows["kind"].iloc[0])
+
+    def values(self, name: str) -> Numbers:
+        """Return a column; nan where nothing was measured."""
+        if name not in self.rows:
+            return np.full((len(self.seeds), len(self.rows) // len(self.seeds)), np.nan)
+        return self.rows[name].to_numpy(dtype=np.float64).reshape(len(self.seeds), -1)
+
+    def constant(self, name: str) -> float:
+        """Return the value that all episodes share."""
+        return float(self.values(name)[0, 0])
+
+    # Results of starts; see `surface_gym.tasks.benchmark.Runs`.
+
+    @property
+    def success(self) -> Booleans:
+        return self.values("success") > 0.5
+
+    @property
+    def time(self) -> Numbers:
+        return self.values("time")
+
+    def metric(self, name: str) -> Numbers:
+        return np.abs(self.values(name))
+
+    @property
+    def rate(self) -> float:
+        """[-] of success."""
+        return float(self.success.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """[-] 95 % of the success rate."""
+        return interval(self.success)
+
+    @property
+    def decision_time(self) -> float:
+        """[s] of one environment's decision, mean of the seeds."""
+        return float(np.mean(self.values("decision_time")[:, 0]))
+
+    # Results of streams.
+
+    @property
+    def is_sustained(self) -> bool:
+        """Whether the method sustains any rate at all."""
+        return bool(np.isfinite(self.values("correct")).all())
+
+    @cached_property
+    def of_seeds(self) -> Numbers:
+        """(seeds, replications) [parcels/h] delivered right."""
+        return HOUR * self.values("correct") / self.values("counted")
+
+    @cached_property
+    def rates(self) -> Numbers:
+        """(replications,) [parcels/h] delivered right, mean of the seeds."""
+        return np.asarray(self.of_seeds.mean(axis=0))
+
+    @property
+    def throughput(self) -> float:
+        """[parcels/h] delivered right; 0 where no rate is sustained."""
+        return float(self.rates.mean()) if self.is_sustained else 0.0
+
+    @property
+    def margin(self) -> float:
+        """[parcels/h] half of the 95 % interval of the throughput."""
+        return half_interval(self.rates)
+
+    @property
+    def share_correct(self) -> float:
+        """[-] of deliveries; 0 where there were none."""
+        return float(self.values("correct").sum() / max(1.0, self.values("delivered").sum()))
+
+    @property
+    def jams(self) -> float:
+        """Replications that ended in a jam, mean over seeds."""
+        return float(self.values("jam").sum() / len(self.seeds))
+
+    @property
+    def turns(self) -> float:
+        """[-] of modules' axes per parcel that left right, of whole episodes."""
+        return float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
+
+    @property
+    def touches(self) -> float:
+        """Times that two parcels began to touch among those that left."""
+        touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
+        return float(np.where(np.isfinite(touches), touches, 0.0).sum())
+
+    @property
+    def waiting(self) -> float:
+        """[s] at the entry, mean over replications."""
+        waits = self.values("waiting_mean")
+        return float(np.where(np.isfinite(waits), waits, 0.0).mean())
+
+    def mean(self, name: str) -> float:
+        values, delivered = self.values(name), self.values("delivered")
+        some = np.isfinite(values)
+        if not some.any():
+            return math.nan
+        return float(np.average(values[some], weights=np.maximum(1.0, delivered)[some]))
+
+    def most(self, name: str) -> float:
+        return float(self.values(name).max())
+
+
+class Results:
+    """Samples of a table of results by task, scenario, preset and method."""
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        self.table = table
+        groups = table.groupby(list(KEY[:-1]), sort=False, observed=True)
+        self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
+
+    def find(self, task: str, scenario: str, preset: str, method: str) -> Sample | None:
+        """Return the sample of a method; None where it did not run."""
+        return self.samples.get((task, scenario, preset, method))
+
+    def among(self, task: str, scenario: str | None = None) -> Iterator[tuple[Key, Sample]]:
+        """Yield the samples of a task, of one scenario or of all, by their keys."""
+        for key, sample in self.samples.items():
+            if key[0] == task and scenario in (None, key[1]):
+                yield key, sample
+
+    def methods(self, task: str, scenario: str | None = None) -> list[str]:
+        """List the methods that ran on a task, in their order."""
+        return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
+
+
+def read_results(file: Path) -> pd.DataFrame:
+    """Read the rows kept in a file; a last line that was broken off is left out.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    try:
+        text = file.read_bytes()
+        whole = text[: text.rfind(b"\n") + 1]
+        if not whole:
+            return pd.DataFrame(columns=list(KEY))
+        header = whole.split(b"\n", 1)[0].decode().split(",")
+        lacking = [name for name in KEY if name not in header]
+        if lacking:
+            raise ValueError(f"columns must include {', '.join(KEY)}, got no {lacking[0]}")
+        kinds: dict[str, Any] = {name: np.float64 for name in header if name not in TEXTS}
+        kinds |= {"seed": np.int64, "episode": np.int64} | {n: "str" for n in TEXTS if n in header}
+        table = pd.read_csv(
+            io.BytesIO(whole), dtype=kinds, keep_default_na=False, **_EXACT,
+            na_values={name: [""] for name in header if name not in TEXTS},
+        )  # fmt: skip
+        _check_numbers(table)
+        return table
+    except FileNotFoundError:
+        return pd.DataFrame(columns=list(KEY))
+    except DAMAGE as error:
+        raise ValueError(
+            f"{file} holds something else than results: {describe_damage(error)}; remove the file, "
+            "and they are computed again"
+        ) from None
+
+
+def _check_numbers(table: pd.DataFrame) -> None:
+    """Raise a ValueError where a number is infinite, or a seed negative."""
+    for name in (each for each in table if each not in TEXTS):
+        values = table[name].to_numpy(dtype=np.float64)
+        wrong = np.flatnonzero(np.isinf(values) | ((values < 0.0) & (name == "seed")))
+        if len(wrong):
+            allowed = "at least 0" if name == "seed" else "finite"
+            raise ValueError(
+                f"{name} must be {allowed}, got {values[wrong[0]]:g} in line {wrong[0] + 2}"
+            )
+
+
+def write_results(table: pd.DataFrame, file: Path) -> None:
+    """Write a whole table."""
+    with replacing(file) as part:
+        table.to_csv(part, index=False)
+
+
+def make_rows(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """Make rows of the table, numbers as the file holds them."""
+    table = pd.DataFrame(rows)
+    numbers = [name for name in table if name not in (*TEXTS, "seed", "episode")]
+    return table.astype(dict.fromkeys(numbers, np.float64))

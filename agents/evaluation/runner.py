@@ -1,0 +1,103 @@
+"""The runner of the comparison: jobs in parallel, each kept as it ends, so that a run resumes."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+from rich import progress as bars
+from rich.console import Console
+
+from surface_gym.parallel import Workers, map_jobs, without_report
+
+from .method import PLANNER
+from .results import KEY, Key, make_rows, read_results, write_results
+from .robustness import FEWER
+from .scenario import ScenarioJob
+
+GRACE = 1.0  # [s] for which interrupted jobs may go on: their rows would be kept by nobody
+Advance = Callable[[int, int, str], None]  # how many are done, how many there are, the latest
+
+
+def compute(
+    jobs: Sequence[ScenarioJob],
+    workers: Workers,
+    file: Path | None = None,
+    advance: Advance = lambda *_: None,
+) -> pd.DataFrame:
+    """Compute the results of jobs that are not kept yet; return the rows of all, in their order.
+
+    Args:
+        file: where results are kept. A job whose rows are all there is not computed again.
+    """
+    known = {job.key: job for job in jobs}
+    tables = {} if file is None else _read_whole(file, known)
+    remaining = sorted((job for key, job in known.items() if key not in tables), key=_place)
+    if remaining:
+        advance(len(known) - len(remaining), len(known), "compiling")
+    work = [partial(without_report, job) for job in remaining]
+    columns: list[str] = [] if file is None else _columns(file, tables)
+    played = map_jobs(work, workers, grace=GRACE)
+    for done, (place, rows) in enumerate(played, len(known) - len(remaining) + 1):
+        key = remaining[place].key
+        tables[key] = make_rows(rows)
+        if file is not None:
+            columns = _keep(tables, key, columns, file)
+        advance(done, len(known), ", ".join(map(str, (key[0], key[3], key[2], key[1]))))
+    if not known:
+        return pd.DataFrame(columns=list(KEY))
+    return pd.concat([tables[key] for key in known], ignore_index=True)
+
+
+def _place(job: ScenarioJob) -> tuple[bool, bool, bool]:
+    """Order jobs: the slowest first, to fill the cores."""
+    slow = job.method.kind == PLANNER or job.method.most is not None
+    return not slow, job.method.name not in FEWER, "gate" in job.method.arguments
+
+
+def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataFrame]:
+    """Read the results that are kept; a job that was broken off is left out, and computed again."""
+    tables = {}
+    for key, rows in read_results(file).groupby(list(KEY), sort=False):
+        if key not in known or len(rows) == known[key].episodes:
+            tables[key] = rows
+    return tables
+
+
+def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
+    """Write what is kept anew, so that a line that was broken off does not spoil the next."""
+    if not tables:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        return []
+    whole = pd.concat(list(tables.values()), ignore_index=True)
+    write_results(whole, file)
+    return list(whole.columns)
+
+
+def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
+    """Append the rows of a job to the file; where they have new columns, write it anew."""
+    rows = tables[key]
+    if set(rows.columns) <= set(columns):
+        with file.open("a") as kept:
+            rows.reindex(columns=columns).to_csv(kept, header=False, index=False)
+        return columns
+    return _columns(file, tables)
+
+
+@contextmanager
+def show_progress(console: Console, title: str) -> Iterator[Advance]:
+    """Show a bar for work under way; what it yields moves the bar, and names the latest part."""
+    columns = (
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=console) as shown:
+        bar = shown.add_task(title, total=None)
+        yield lambda done, total, latest: shown.update(
+            bar, completed=done, total=total, description=latest
+        )
