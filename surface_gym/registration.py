@@ -38,9 +38,6 @@ TASKS: "Registry[type[Task]]" = Registry(
 )
 _IDS: dict[str, str] = {}  # ids of other tasks than the package's
 
-FLOW_TASK = "flow"  # the task of streams of parcels
-ON_SLOPES = ("singulate", "merge", "sequence")  # tasks on streams with a take-away
-
 
 def env_id(task: str) -> str:
     """Return the Gymnasium id of a task by its name."""

@@ -59,7 +59,7 @@ OBEYING_READS = (
     "bodies.corners",
 )
 RUN = "run"  # in place of a run's name, which an address might not hold
-CONTROL_PERIOD = EnvConfig("sort").control_period  # [s] of all tasks in the page
+CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
 
 
 class Weights:

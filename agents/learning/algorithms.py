@@ -12,6 +12,7 @@ from typing import Any, get_args
 from surface_gym import checks
 from surface_gym.flow.take_away import TakeAwayTask
 from surface_gym.flow.task import Flow
+from surface_gym.registration import DEFAULT_SLOPE
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.sort import Sort
 
@@ -175,7 +176,7 @@ class ParcelsConfig(RolloutConfig):
     Defaults are in agents/hyperparams/parcels.yml.
     """
 
-    task: str = "singulate"
+    task: str = DEFAULT_SLOPE
     """Task to learn: one on a stream of parcels."""
     algo: str = "parcels"
     """Shared-policy PPO per parcel."""
@@ -193,7 +194,7 @@ class LocalConfig(RolloutConfig):
     Defaults are in agents/hyperparams/local.yml.
     """
 
-    task: str = "singulate"
+    task: str = DEFAULT_SLOPE
     """Task to learn: one on a slope with a take-away."""
     algo: str = "local"
     """Shared-policy PPO per module that sees what is near."""

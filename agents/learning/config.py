@@ -12,7 +12,7 @@ from surface_gym import checks
 from surface_gym.core.actions import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.lines import Line
-from surface_gym.registration import PERIODS, env_id
+from surface_gym.registration import DEFAULT_TASK, PERIODS, env_id
 from surface_gym.tasks.features import compute_digest
 
 from ..library import PolicyCard, card_algo, card_env_id, find_algorithm, find_task, task_kind
@@ -51,7 +51,7 @@ class TrainConfig:
 
     presets: ClassVar[tuple[str, ...]] = (NOMINAL,)  # that the algorithm trains for
 
-    task: str = "sort"
+    task: str = DEFAULT_TASK
     """Task to learn: its name, or a user's as path/to/file.py:Class."""
     algo: str = "ppo"
     """Algorithm: its name, or a user's as path/to/file.py:NAME."""

@@ -17,6 +17,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import Exit, Exits, flow_line, sides
 from surface_gym.flow.state import JAM, ON_ITS_WAY
 from surface_gym.flow.stream import Stream
+from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import RUNNING
 
 from ..base import Booleans, Integers, Numbers
@@ -59,7 +60,7 @@ def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
     angles = SIX if six and not spread else FOUR
     camera = rng.random() < 0.5
     config = EnvConfig(
-        "flow",
+        DEFAULT_STREAM,
         stream=Stream(arrivals.Steady(3600.0), parcels=parcels, speeds=speeds),
         line=line,
         exits=exits,

@@ -20,6 +20,7 @@ from surface_gym.flow.state import CORRECT, JAM, TURNS, WRONG, compute_statistic
 from surface_gym.flow.stream import Stream
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.randomisation import Actuators
+from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import RUNNING
 
 from ..base import Numbers
@@ -105,7 +106,7 @@ class FlowCase:
         low, length = np.min(self.speed), PITCH * columns
         shortest = min(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         config = EnvConfig(
-            "flow",
+            DEFAULT_STREAM,
             stream=self.stream,
             exits=self.exits,
             line=flow_line(length, ROTOR_ROWS, self.lead_in),

@@ -9,7 +9,7 @@ from typing import Any
 
 from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage
-from surface_gym.registration import TASKS
+from surface_gym.registration import DEFAULT_TASK, TASKS
 
 from ..learning.config import RENAMED, ParcelConfig, defaults
 from ..learning.runs import CURVE_EVERY
@@ -69,7 +69,7 @@ class Choices:
 class SearchConfig:
     """Configuration of a search; `space` and `fixed` name fields of the algorithm."""
 
-    task: str = "sort"
+    task: str = DEFAULT_TASK
     algo: str = "ppo"
     trials: int = 20
     steps: int = 200_000  # control periods per trial and seed
