@@ -73,7 +73,9 @@ def write_home(folder: Path, obeying: dict[str, Any]) -> None:
         "obeying": obeying,
         "lines": [
             {
-                **write_machine("schedule", f"home-{place}", schedule, each.begin(), folder),
+                **write_machine(
+                    "schedule", f"home-{place}", schedule, each.start_arguments(), folder
+                ),
                 "byGroups": each.library.lead.groups is not None,
             }
             for place, each in enumerate(make_schedulers())

@@ -310,8 +310,9 @@ def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
     """Write the rules and the shipped agents of a task on a stream; describe them by name."""
     found = write_rules(task, folder)
     for rule in find_rules(task):
-        if issubclass(rule.make, SortEach):
-            found[rule.name] = describe_each(rule.make(configure(rule)))
+        made = rule.make(configure(rule))
+        if isinstance(made, SortEach):
+            found[rule.name] = describe_each(made)
     for name in library.names():
         policy = library.load(name)
         if policy.card.task == task and isinstance(policy, ParcelPolicy | LocalPolicy):

@@ -123,8 +123,9 @@ class Scratch(NamedTuple):
 
 def make_scratch(model: Model) -> Scratch:
     """Make room for the columns that a parcel may cover."""
-    rows = np.zeros((2, model.rows + 2))
-    return Scratch(*rows, np.zeros(model.columns), *np.zeros((9, NEAR)))
+    rows, near = np.zeros((2, model.rows + 2)), np.zeros((9, NEAR))
+    arrays: list[Any] = [*rows, np.zeros(model.columns), *near]
+    return Scratch(*arrays)
 
 
 @linked

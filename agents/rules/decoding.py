@@ -6,9 +6,10 @@ tasks' own `decode` does for arrays.
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym.compiler.jit import inlined
 from surface_gym.config import EnvConfig
@@ -69,7 +70,7 @@ def look_at_path(config: EnvConfig) -> Sight:
     return _look(config, PATH, x, line.pitch_y * (np.arange(rows) - rows // 2))
 
 
-def _look(config: EnvConfig, names: Iterable[str], x: Numbers, y: Numbers) -> Sight:
+def _look(config: EnvConfig, names: Iterable[str], x: NDArray[Any], y: NDArray[Any]) -> Sight:
     shown = [config.columns.get(name, ABSENT) for name in names]
     line, zone = config.chosen_line, config.zone
     friction_spread, load_spread = config.sensors.learned_spreads

@@ -244,7 +244,7 @@ class PidRule(LocalRule):
 
     def make_memory(self, num_envs: int) -> PidMemory:
         errors = np.zeros((2, num_envs, self._kind.size, 2))
-        return PidMemory(*errors, begins=np.ones(num_envs, dtype=np.bool_))
+        return PidMemory(errors[0], errors[1], np.ones(num_envs, dtype=np.bool_))
 
     def arguments(
         self, observations: Observations, memory: Any, commands: Commands

@@ -7,7 +7,7 @@ it.
 import copy
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -349,11 +349,10 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
 
 
 class SlopeRule(BatchController, Compiled):
-    """A rule for tasks on a slope with a take-away, by `actions="parcels"`."""
+    """A rule for tasks on a slope with a take-away, by `actions="parcels"`.
 
-    # Compiled; by `arguments` it writes halves (num_envs, rows, 2), of which those of free rows
-    # stay.
-    kernel: ClassVar[Any]
+    Its function leaves the halves of free rows as they are.
+    """
 
     def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
         checks.one_of("actions", config.actions, ("parcels",))

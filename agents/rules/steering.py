@@ -65,7 +65,8 @@ class Modules(NamedTuple):
 
 def make_modules(size: int) -> Modules:
     """Make room for the modules of an action."""
-    return Modules(*np.zeros((8, size)), choice=np.zeros(size, dtype=np.int64))
+    numbers: list[Any] = [*np.zeros((8, size)), np.zeros(size, dtype=np.int64)]
+    return Modules(*numbers)
 
 
 @linked

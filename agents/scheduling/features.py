@@ -17,8 +17,8 @@ from surface_gym.tasks.features import encode
 
 from ..base import Booleans, Integers, Numbers, Singles
 from .bounds import entrance_bound
+from .leading import DEPTH, NOBODY, Book
 from .maneuvers import Library, find_rears
-from .scheduler import DEPTH, NOBODY, Book
 from .trajectories import DT, SIGNATURE, SPEED_STEP
 
 # Levels of clearance, from just apart (0) to a margin plus a control period (1).

@@ -13,9 +13,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.compiler.jit import compiled
@@ -145,14 +146,16 @@ class Lead:
 
     def describe(self, maneuvers: Maneuvers) -> Way:
         """Describe for compiled functions how parcels are led by maneuvers."""
-        none = self.groups is None
-        kind, place, choice, turned = map(np.ascontiguousarray, maneuvers)
+        first: NDArray[Any] = np.zeros(0)
+        last, spans = first, np.zeros((0, 2), dtype=np.int64)
+        if self.groups is not None:
+            first, last, spans = self.first_x, self.last_x, self.spans
         return Way(
-            roll=self.axes.roll, kind=kind, place=place, choice=choice, turned=turned,
-            origin=self.origin,
-            first=np.zeros(0) if none else self.first_x, last=np.zeros(0) if none else self.last_x,
-            spans=np.zeros((0, 2), dtype=np.int64) if none else self.spans, ahead=self.ahead,
-            rows=self._rows, columns=self._columns,
+            roll=self.axes.roll, kind=np.ascontiguousarray(maneuvers.kind),
+            place=np.ascontiguousarray(maneuvers.place),
+            choice=np.ascontiguousarray(maneuvers.choice),
+            turned=np.ascontiguousarray(maneuvers.groups), origin=self.origin, first=first,
+            last=last, spans=spans, ahead=self.ahead, rows=self._rows, columns=self._columns,
         )  # fmt: skip
 
     def candidates(self, config: EnvConfig, place_count: int) -> Maneuvers:

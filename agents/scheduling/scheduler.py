@@ -103,7 +103,7 @@ class Scheduler(BatchController):
         schedule(*self._arguments(batch, book, opens, actions))
         return actions, book
 
-    def begin(self) -> tuple[Any, ...]:
+    def start_arguments(self) -> tuple[Any, ...]:
         """List what `schedule` takes in an environment that begins an episode."""
         tables = np.zeros((1, *self._shape), dtype=np.float32)
         return self._arguments(

@@ -52,7 +52,7 @@ def test_the_memories_are_those_of_the_comparison_s_schedulers(folder, layout):
     for card, scheduler in zip(layout["lines"], home.make_schedulers(), strict=True):
         block = (folder / f"{card['machine']}.bin").read_bytes()
         fields = json.loads((folder / f"{card['machine']}.json").read_text())["fields"]
-        named = name_arguments(schedule, scheduler.begin())
+        named = name_arguments(schedule, scheduler.start_arguments())
         assert list(fields) == list(named)
         for name in ("orders.gaps", "orders.delay", "orders.options", "way.place", "way.spans"):
             kind, shape, address = fields[name]
