@@ -1,7 +1,7 @@
-"""Shared parts of controllers: their interface, axis orientations, and the symmetry of the line.
+"""Common parts of controllers: interface, axis orientations, and the symmetry of the line.
 
-The environment mirrors Sort's observation already, so that the goal lies at y > 0; the last of its
-features is the asked side. Here actions are mirrored back into the world.
+The environment mirrors Sort's observation, so that the goal is at y > 0; its last feature is the
+goal side. Here actions are mirrored back to the world.
 """
 
 import math
@@ -18,7 +18,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.actions import ActionKind
 from surface_gym.tasks.sort import COLUMN
 
-SAME = 1e-6  # [rad] axes closer than this are one
+SAME = 1e-6  # [rad] axes that differ by less are equal
 
 
 Booleans = NDArray[np.bool_]
@@ -28,7 +28,7 @@ Singles = NDArray[np.float32]
 
 
 class Controller(Protocol):
-    """Chooses actions from observations, as Stable-Baselines3's models do."""
+    """Interface of controllers, as in Stable-Baselines3's models."""
 
     def predict(
         self,
@@ -40,8 +40,8 @@ class Controller(Protocol):
         """Choose an action for an observation (features,), or actions for (num_envs, features).
 
         Args:
-            observation: of one environment or of several.
-            state: returned by the last call; None at first, and always without memory.
+            observation: observation of one environment or several.
+            state: state returned by the last call; None at first, and always without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
         """
 
@@ -73,7 +73,7 @@ class BatchController(ABC):
 
 
 def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
-    """Tell (num_envs,) whose episode has just begun, by the arguments of `Controller.predict`."""
+    """Return (num_envs,) whether episodes have just begun, given arguments of `predict`."""
     if state is None:
         return np.ones(num_envs, dtype=np.bool_)
     if episode_start is None:
@@ -85,27 +85,24 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Compute the difference, 0 to pi / 2, of axis angles [rad]; an axis turned by pi is the same.
-
-    The angles broadcast.
-    """
+    """Compute the difference (0 to pi / 2) of axis angles [rad], which have period pi."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 
 
 def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
-    """Return a line with a zone of so many columns and the same lengths before and behind it."""
+    """Return a line with a number of zone columns, and the same lengths before and after it."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Compute the factor [-] on an episode's time limit for a zone of so many columns."""
+    """Return the factor [-] of the time limit for a number of zone columns."""
     return max(1.0, columns / line.zone_columns)
 
 
 def find_orientation(config: EnvConfig, angle: float) -> int:
-    """Find the index of an axis angle [rad] on offer; an axis turned by pi is the same."""
+    """Return the index of an available axis angle [rad]; axes have period pi."""
     angles = np.array(config.chosen_orientations)
     apart = axes_apart(angles, angle)
     if apart.min() > SAME:
@@ -118,15 +115,15 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
 
 @dataclass(frozen=True)
 class Axes:
-    """Choices by what they do to a parcel that moves along the line."""
+    """Choices by their effect on a parcel that moves along the line."""
 
-    roll: int  # 90 deg: it rolls on
-    brake: int  # 0 deg: it is braked
-    left: int  # -45 deg: it is led towards y > 0
-    right: int  # 45 deg: it is led towards y < 0
+    roll: int  # 90 deg: the parcel rolls
+    brake: int  # 0 deg: the parcel is braked
+    left: int  # -45 deg: the parcel moves towards y > 0
+    right: int  # 45 deg: the parcel moves towards y < 0
 
     def towards(self, side: Numbers) -> Integers:
-        """Choose what leads to each side (...): left where positive, right where negative."""
+        """Return the choices for sides (...): left if positive, right if negative."""
         return np.select([side > 0.0, side < 0.0], [self.left, self.right], self.roll)
 
     def mirrored(self, layout: Integers) -> Integers:
@@ -138,7 +135,7 @@ class Axes:
 
 
 def find_axes(config: EnvConfig) -> Axes:
-    """Find the four orientations of the paper's Figure 2b."""
+    """Return the four orientations of the paper's Figure 2b."""
     quarter = math.pi / 4.0
     return Axes(
         roll=find_orientation(config, 2.0 * quarter),
@@ -152,7 +149,7 @@ SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
 def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:
-    """(choices,) index of each axis angle's mirror image, -angle, among the orientations [rad]."""
+    """Return the index (choices,) of each axis angle's mirror image in orientations [rad]."""
     angles = np.array(orientations)
     apart = axes_apart(-angles[:, np.newaxis], angles)
     nearest = apart.argmin(axis=1)
@@ -162,7 +159,7 @@ def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:
 
 
 class ActionMirror:
-    """Mirror for actions that were chosen for y > 0, where the asked side is y < 0.
+    """Mirror of actions chosen for y > 0, if the goal side is y < 0.
 
     Args:
         orientations: [rad] axis angles to choose from; continuous actions ignore them.
@@ -173,17 +170,17 @@ class ActionMirror:
         self._image = None if kind.continuous else mirrored_orientations(orientations)
 
     def __call__(self, actions: NDArray[Any], side: Singles) -> NDArray[Any]:
-        """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
+        """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
         commands = self._kind.commands(actions, len(side))
         flipped = self._kind.flip(commands)
         image = self._kind.encode(-flipped if self._image is None else self._image[flipped])
-        # Side 0, straight through, is not mirrored.
+        # Side 0, straight ahead, is not mirrored.
         unchanged = (side >= 0.0).reshape(-1, *[1] * (np.ndim(actions) - 1))
         return np.where(unchanged, actions, image)
 
 
 def action_mirror(config: EnvConfig) -> ActionMirror | None:
-    """Build the mirror for an environment's actions; None where its task is not symmetric."""
+    """Build the mirror of an environment's actions; None if its task is not symmetric."""
     if not config.task.mirrored:
         return None
     return ActionMirror(config.action_kind, config.chosen_orientations)

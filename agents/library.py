@@ -1,7 +1,7 @@
-"""Tasks, learning algorithms and trained policies by name: the package's, and a user's own.
+"""Tasks, learning algorithms and trained policies by name, of the package and of users.
 
-A policy on disk is a safetensors file of weights and a YAML card. Reading a policy runs no code
-from its files. Nothing here imports PyTorch until a policy is loaded.
+A policy is a safetensors file of weights and a YAML card. Reading it executes no code from its
+files. PyTorch is imported only when a policy is loaded.
 """
 
 import hashlib
@@ -32,48 +32,48 @@ from .yaml_file import YAML, parse_yaml
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.safetensors"
-OLD_WEIGHTS = "policy.pt"  # of policies that were written before
-ZIP = b"PK"  # begins these
-POLICY = 2**27  # [bytes] of weights: the largest here has 0.2 million
+OLD_WEIGHTS = "policy.pt"  # weights of older policies
+ZIP = b"PK"  # first bytes of older weights
+POLICY = 2**27  # [bytes] maximum size of weights; the largest here has 0.2 million
 CARD = "policy.yaml"
-DIGEST = "digest"  # field of the card: of its other fields and the weights
-OWN = "Own/"  # before the name of a user's task or algorithm, whose file no card names
-QUEUE = 4  # parcels that wait, which a policy on a schedule looks at
-MOST_LAYERS = 16  # of a network
+DIGEST = "digest"  # card's field with the digest of its other fields and the weights
+OWN = "Own/"  # prefix of custom tasks and algorithms; cards do not name their files
+QUEUE = 4  # waiting parcels visible to a policy on a schedule
+MOST_LAYERS = 16  # maximum layers of a network
 
 Weights = Mapping[str, Any]  # arrays of a policy by name
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """A learning algorithm: how its runs are configured and train, and what its policies need."""
+    """A learning algorithm: configuration, training, and requirements of its policies."""
 
-    label: str  # in tables
-    config: type[Any]  # options of a run: a `TrainConfig` of agents.learning.config
+    label: str  # label in tables
+    config: type[Any]  # options of a run: a subclass of agents.learning.config's `TrainConfig`
     # called with the options, the run's folder and `on_progress`; returns a `TrainResult` of
     # agents.learning.runs, and leaves a policy in the folder by `save_policy`
     train: Callable[..., Any]
     # called with a policy's card, its weights and the configuration of its environment
     build: Callable[..., "TrainedPolicy"]
-    actions: tuple[str, ...]  # kinds of action that it learns
-    serves: Callable[[Task], bool] = lambda task: not task.is_stream  # whether it learns a task
-    served: str = "one of a single parcel"  # such tasks in words
+    actions: tuple[str, ...]  # supported kinds of action
+    serves: Callable[[Task], bool] = lambda task: not task.is_stream  # whether it supports a task
+    served: str = "one of a single parcel"  # description of supported tasks
     # arguments of its environments beside task, actions, control period and observed groups
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def check(self, task: Task, actions: str) -> None:
-        """Raise a ValueError unless it learns a task by this kind of action."""
+        """Raise a ValueError unless it supports a task with a kind of action."""
         if not self.serves(task):
             raise ValueError(f"task must be {self.served} for {self.label}, got {task.name!r}")
         checks.one_of(f"actions for {self.label}", actions, self.actions)
 
 
 ALGORITHMS: Registry[Algorithm] = Registry("algo", "surface_gym.agents.learning.algorithms")
-_NAMED: list[str] = []  # algorithms that a user has named by their files, in this process
+_NAMED: list[str] = []  # custom algorithms loaded from files in this process
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Find the algorithm of a name; a file in the name is run, and its algorithm registered."""
+    """Return an algorithm by name; a file in the name is executed, and its algorithm registered."""
     if ":" not in name:
         return ALGORITHMS.find(name)
     found = _find_in_file("algo", name, lambda value: isinstance(value, Algorithm), "an Algorithm")
@@ -84,12 +84,12 @@ def find_algorithm(name: str) -> Algorithm:
 
 
 def is_known(algo: str) -> bool:
-    """Return whether an algorithm is registered, or a user has named it by its file before."""
+    """Return whether an algorithm is registered, or was loaded from a file before."""
     return algo in ALGORITHMS or algo in _NAMED
 
 
 def find_task(name: str) -> Task:
-    """Make the task of a name; a file in the name is run."""
+    """Make a task by name; a file in the name is executed."""
     if name in TASKS:
         return TASKS[name]()
 
@@ -101,34 +101,34 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Name the package's task that a task is or inherits from; else the task itself."""
+    """Return the name of the package's task that a task is or inherits from, else its own name."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
 def task_label(name: str) -> str:
-    """Shorten a task's or an algorithm's name for tables and names of files."""
+    """Return a short name of a task or algorithm for tables and file names."""
     return name.rpartition(":")[2].lower()
 
 
 def card_env_id(name: str) -> str:
-    """Name the environment of a task for a policy's card: its id, or "Own/Class"."""
+    """Return the environment name for a policy's card: an id, or "Own/Class"."""
     return env_id(name) if name in TASKS else OWN + name.rpartition(":")[2]
 
 
 def card_algo(name: str) -> str:
-    """Name an algorithm for a policy's card: as it is registered, or "Own/NAME"."""
+    """Return the algorithm name for a policy's card: a registered name, or "Own/NAME"."""
     return OWN + name.rpartition(":")[2] if ":" in name else name
 
 
 def task_files(*names: str | None) -> tuple[Path, ...]:
-    """List the files of a user's own tasks and algorithms, which other machines need."""
+    """List the files of custom tasks and algorithms, for other machines."""
     return tuple(
         Path(name.rpartition(":")[0]) for name in names if name is not None and ":" in name
     )
 
 
 def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str) -> Any:
-    """Run the file in a name like path/to/file.py:Name and return what it calls Name."""
+    """Execute the file in path/to/file.py:Name, and return its object Name."""
     file, colon, called = name.rpartition(":")
     if not colon or not file.endswith(".py"):
         known = TASKS if kind == "task" else ALGORITHMS
@@ -143,7 +143,7 @@ def _find_in_file(kind: str, name: str, fits: Callable[[Any], bool], wanted: str
 
 
 def _load_module(kind: str, file: Path) -> Any:
-    """Run a file's module, once in a process."""
+    """Execute a file as a module, once per process."""
     if not file.is_file():
         raise ValueError(f"{kind} must be in a file that exists, got {file}")
     place = str(file.resolve())
@@ -165,14 +165,14 @@ def _load_module(kind: str, file: Path) -> Any:
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """The environment and the network that a policy's weights are for."""
+    """Environment and network of a policy's weights."""
 
-    env_id: str  # of the package, or "Own/Class" for a user's task
-    algo: str  # name of the algorithm, or "Own/NAME" for a user's
+    env_id: str  # id of the package, or "Own/Class" for a custom task
+    algo: str  # name of the algorithm, or "Own/NAME" for a custom one
     actions: str  # kind of action
     control_period: float  # [s]
     hidden: tuple[int, ...]  # units of the hidden layers
-    observe: tuple[str, ...] = ()  # groups of features in the observation beside the task's
+    observe: tuple[str, ...] = ()  # additional groups of features in the observation
     features: str = ""  # digest of the features' names and scales; "": an older card
 
     def __post_init__(self) -> None:
@@ -265,7 +265,7 @@ def read_files(folder: Path) -> PolicyFiles:
 
 
 def save_policy(weights: Weights, card: PolicyCard, folder: Path) -> None:
-    """Write weights and card into a folder, each whole or not at all."""
+    """Write weights and card to a folder, atomically."""
     from safetensors.numpy import save
 
     content = save({name: np.ascontiguousarray(value) for name, value in weights.items()})
@@ -281,7 +281,7 @@ def read_card(files: PolicyFiles) -> PolicyCard:
     """Decode the card of a policy.
 
     Raises:
-        ValueError: card or weights are not as they were written, or foreign.
+        ValueError: card or weights are damaged or foreign.
     """
     fields = parse_yaml(files.card.decode())
     if fields.pop(DIGEST) != _digest(fields, files.weights):
@@ -292,7 +292,7 @@ def read_card(files: PolicyFiles) -> PolicyCard:
 
 
 def read_weights(files: PolicyFiles) -> dict[str, Any]:
-    """Decode the weights of a policy: safetensors, or before an archive of PyTorch's."""
+    """Decode the weights of a policy: safetensors, or an older PyTorch archive."""
     if files.weights.startswith(ZIP):
         from io import BytesIO
 
@@ -313,12 +313,12 @@ def _digest(fields: dict[str, Any], weights: bytes) -> str:
 
 
 def names() -> tuple[str, ...]:
-    """List the shipped agents, each by its task and its algorithm, as "track-dqn"."""
+    """List the shipped agents by task and algorithm, e.g. "track-dqn"."""
     return tuple(sorted(card.parent.name for card in SHELF.glob("*/card.yaml")))
 
 
 def seeds(name: str) -> tuple[int, ...]:
-    """List the seeds a shipped agent was trained with, one policy each."""
+    """List the seeds of a shipped agent, with one policy each."""
     folder = SHELF / checks.one_of("name", name, names())
     return tuple(sorted(int(each.name.removeprefix("seed-")) for each in folder.glob("seed-*")))
 
@@ -333,13 +333,13 @@ def load(
 
     Args:
         seed: one of `seeds(name)`; None: the first.
-        config: of the environment that a policy of streams is for, with a gate for "flow-schedule";
-            None: its `env_kwargs`.
-        most_touches: [-] per delivery that "flow-schedule" allows in its trial.
+        config: configuration of the environment for policies of streams, with a gate for
+            "flow-schedule"; None: its `env_kwargs`.
+        most_touches: [-] allowed touches per delivery in the trial of "flow-schedule".
 
     Raises:
-        ValueError: no agent of that name, or not of that seed.
-        ImportError: PyTorch is missing, which the extra `agents` brings.
+        ValueError: there is no agent with the name or the seed.
+        ImportError: PyTorch is missing; install the extra `agents`.
     """
     trained = seeds(name)
     chosen = trained[0] if seed is None else checks.one_of("seed", seed, trained)
@@ -347,10 +347,10 @@ def load(
 
 
 def read(folder: str | Path, task: Task | None = None) -> TrainedPolicy:
-    """Read the policy that a run of any algorithm left in a folder.
+    """Read the policy of a run in a folder, for any algorithm.
 
     Raises:
-        ValueError: the folder holds no policy, or a damaged or foreign one, or one of another task.
+        ValueError: the policy is missing, damaged, foreign, or for another task.
     """
     return from_files(read_files(checks.path("folder", folder)), task)
 
@@ -361,9 +361,7 @@ def from_files(
     config: EnvConfig | None = None,
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
-    """Build a policy from the content of its files, wherever they were read; see `read` and
-    `load`.
-    """
+    """Build a policy from the content of its files; see `read` and `load`."""
     given = {"config": config, "most_touches": most_touches or None}
     options = {name: value for name, value in given.items() if value is not None}
     for name in files.algorithms:

@@ -1,8 +1,8 @@
-"""Policy of modules on a slope: each decides by what it sees itself and its neighbours pass on.
+"""Policy of modules on a slope with local observations.
 
-All share one network. The modules below a parcel agree on one number, by which each chooses from
-its own probabilities: so similar ones choose alike, and a parcel is not pulled to and fro. The
-number stays for some control periods, since axes take time to turn.
+All modules share one network. The modules under a parcel share one number, by which each samples
+from its own probabilities. So similar modules choose alike, and a parcel is not pulled back and
+forth. The number is constant for some control periods, since axes take time to turn.
 """
 
 from itertools import pairwise
@@ -23,26 +23,26 @@ from .module_policy import draw_choices
 from .parcel_policy import SlopePolicy, suited
 from .tensors import load_weights
 
-MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
-HOLD = 2  # control periods for which the number that the modules below a parcel agree on stays
-NUMBERS = 4099  # that they look up one after the other, a prime
-APART = 97  # rows of the table look them up so far from each other
-CENTRE = len(OWN) - 3  # feature of a module: how far it is ahead of the parcel's centre
+MOST = 5.0  # limit of features
+HOLD = 2  # control periods for which the shared number is constant
+NUMBERS = 4099  # size of the table of numbers, a prime
+APART = 97  # offset between the table's rows
+CENTRE = len(OWN) - 3  # feature of a module: distance ahead of the parcel's centre
 
 
 class LocalInputs(NamedTuple):
-    """What the modules see that have a parcel, of all environments; those of a parcel in a row."""
+    """Observations of modules with a parcel, of all environments, grouped by parcel."""
 
-    row: Integers  # (parcels,) among all rows of all environments
-    passed: torch.Tensor  # (parcels, PASSED) what the modules below each pass on to each other
+    row: Integers  # (parcels,) row among all rows of all environments
+    passed: torch.Tensor  # (parcels, PASSED) features shared by the modules under each parcel
     env: Integers  # (modules,) environment
-    module: Integers  # (modules,) place in the action
+    module: Integers  # (modules,) index in the action
     parcel: torch.Tensor  # (modules,) index among the parcels
     own: torch.Tensor  # (modules, len(OWN))
 
 
 def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
-    """Collect what modules see from tables (num_envs, rows, features)."""
+    """Return modules' observations from tables (num_envs, rows, features)."""
     seen = view(tables)
     num_envs, rows = seen.passed.shape[:2]
     row = np.flatnonzero(seen.passed[..., 0] > 0.5)
@@ -59,7 +59,7 @@ def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
 
 
 class LocalNetwork(nn.Module):
-    """Actor of each module, and critic of the parcel on it."""
+    """Actor of modules, and critic of parcels."""
 
     def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -107,8 +107,9 @@ class LocalPolicy(SlopePolicy):
         return fill(seen, choice.numpy(), len(batch), self._view.modules, self._rest), None
 
     def _agree(self, tables: Singles, row: Integers) -> torch.Tensor:
-        """Look up the numbers (parcels,) that the modules below each parcel agree on: by how long
-        it has been there, and by its row in the table.
+        """Return the numbers (parcels,) shared by the modules under each parcel.
+
+        They depend on the parcel's time on the surface, and on its row in the table.
         """
         rows = tables.shape[1]
         since = ta.COLUMN.time.of(tables).reshape(-1)[row] / self._config.control_period
@@ -117,12 +118,12 @@ class LocalPolicy(SlopePolicy):
 
 
 def find_numbers() -> Singles:
-    """Draw the numbers (NUMBERS,) in [0, 1) that modules look up, always the same."""
+    """Return the table of shared numbers (NUMBERS,) in [0, 1), which is constant."""
     return np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
 
 
 def find_rest(config: EnvConfig) -> int:
-    """Find the choice nearest to 90 deg, of modules without a parcel."""
+    """Return the choice closest to 90 deg, for modules without a parcel."""
     return int(np.abs(np.sin(config.chosen_orientations)).argmax())
 
 
@@ -139,8 +140,8 @@ def build_local(
     """Build a policy of modules on a slope from its weights.
 
     Args:
-        own: environment of the card.
-        config: environment that the policy is for; None: the card's.
+        own: environment on the card.
+        config: environment of the policy; None: the card's.
     """
 
     def make() -> LocalNetwork:

@@ -1,14 +1,13 @@
-"""One policy shared by all modules: what each sees, its networks, shared draws, and the policy for
-any zone.
+"""One policy shared by all modules, for any zone: observations, networks and shared draws.
 
-Each module sees its own place under the parcel and features that all share. The parcel's outline,
-and the rows of its line, are inferred from the environment's observation.
+Each module observes its position under the parcel, and features shared by all. The parcel's outline
+and the rows of its line are inferred from the environment's observation.
 
-Under a parcel lie 6 to 25 modules. If each drew its axis by itself, their deviations would cancel
-and none would ever be seen to pay. Instead the modules of a group look up one uniform number in
-their own cumulative probabilities: similar modules choose alike, and each still follows its own
-probabilities. The likelihood of a group's choices has a closed form: the uniform numbers that lead
-to just these choices make an interval, and its length is the likelihood.
+There are 6 to 25 modules under a parcel. With independent draws, their deviations would cancel, and
+exploration would have no effect. Instead, the modules of a group look up one uniform number in
+their own cumulative probabilities. Similar modules choose alike, and each follows its own
+probabilities. The likelihood of a group's choices has a closed form: the length of the interval of
+uniform numbers that give these choices.
 """
 
 import math
@@ -32,37 +31,38 @@ from .rules.decoding import look_at_line
 from .tensors import load_weights
 
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
-# The side is mirrored away. The time would tie the policy to one length of lead-in.
+# Without the side, since observations are mirrored, and without the time, which depends on the
+# lead-in.
 SHARED = tuple(k for k, name in enumerate(_NAMES) if name not in ("side", "time"))
 _ROTORS = {feature.name for feature in group_features(("rotors",))}
 
 
 def shared_size(observe: tuple[str, ...]) -> int:
-    """Count the features that all modules of an environment share."""
+    """Return the number of features shared by all modules of an environment."""
     return len(SHARED) + len(group_features(observe))
 
 
 def place_size(observe: tuple[str, ...]) -> int:
-    """Count the features of a single module."""
+    """Return the number of features of a single module."""
     return PLACE_SIZE + (QUADRANT_SIZE if "rotors" in observe else 0)
 
 
 @dataclass(frozen=True, eq=False)
-class ModuleObservations:
-    """Observations of modules, the goal at y > 0; modules in the order of their environments."""
+class SortModuleObservations:
+    """Observations of modules with the goal at y > 0, in the order of environments."""
 
-    shared: Singles  # (num_envs, shared) features of all modules of an environment
-    env: Integers  # (modules,) environment whose parcel the module bears, now or a period later
-    place: Singles  # (modules, place) under the parcel and beside it; then the axes around it
+    shared: Singles  # (num_envs, shared) features shared by an environment's modules
+    env: Integers  # (modules,) environment of the parcel on the module, now or after a period
+    place: Singles  # (modules, place) position relative to the parcel, then the axes around it
     index: Integers  # (modules,) in the action
 
 
-class ModuleView:
-    """Conversion of Sort's observations to those of modules, and of their choices to actions.
+class SortModuleView:
+    """Conversion of Sort's observations to modules' observations, and of choices to actions.
 
-    Where the observation has the group "parcel", it gives the outline of the base; else the base is
-    taken for a rectangle as wide as the clearance implies. Where it has "rotors", a module sees the
-    axes of its own quadrant of the parcel.
+    With the group "parcel", the observation gives the outline of the base. Otherwise the base is
+    assumed to be a rectangle with a width from the clearance. With "rotors", a module observes the
+    axes in its quadrant of the parcel.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -73,7 +73,7 @@ class ModuleView:
         self._sight, self._shown = look_at_line(config), find_shown(config)
         self._image = mirrored_orientations(config.chosen_orientations)
         angles = np.array(config.chosen_orientations)
-        self._rest = int(np.abs(np.sin(angles)).argmax())  # the choice nearest to 90 deg
+        self._rest = int(np.abs(np.sin(angles)).argmax())  # choice closest to 90 deg
         columns = config.columns
         of_groups = [columns[each.name].place for each in group_features(config.observe)]
         self._shared = np.array([*SHARED, *of_groups])
@@ -82,8 +82,8 @@ class ModuleView:
         self._rotors = np.array([columns[name].place for name in rotors], dtype=np.int64)
         self._rotors = self._rotors.reshape(len(QUADRANTS), -1)
 
-    def __call__(self, observations: Singles) -> ModuleObservations:
-        """Compute the modules' observations from those of environments (num_envs, features)."""
+    def __call__(self, observations: Singles) -> SortModuleObservations:
+        """Compute modules' observations from observations (num_envs, features)."""
         env, index, place = self.room(len(observations))
         count = find_places(observations, self._sight, self._shown, env, index, place)
         env, index, place = env[:count], index[:count], place[:count]
@@ -91,7 +91,7 @@ class ModuleView:
         quadrant = 2 * (place[:, AHEAD] < 0.0) + (place[:, ASIDE] < 0.0)
         axes = observations[env[:, np.newaxis], self._rotors[quadrant]]
         place = np.concatenate([place, axes], axis=1)
-        return ModuleObservations(observations[:, self._shared], env, place, index)
+        return SortModuleObservations(observations[:, self._shared], env, place, index)
 
     def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
         """Make room for the modules that may bear a parcel."""
@@ -105,7 +105,7 @@ class ModuleView:
         return observations, self._sight, self._shown, *self.room(1)
 
     def actions(
-        self, observations: Singles, seen: ModuleObservations, choices: Integers
+        self, observations: Singles, seen: SortModuleObservations, choices: Integers
     ) -> Integers:
         """Build actions (num_envs, size) from choices (modules,); other modules stay at 90 deg."""
         actions = np.full((len(observations), self._size), self._rest)
@@ -114,9 +114,10 @@ class ModuleView:
         return actions
 
 
-GROUPS = 2  # of modules in an environment
-_SMALLEST = 1e-6  # length below which an interval counts as empty: single precision ends there
-_FARTHEST = 0.7  # half lengths from the parcel's centre that a line between groups may pass
+GROUPS = 2  # groups of modules per environment
+_SMALLEST = 1e-6  # shorter intervals count as empty in single precision
+# maximum distance of a line between groups from the parcel's centre, in half lengths
+_FARTHEST = 0.7
 
 
 def draw_groups(
@@ -125,8 +126,10 @@ def draw_groups(
     """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
 
     Args:
-        place: (modules, ...) first along and across the parcel, in half lengths.
-        probability: that a random line through the parcel splits its modules into two groups.
+        place: (modules, ...) begins with the positions along and across the parcel, in half
+            lengths.
+        probability: probability that a random line through the parcel splits its modules into two
+            groups.
     """
     splits = rng.random(num_envs) < probability
     angle = 2.0 * np.pi * rng.random(num_envs)
@@ -138,7 +141,7 @@ def draw_groups(
 def draw_choices(
     log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Choose for each module (modules,) by its group's uniform number."""
+    """Choose for each module (modules,) by the uniform number of its group."""
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
 
@@ -146,10 +149,10 @@ def draw_choices(
 def log_likelihood(
     log_probability: torch.Tensor, choice: torch.Tensor, group: torch.Tensor, groups: int
 ) -> torch.Tensor:
-    """Compute the log likelihood (num_envs,) of an environment's choices (modules,) together.
+    """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
 
-    It is 0 for an environment without modules. Where no uniform number leads to the choices any
-    more, it has its lowest value and no gradient.
+    It is 0 without modules. If no uniform number gives the choices, it has its minimum and no
+    gradient.
     """
     edges = log_probability.exp().cumsum(dim=1)[:, :-1]
     below = torch.nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
@@ -171,17 +174,17 @@ def _layers(units: tuple[int, ...]) -> list[nn.Module]:
 
 
 class SharedNetwork(nn.Module):
-    """Actor of all modules: from the shared features and a module's own place to its logits.
+    """Actor of all modules: from shared features and a module's position to logits.
 
-    Weights of the place start at zero: modules learn to act together before they learn to differ.
-    Otherwise they settle for the fixed layout.
+    Weights of the position start at zero, so that modules learn to act together before they learn
+    to differ. Otherwise training converges to the fixed layout.
     """
 
     def __init__(
         self, choices: int, hidden: tuple[int, ...], observe: tuple[str, ...] = ()
     ) -> None:
         super().__init__()
-        # The names stand in files of weights.
+        # Files of weights contain these names.
         self._alike = _linear(shared_size(observe), hidden[0])
         self._apart = nn.Linear(place_size(observe), hidden[0], bias=False)
         nn.init.zeros_(self._apart.weight)
@@ -196,7 +199,7 @@ class SharedNetwork(nn.Module):
 
 
 class ValueNetwork(nn.Module):
-    """Critic: the value of an environment's observation without the asked side."""
+    """Critic: value of an environment's observation without the goal side."""
 
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
@@ -213,8 +216,8 @@ class ModulePolicy(TrainedPolicy):
     """A policy of modules with shared weights.
 
     Args:
-        zone: first and last column of controlled modules; None: those after the lead-in, as in
-            training.
+        zone: first and last column of controlled modules; None: the columns after the lead-in, as
+            in training.
     """
 
     def __init__(
@@ -224,7 +227,7 @@ class ModulePolicy(TrainedPolicy):
         config = replace(card.env_config(), zone=zone)
         super().__init__(card, config)
         self._network = network.eval()
-        self._view = ModuleView(config)
+        self._view = SortModuleView(config)
         if zone is not None:
             self.env_kwargs["zone"] = zone
 
@@ -233,7 +236,7 @@ class ModulePolicy(TrainedPolicy):
 
     @torch.no_grad()
     def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
-        """Choose; random choices of an environment's modules share a draw, as in training."""
+        """Choose actions; random choices of one environment share a draw, as in training."""
         seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
         log_probability = self._network(shared, env, place)

@@ -1,9 +1,9 @@
-"""Policy of parcels: one network with attention corrects what a rule proposes for each of them.
+"""Policy of parcels: one network with attention that corrects a rule's choices.
 
-Each row of the table is a parcel. What it does depends on its own row and, by attention, on all
-others of its surface, so that the number of parcels does not matter, nor their order. Before
-learning, the policy is nearly the rule: residual policy learning (Silver et al. 2018). For a task
-without such a rule the network decides alone.
+Each row of the table is a parcel. Its choice depends on its own row and, by attention, on all other
+parcels of the surface. So neither the number nor the order of parcels matters. Before learning, the
+policy is almost the rule: residual policy learning (Silver et al. 2018). For a task without a rule,
+the network decides alone.
 """
 
 import math
@@ -24,31 +24,32 @@ from .library import PolicyCard, TrainedPolicy, Weights
 from .rules.slopes import PRIORS
 from .tensors import load_weights
 
-MOST = 5.0  # of a feature, one way or the other; what is farther looks the same
-APART = (2.0, 1.4, 2.0)  # of two parcels, [m] along and across and [m/s], that differ at most
-PAIR = 5  # numbers that say how two parcels lie to each other
-PRIOR = 6.0  # logit of what the rule proposes, before learning: 0.96 of all choices
-SMALL = 0.01  # [-] of the usual first weights of the last layer
-HEADS = 4  # of attention
-# Features that say how two parcels lie: x, less the length; y; and vx.
-PLACE = {"to the end": -1.0, "offset": 1.0, "forward speed": 1.0}  # [-] sign of each
-PRESENT, TIME = "present", "time"  # features of a row: there is a parcel; since it entered
+MOST = 5.0  # limit of features
+APART = (2.0, 1.4, 2.0)  # maximum differences of two parcels: [m] along, [m] across and [m/s]
+PAIR = 5  # features of the relative position of two parcels
+PRIOR = 6.0  # initial logit of the rule's choice, for a probability of 0.96
+SMALL = 0.01  # [-] scale of the last layer's initial weights
+HEADS = 4  # heads of attention
+# Features of relative positions: x minus the length, y, and vx.
+PLACE = {"to the end": -1.0, "offset": 1.0, "forward speed": 1.0}  # [-] sign of each feature
+# features of a row: presence of a parcel, and time since its entry
+PRESENT, TIME = "present", "time"
 
 
 class ParcelValues(NamedTuple):
-    """What a network says of the parcels that are there, a row each."""
+    """Outputs of a network for present parcels, one row each."""
 
-    row: torch.Tensor  # (parcels,) among the rows of all environments
+    row: torch.Tensor  # (parcels,) row among the rows of all environments
     logits: torch.Tensor  # (parcels, choices)
     value: torch.Tensor  # (parcels,) expected return
 
 
 class ParcelNetwork(nn.Module):
-    """Actor and critic of each parcel, with attention over those on its surface.
+    """Actor and critic of each parcel, with attention over the parcels of its surface.
 
     Args:
-        features: of a row of the table.
-        orientations: to choose from, for each half of a parcel; a choice is of both together.
+        features: features of a row of the table.
+        orientations: number of orientations per half of a parcel; a choice is a pair.
         hidden: (units,).
         has_rule: whether a rule proposes choices.
     """
@@ -61,7 +62,7 @@ class ParcelNetwork(nn.Module):
         has_rule: bool = True,
     ) -> None:
         super().__init__()
-        if len(hidden) != 1 or hidden[0] % HEADS:  # which share the units
+        if len(hidden) != 1 or hidden[0] % HEADS:  # heads share the units
             raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
         units = hidden[0]
         self.choices = orientations**HALVES
@@ -75,7 +76,7 @@ class ParcelNetwork(nn.Module):
             nn.Linear(inputs, units), nn.ReLU(), nn.Linear(units, units), nn.ReLU()
         )
         self.attend = nn.Linear(units, 3 * units)  # query, key and value
-        # How much two attend to each other by how they lie.
+        # Attention of two parcels by their relative position.
         self.pair = nn.Linear(PAIR, HEADS) if self._place else None
         last = nn.Linear(units, self.choices)
         with torch.no_grad():
@@ -85,15 +86,15 @@ class ParcelNetwork(nn.Module):
         self.critic = nn.Sequential(nn.Linear(2 * units, units), nn.ReLU(), nn.Linear(units, 1))
 
     def find_present(self, tables: torch.Tensor) -> torch.Tensor:
-        """Find (num_envs, rows) which rows hold a parcel."""
+        """Return (num_envs, rows) whether a row holds a parcel."""
         return tables[..., self._present] > 0.5
 
     def forward(self, tables: torch.Tensor, proposed: torch.Tensor) -> ParcelValues:
-        """Compute what each parcel may do.
+        """Compute logits and values of parcels.
 
         Args:
             tables: (num_envs, rows, features).
-            proposed: (num_envs, rows) choice of the rule; without one it is not read.
+            proposed: (num_envs, rows) choice of the rule, unused without a rule.
         """
         present = self.find_present(tables)
         index = present.flatten().nonzero()[:, 0]
@@ -109,8 +110,9 @@ class ParcelNetwork(nn.Module):
     def _look_around(
         self, rows: torch.Tensor, own: torch.Tensor, present: torch.Tensor
     ) -> torch.Tensor:
-        """Gather (parcels, units) from the parcels of the same surface, those that are there side
-        by side: there are far fewer than rows.
+        """Return attention outputs (parcels, units) over parcels of the same surface.
+
+        Present parcels are packed, since there are far fewer parcels than rows.
         """
         count = present.sum(dim=1)
         most = max(1, int(count.max()))
@@ -142,12 +144,12 @@ class ParcelNetwork(nn.Module):
 
 
 def to_halves(choice: Integers, orientations: int) -> Integers:
-    """Turn choices (...) of both halves together into those of each (..., 2)."""
+    """Convert choices (...) of pairs to choices of halves (..., 2)."""
     return np.stack(np.divmod(choice, orientations), axis=-1)
 
 
 class Proposer:
-    """The rule that a policy corrects, if its task has one, and what it proposes.
+    """The rule corrected by a policy, if its task has one.
 
     Args:
         config: of the environment.
@@ -159,7 +161,7 @@ class Proposer:
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
-        """Return the rule's choices for both halves together (num_envs, rows), and its memory."""
+        """Return the rule's choices as pairs (num_envs, rows), and its memory."""
         if self._rule is None:
             return np.zeros(tables.shape[:2], dtype=np.int64), None
         actions, memory = self._rule.predict(tables, memory, fresh)
@@ -169,13 +171,13 @@ class Proposer:
 
 
 def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
-    """Make the network of an environment's parcels, its weights not learned."""
+    """Make the untrained network of an environment's parcels."""
     choices, has_rule = len(config.chosen_orientations), config.task_name in PRIORS
     return ParcelNetwork(config.features, choices, hidden, has_rule)
 
 
 def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
-    """Return the environment that a policy is for, which must suit the one of its card, `own`."""
+    """Return the environment of a policy, which must suit its card's environment `own`."""
     if config is None:
         return own
     checks.one_of("task", config.task_name, (own.task_name,))
@@ -193,8 +195,8 @@ class SlopePolicy(TrainedPolicy):
     """A trained policy on a slope.
 
     Args:
-        network: of the policy.
-        card: of the environment that it learned in.
+        network: network of the policy.
+        card: card of the policy.
         config: of the environment.
     """
 
@@ -206,19 +208,18 @@ class SlopePolicy(TrainedPolicy):
 
 
 class ParcelMemory(NamedTuple):
-    """What a policy remembers: what it owes each parcel, and the rule's own memory."""
+    """Memory of a policy: pending shares of each parcel's choices, and the rule's memory."""
 
     rule: Any
-    due: Numbers  # (num_envs, rows, choices) probabilities, less what was chosen
-    since: Numbers  # (num_envs, rows) [s] since it entered, as seen last; 0: not seen
+    due: Numbers  # (num_envs, rows, choices) cumulated probabilities minus choices
+    since: Numbers  # (num_envs, rows) [s] time since entry at the last observation; 0: no parcel
 
 
 class ParcelPolicy(SlopePolicy):
     """A trained policy of parcels.
 
-    A parcel is braked by half, say, where it is braked every other control period. So the policy
-    follows its probabilities over time, without chance: of all choices, the one is taken that is
-    furthest behind its share.
+    The policy follows its probabilities over time without random numbers: it takes the choice with
+    the largest pending share. For example, braking in every other control period is half braking.
 
     Args:
         config: of the environment.
@@ -238,7 +239,7 @@ class ParcelPolicy(SlopePolicy):
     ) -> tuple[Any, Any]:
         fresh = is_fresh(len(batch), state, episode_start)
         memory = None
-        if state is not None:  # the rule checks its own
+        if state is not None:  # the rule checks its own memory
             checks.instance("state", state, ParcelMemory, "one that predict returned")
             due = np.zeros((*batch.shape[:2], self._orientations**HALVES))
             checks.alike("state.due", state.due, due)
@@ -261,7 +262,7 @@ class ParcelPolicy(SlopePolicy):
 
     @torch.no_grad()
     def probabilities(self, batch: Any, proposed: Integers) -> tuple[Numbers, Integers]:
-        """Compute (parcels, choices) the probabilities, and the rows (parcels,) they are of."""
+        """Compute the probabilities (parcels, choices), and the parcels' rows (parcels,)."""
         tables = torch.from_numpy(np.ascontiguousarray(batch))
         found = self._network(tables, torch.from_numpy(proposed))
         return found.logits.double().softmax(dim=1).numpy(), found.row.numpy()
@@ -269,8 +270,8 @@ class ParcelPolicy(SlopePolicy):
     def _carry_over(
         self, state: Any, fresh: Booleans, batch: Any, choices: int
     ) -> tuple[Numbers, Numbers]:
-        """Return (num_envs, rows, choices) what is owed the parcels that are there still, and
-        (num_envs, rows) the time since each entered.
+        """Return pending shares (num_envs, rows, choices) of present parcels, and times since
+        entry.
         """
         present = self._present.of(batch) > 0.5
         since = np.zeros(batch.shape[:2])
@@ -291,8 +292,8 @@ def build_parcels(
     """Build a policy of parcels from its weights.
 
     Args:
-        own: environment of the card.
-        config: environment that the policy is for; None: the card's.
+        own: environment on the card.
+        config: environment of the policy; None: the card's.
     """
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))

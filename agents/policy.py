@@ -1,4 +1,4 @@
-"""Trained policies of Stable-Baselines3's networks."""
+"""Trained policies with Stable-Baselines3's networks."""
 
 from typing import Any
 
@@ -17,10 +17,10 @@ from .tensors import load_weights
 
 
 class EqualCategoricals(MultiCategoricalDistribution):
-    """Independent choices, each among the same number of options, as one categorical of an array.
+    """Independent choices with equal numbers of options, as one array categorical.
 
-    Stable-Baselines3 keeps a list of distributions and loops over it; with tens of choices that
-    costs more than the network.
+    Stable-Baselines3 loops over a list of distributions, which takes longer than the network for
+    tens of choices.
     """
 
     def __init__(self, choices: int, options: int) -> None:
@@ -28,9 +28,9 @@ class EqualCategoricals(MultiCategoricalDistribution):
         self._shape = (choices, options)
 
     def proba_distribution(self, action_logits: torch.Tensor) -> "EqualCategoricals":
-        """Set the logits (num_envs, choices x options), those of a choice side by side."""
+        """Set the logits (num_envs, choices x options), grouped by choice."""
         logits = action_logits.reshape(-1, *self._shape)
-        self._each: Any = Categorical(logits=logits, validate_args=False)  # its methods are untyped
+        self._each: Any = Categorical(logits=logits, validate_args=False)  # methods are untyped
         return self
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
@@ -52,8 +52,9 @@ class EqualCategoricals(MultiCategoricalDistribution):
 
 
 class EqualChoicesPolicy(policies.ActorCriticPolicy):
-    """Stable-Baselines3's actor and critic, with `EqualCategoricals` where the action space is a
-    MultiDiscrete of equal choices. Names and shapes of its parameters are the same.
+    """Stable-Baselines3's actor and critic, with `EqualCategoricals` for equal choices.
+
+    It applies to MultiDiscrete action spaces. Names and shapes of parameters are unchanged.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -67,7 +68,7 @@ NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
-    """Build the network of a card for an environment, its weights not set."""
+    """Build the network of a card for an environment, without weights."""
     return NETWORKS[card.algo](
         config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
     )

@@ -1,5 +1,6 @@
-"""Policy on a schedule: a network with attention says how likely a parcel's candidates lead to a
-touch, and the one is chosen whose time and touches together cost the least.
+"""Policy on a schedule, with a network that predicts touches of candidates.
+
+The network uses attention. The candidate with the least total cost of time and touches is chosen.
 """
 
 from copy import copy
@@ -20,15 +21,15 @@ from .scheduling.maneuvers import Library
 from .scheduling.scheduler import Scheduler, find_plain, find_quiet
 from .tensors import load_weights
 
-# [-] of a touch, in parcels that the line could have delivered: those that may be chosen.
+# [-] candidate prices of a touch, in parcels that the line could have delivered.
 PRICES = np.geomspace(0.3, 50.0, 24)
-BETTER = 1.01  # times as much is to be delivered in a trial for what was learned to be used
-RISK = (-8.0, 2.0)  # logarithm of the touches that are expected, at least and at most
-FIRST, FALL = -2.0, -1.0  # before learning: of the tightest level, and how it falls by level
+BETTER = 1.01  # required ratio of deliveries in a trial for using the network
+RISK = (-8.0, 2.0)  # limits of the logarithm of expected touches
+FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by level
 
 
 class ScheduleNetwork(nn.Module):
-    """Network of candidates, whose risk falls from level to level of clearance."""
+    """Network of candidates' risk, which decreases with the level of clearance."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()
@@ -55,9 +56,9 @@ class ScheduleNetwork(nn.Module):
 
         Args:
             option: (decisions, options, OPTION).
-            token: (decisions, tokens, TOKEN) of parcels; and `shown` (decisions, tokens), which
-                there are.
-            about: (decisions, ABOUT) of the line.
+            token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
+                existing ones.
+            about: (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
         own = self.option(each)
@@ -70,7 +71,7 @@ class ScheduleNetwork(nn.Module):
 
 
 def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
-    """Return what the network takes."""
+    """Return the arguments of the network."""
     return (
         torch.from_numpy(decisions.option), torch.from_numpy(decisions.token),
         torch.from_numpy(decisions.shown), torch.from_numpy(decisions.about),
@@ -78,10 +79,10 @@ def as_tensors(decisions: Decisions) -> tuple[torch.Tensor, ...]:
 
 
 class NetworkScheduler(DecidingScheduler):
-    """Scheduler that chooses the candidate whose time and expected touches cost the least.
+    """Scheduler that minimises the cost of time and expected touches.
 
     Args:
-        price: [-] of a touch, in parcels that the line could have delivered.
+        price: [-] price of a touch, in parcels that the line could have delivered.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class NetworkScheduler(DecidingScheduler):
         self.price = price
 
     def at_price(self, price: float) -> "NetworkScheduler":
-        """Return the same at another price of a touch."""
+        """Return the same scheduler at another price of a touch."""
         found = copy(self)
         found.price = price
         return found
@@ -115,11 +116,11 @@ class NetworkScheduler(DecidingScheduler):
 class SchedulePolicy(TrainedPolicy):
     """A trained policy on the schedule of an environment's stream.
 
-    When it first chooses, its maneuvers are tried, and what a touch is to cost; both take seconds.
+    The first call tests maneuvers, and chooses the price of a touch, which takes seconds.
 
     Args:
         config: of the environment, with a gate and actions "parcels".
-        most_touches: [-] per delivery in the trial, for which a touch is dear enough.
+        most_touches: [-] allowed touches per delivery in the trial, which determines the price.
     """
 
     def __init__(
@@ -140,8 +141,8 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """What leads parcels: as the network decides, or by one clearance for all where the trial
-        of that delivers as much.
+        """The scheduler: with the network, or with one clearance if that delivers as much in a
+        trial.
         """
         config, most = self._config, self._most_touches
         learned = NetworkScheduler(config, self._network)
@@ -167,7 +168,7 @@ def build_schedule(
     Args:
         own: environment of the card.
         config: environment that the policy is for; None: the card's.
-        most_touches: [-] per delivery that it allows in its trial.
+        most_touches: [-] allowed touches per delivery in its trial.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)
     return SchedulePolicy(network, card, own if config is None else config, most_touches)

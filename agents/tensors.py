@@ -1,4 +1,4 @@
-"""Tensors from files: checked before they are used, whatever the files hold."""
+"""Tensors from files, with checks before use."""
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -14,10 +14,10 @@ Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
-    """Load tensors and plain values by their names, as PyTorch saves them; no code is run.
+    """Load tensors and plain values by name from PyTorch's format; no code is executed.
 
-    Plain values, which PyTorch reads slowly, have so many bytes at most; policies have 2000. What
-    is not as it was written, or claims more than there is, is one of the errors of `DAMAGE`.
+    Plain values, which PyTorch reads slowly, have at most `plain` bytes; policies have 2000.
+    Damaged files raise one of the errors in `DAMAGE`.
     """
     check_archive(stream, plain)
     stream.seek(0)
@@ -28,7 +28,7 @@ def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
 
 
 def check_tensor(name: str, found: Any, wanted: torch.Tensor) -> None:
-    """Raise a ValueError unless a tensor is finite and of the type and shape of another."""
+    """Raise a ValueError unless a tensor is finite, with the type and shape of another."""
     if not isinstance(found, torch.Tensor):
         raise ValueError(f"{name} must be a tensor, got a {type(found).__name__}")
     for what, has, asked in (
@@ -42,9 +42,9 @@ def check_tensor(name: str, found: Any, wanted: torch.Tensor) -> None:
 
 
 def check_like(name: str, found: Any, own: Any) -> None:
-    """Raise a ValueError unless values have the names, the types and the shapes of others.
+    """Raise a ValueError unless values have the names, types and shapes of others.
 
-    Numbers must be finite, and whole ones at least 0.
+    Numbers must be finite, and integers at least 0.
     """
     if isinstance(own, torch.Tensor):
         check_tensor(name, found, own)
@@ -67,9 +67,9 @@ def check_like(name: str, found: Any, own: Any) -> None:
 
 
 def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> None:
-    """Load the state of an optimiser, Adam, for the same parameters; one it cannot use is refused.
+    """Load the state of an Adam optimiser for the same parameters, or raise an error.
 
-    Options that another version of PyTorch has may be missing or more.
+    Options of other PyTorch versions may be missing or additional.
     """
     own = optimizer.state_dict()
     for group, saved in zip(own["param_groups"], found["param_groups"], strict=True):
@@ -86,10 +86,10 @@ def load_optimizer(optimizer: torch.optim.Optimizer, found: dict[str, Any]) -> N
 def load_weights(
     make_network: Callable[[], Network], hidden: tuple[int, ...], weights: Mapping[str, Any]
 ) -> Network:
-    """Make a network, and load finite weights of its own types, which PyTorch would convert.
+    """Make a network, and load finite weights of the same types, without conversion.
 
     Args:
-        hidden: units of its layers, which the weights must fill before it is made.
+        hidden: units of its layers, checked against the size of the weights first.
     """
     size = sum(value.nbytes for value in weights.values())
     if 4 * sum(hidden) + 4 * sum(a * b for a, b in pairwise(hidden)) > size:

@@ -17,12 +17,12 @@ from .learning.algorithms import PPOConfig
 from .learning.config import TrainConfig
 from .library import ALGORITHMS, find_task, task_files
 
-SWEEP = "sweep.yml"  # in the folder of a search
+SWEEP = "sweep.yml"  # file in the folder of a search
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command that are not part of a run's configuration."""
+    """Options of the command outside a run's configuration."""
 
     resume: Path | None = None
     """Alone: go on with a run or a search that was broken off.
@@ -33,14 +33,14 @@ class Options:
     search: Path | None = None
     """Search hyper-parameters as this file says; with --task, --out and --name only."""
     hyperparams: Path | None = None
-    """File of hyper-parameters to take the defaults from."""
+    """File of hyper-parameters with the defaults."""
     cluster: str | None = None
     """Address of a Ray cluster to share the work with; auto: the one that this machine joined."""
 
 
 @dataclass(frozen=True)
 class _Selection(Options):
-    """Options that determine the defaults of all others."""
+    """Options that determine the defaults of all other options."""
 
     task: str | None = None
     algo: str | None = None
@@ -52,18 +52,18 @@ class _Selection(Options):
 
 @dataclass(frozen=True)
 class Request:
-    """The work that a command line asks for: a search or a run."""
+    """The work of a command line: a search or a run."""
 
     cluster: str | None
     task: str | None  # as on the command line
     algo: str | None = None  # as on the command line
     search: Path | None = None  # file of a search
-    config: TrainConfig | None = None  # of a run
-    folder: Path | None = None  # of a search, or of a run to resume; None: a new run
+    config: TrainConfig | None = None  # configuration of a run
+    folder: Path | None = None  # folder of a search, or of a run to resume; None: a new run
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, save and compare; an error ends the command with one line."""
+    """Run the command; an error prints one line."""
     from rich.console import Console
 
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -76,8 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def parse_arguments(arguments: Sequence[str]) -> Request:
     """Parse a command line.
 
-    Task, algorithm, preset, device and file of hyper-parameters are read first: they determine the
-    defaults of all other options.
+    Task, algorithm, preset, device and file of hyper-parameters are parsed first, since they
+    determine the defaults of all other options.
     """
     given = [configs.current_option(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
@@ -104,7 +104,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
-    """Carry out the work that a command line asks for."""
+    """Execute the work of a command line."""
     workers = choose_workers(
         request.cluster, usable_cores(), task_files(request.task, request.algo)
     )
@@ -142,7 +142,7 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     given = {name: value for name in ("preset", "device") if (value := getattr(selection, name))}
     algo = selection.algo or usual_algorithm(task)
     default = configs.defaults(task, algo, selection.hyperparams, **given)
-    # The names of the fields are the headings of the help.
+    # Names of fields are headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
     parsed: Any = tyro.cli(
         command,
@@ -156,7 +156,7 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
 
 
 def usual_algorithm(task: str) -> str:
-    """Return the first algorithm that learns a task."""
+    """Return the first algorithm that supports a task."""
     made = find_task(task)
     return next(name for name, each in ALGORITHMS.items() if each.serves(made))
 

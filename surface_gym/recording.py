@@ -376,7 +376,7 @@ def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
     return np.cumsum(np.cumsum(change, axis=0), axis=0) * np.array(units)
 
 
-class _Reader:
+class _RecordingReader:
     """Bytes of a recording, taken one part after the other."""
 
     def __init__(self, content: bytes) -> None:
@@ -405,7 +405,7 @@ def _decode(packed: bytes) -> Recording:
         raise ValueError(f"it must unpack to at most {most} bytes, got more")
     if not unpacker.eof:
         raise ValueError("it is cut short")
-    reader = _Reader(content)
+    reader = _RecordingReader(content)
     size = int.from_bytes(reader.take(4).tobytes(), "little")
     if size > MOST_HEADER:
         raise ValueError(f"its header must have at most {MOST_HEADER} bytes, got {size}")

@@ -20,20 +20,22 @@ if TYPE_CHECKING:
 TASK_NAMES = tuple(SHIPPED)
 EXIT_NAMES = ("sides", "chutes")
 OUT = Path("runs/evaluation")
-SETTINGS = "settings.json"  # with which the results of a folder were computed
+SETTINGS = "settings.json"  # settings of the results in a folder
 INTERRUPTED = 130  # exit code after Ctrl-C
 QUICK_NOTE = "Quick: few starts, streams, levels and seeds, which say little of who is better."
 
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """Compare fixed layouts, rules, a planner and the shipped agents on every task; and zones,
-    columns and modules, each with its scheduler, on streams of parcels.
+    """Compare fixed layouts, rules, planners and shipped agents on every task.
+
+    On streams, zones, columns and modules are compared, each with its scheduler.
     """
 
     out: Path = OUT
     """Folder for results.csv, tables, plots, videos and report.html; "-quick" is added for a quick
-    comparison unless another is given."""
+    comparison unless another is given.
+    """
     tasks: tuple[str, ...] = TASK_NAMES
     """Tasks to compare on; "flow" is of streams of parcels; "singulate", "merge" and "sequence" of
     streams on a slope.
@@ -89,7 +91,7 @@ class EvaluateConfig:
 
 
 def evaluate(config: EvaluateConfig, console: "Console") -> None:
-    """Compare, and leave a folder with results, tables, plots, videos and a page."""
+    """Run the comparison, and write results, tables, plots, videos and a page to a folder."""
     from ..library import task_files
 
     workers = parallel.choose_workers(config.cluster, config.workers, task_files(config.task))
@@ -119,7 +121,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
 
 def make_selection(config: EvaluateConfig) -> "Selection":
-    """Choose what a command asks for."""
+    """Return the selection of a command."""
     from .method import find_benchmark
     from .report import Selection
     from .scenario import QUICK, WHOLE
@@ -132,7 +134,7 @@ def make_selection(config: EvaluateConfig) -> "Selection":
 
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
-    """Make the folder, or raise a ValueError where it has other results, or the same already."""
+    """Make the folder, or raise a ValueError if it already has results."""
     from .results import FILE, KEY, read_results
 
     settings = {"quick": config.quick, "starts": config.starts}
@@ -155,7 +157,7 @@ def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compare; an error ends it with one line."""
+    """Run the command; an error prints one line."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not {"-h", "--help"} & set(given):
         print("loading what compares", flush=True)

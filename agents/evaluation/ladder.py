@@ -1,7 +1,6 @@
 """The ladder of hardware that sorts streams, and other controllers of its modules.
 
-Each rung has actuators that turn more or fewer modules together, and the scheduler that serves the
-rung best.
+The rungs differ in the number of modules per actuator. Each rung has its best scheduler.
 """
 
 import math
@@ -29,7 +28,7 @@ from ..scheduling.scheduler import CLEARANCES, Scheduler, find_plain, make_sched
 from .method import METHODS, Method, shipped
 
 TASK = Flow().name
-# Rungs, by what turns together.
+# Rungs, named by the modules that turn together.
 ARRANGED = "zone, arranged anew"
 FOLLOWED = "zone, same exit follows"
 SERIES = "zones in series"
@@ -42,24 +41,25 @@ SIX_MODULES = "modules, six angles"
 EVENT = "event rule"
 EACH = "sort-ppo for each"
 LEARNED = "flow-schedule"
-SCHEDULER = "scheduler"  # where no agent trained
+SCHEDULER = "scheduler"  # for streams without trained agents
 
-# Pairs of rungs: what the first has over the second.
+# Pairs of rungs whose difference is shown.
 STEPS = (
     (FOLLOWED, ARRANGED), (SERIES, FOLLOWED), (TRIPLES, SERIES), (COLUMNS, TRIPLES),
     (MODULES, COLUMNS),
     (SIX_COLUMNS, COLUMNS), (SIX_MODULES, MODULES), (SIX_MODULES, SIX_COLUMNS),
     (LEARNED, MODULES),
 )  # fmt: skip
-ZONES = (ARRANGED, FOLLOWED, SERIES)  # whose columns are chosen for each stream
-BOUNDED = (MODULES, SIX_MODULES)  # whose best known rate is shown
+ZONES = (ARRANGED, FOLLOWED, SERIES)  # rungs whose columns are chosen for each stream
+BOUNDED = (MODULES, SIX_MODULES)  # rungs with a shown best known rate
 ON_FILM = (ARRANGED, SERIES, COLUMNS, MODULES)
 
-SHORTEST = 4  # columns of a zone; fewer are nearly columns by themselves
-SHORTEST_OF_MANY = 5  # of zones in series: shorter ones are no zones, since a parcel is over two
-WIDEST = 20  # columns of a zone that is tried
-LONGER = 2  # columns by which a zone is tried longer than the best so far
-PREDICTED = 500  # parcels
+SHORTEST = 4  # minimum columns of a zone; fewer are almost single columns
+# minimum columns of zones in series; in shorter zones, a parcel is over two of them
+SHORTEST_OF_MANY = 5
+WIDEST = 20  # maximum columns of a zone
+LONGER = 2  # additional columns to try beyond the best zone
+PREDICTED = 500  # parcels of a prediction
 
 
 @METHODS.registered(TASK)
@@ -82,7 +82,7 @@ def ladder() -> list[Method]:
 
 
 def methods_of_unseen() -> list[Method]:
-    """List the methods on streams that no agent trained on."""
+    """List the methods for streams without trained agents."""
     scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
     return [scheduler, *_learned()]
 
@@ -113,8 +113,9 @@ def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Sch
 def _schedule_zones(
     shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
 ) -> Scheduler | None:
-    """Make the scheduler of the zones that are predicted to let most parcels in, by their columns;
-    None where none sort all.
+    """Make the scheduler of the zones with the highest predicted rate, by their columns.
+
+    Returns None if no zones sort all parcels.
     """
     rates: dict[ColumnGroups, float] = {}
     exact = replace(config, sensors=Exact(), randomisation=Randomisation())
@@ -134,9 +135,7 @@ def _schedule_zones(
 
 
 def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
-    """Make the scheduler of the surface as it should be, or of one whose axes turn at once,
-    whichever delivers more.
-    """
+    """Make the better of two schedulers: for the nominal surface, or for axes without delay."""
     whole = [make_model_library(config)]
     if config.actuators.stuck_share and math.isfinite(config.actuators.axis_speed):
         whole.append(make_model_library(config.replace(actuators=sg.Actuators())))
@@ -145,7 +144,7 @@ def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0
 
 
 def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
-    """Count actuators, and the columns and modules that one of them turns."""
+    """Return the number of actuators, and the columns and modules per actuator."""
     first_row, rows, first, obeying = config.site.zone
     grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
     lead = controller.library.lead if isinstance(controller, Scheduler) else None

@@ -1,4 +1,4 @@
-"""Methods that are compared: fixed layouts, rules, planners and agents, of any task."""
+"""Compared methods: fixed layouts, rules, planners and agents of any task."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -29,27 +29,29 @@ BEST_FIXED = "best fixed layout"
 ANY_ANGLE = "fixed layout, any angle"
 ROLL_ON = "roll on"
 BASELINE, RULE, AGENT, PLANNER = "baseline", "rule", "agent", "planner"  # kinds of methods
-PERIOD = 0.04  # [s] between decisions, usually
-SEARCH_STARTS = 40  # starts on which methods that search run
-PLANNED = 3  # streams that a planner plays
+PERIOD = 0.04  # [s] default time between decisions
+SEARCH_STARTS = 40  # number of starts for methods that search
+PLANNED = 3  # number of streams for planners
 AT_ONCE = {"time slots": 8}  # rules that are compared with so few parcels on the surface, too
 
 
 @dataclass(frozen=True)
 class Method:
-    """A controller of one task, in as many seeds as it was trained in."""
+    """A controller of one task, with one or several seeds."""
 
     name: str
     task: str
-    # for an environment and a seed, on streams with the touches per delivery that a trial allows;
-    # None where it cannot sort the parcels
+    # function from an environment and a seed, on streams also the allowed touches per delivery in a
+    # trial; returns None if it cannot sort the parcels
     make: Callable[..., Controller | None]
-    arguments: dict[str, Any] = field(default_factory=dict)  # of the environment it acts in
+    arguments: dict[str, Any] = field(default_factory=dict)  # arguments of its environment
     kind: str = RULE
     seeds: tuple[int, ...] = (0,)
-    most: int | None = None  # episodes, played one after the other; None: all at once
-    presets: tuple[str, ...] | None = None  # names; None: all
-    observed_task: Callable[[Task], Task] | None = None  # that shows it more; None: the benchmark's
+    # maximum number of episodes, run one after the other; None: all at once
+    most: int | None = None
+    presets: tuple[str, ...] | None = None  # names of presets; None: all
+    # task with a richer observation; None: the benchmark's
+    observed_task: Callable[[Task], Task] | None = None
 
     @property
     def control_period(self) -> float:
@@ -57,12 +59,12 @@ class Method:
         return float(self.arguments.get("control_period", PERIOD))
 
     def config(self, task: Task, preset: Preset) -> EnvConfig:
-        """Configure the environment of one parcel under a preset."""
+        """Return the configuration of one parcel's environment under a preset."""
         shown = task if self.observed_task is None else self.observed_task(task)
         return EnvConfig(task=shown, preset=preset, **self.arguments)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
-        """Make the controller of a seed for an environment; None where it cannot sort."""
+        """Make the controller of a seed for an environment; None if it cannot sort."""
         if most_touches:
             return self.make(config, seed, most_touches)
         return self.make(config, seed)
@@ -71,19 +73,19 @@ class Method:
         return replace(self, presets=presets)
 
 
-# Functions that list the methods of a task, where these are more than its rules and agents.
+# Functions that list the methods of tasks with more than rules and agents.
 METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.ladder")
 
 
 @lru_cache(maxsize=32)
 def find_benchmark(task: str) -> Benchmark | StreamBenchmark:
-    """Find the benchmark of a task, the package's or the user's own."""
+    """Return the benchmark of a task of the package or of the user."""
     found: Any = TASKS[task]() if task in TASKS else library.find_task(task)
     return found.benchmark()
 
 
 def start_benchmark(task: str) -> Benchmark:
-    """Find the benchmark of a task of one parcel."""
+    """Return the benchmark of a task of one parcel."""
     found = find_benchmark(task)
     if not isinstance(found, Benchmark):
         raise ValueError(f"task must be one of a single parcel, got {task!r}")
@@ -91,7 +93,7 @@ def start_benchmark(task: str) -> Benchmark:
 
 
 def stream_benchmark(task: str) -> StreamBenchmark:
-    """Find the benchmark of a task on streams."""
+    """Return the benchmark of a task on streams."""
     found = find_benchmark(task)
     if not isinstance(found, StreamBenchmark):
         raise ValueError(f"task must be one on streams of parcels, got {task!r}")
@@ -99,19 +101,19 @@ def stream_benchmark(task: str) -> StreamBenchmark:
 
 
 def is_on_streams(task: str) -> bool:
-    """Return whether a task is one on streams of parcels."""
+    """Return whether a task is on streams of parcels."""
     return isinstance(find_benchmark(task), StreamBenchmark)
 
 
 def all_methods(task: str) -> list[Method]:
-    """List every method of a task, those that know most last."""
+    """List every method of a task, methods with the most information last."""
     if task in METHODS:
         return METHODS[task]()
     return [*rules(task), *shipped(task), *planner(task)]
 
 
 def rules(task: str) -> list[Method]:
-    """List methods that neither learn nor plan; the fixed layout first, then the best of such."""
+    """List methods without learning and planning; the fixed layouts come first."""
     kind = library.task_kind(task)
     if is_on_streams(task):
         own = [_of_rule(each, task) for each in RULES.values() if each.task == kind]
@@ -132,10 +134,10 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List the planner: the near-optimum, slow, so on fewer episodes and by exact sensors only.
+    """List the planner: near-optimal but slow, so with fewer episodes and exact sensors only.
 
-    On streams it varies the last rule of a task, and there is none without a rule. A user's task of
-    one parcel has none.
+    On streams, it varies the last rule of a task; without rules, there is no planner. Custom tasks
+    of one parcel have no planner.
     """
     planned = Method(PLANNER, task, _planned, {"actions": "halves"}, PLANNER, most=SEARCH_STARTS)
     if not is_on_streams(task):
@@ -152,7 +154,7 @@ def planner(task: str) -> list[Method]:
 
 
 def shipped(task: str) -> list[Method]:
-    """List the package's agents of a task, such as "slow-ppo"; "slow-ppo-lab" is for a preset."""
+    """List the shipped agents of a task, e.g. "slow-ppo"; "slow-ppo-lab" is for a preset."""
     found, algorithms = [], list(library.ALGORITHMS)
     for name in library.names():
         of_task, algo, *preset = name.split("-")
@@ -164,7 +166,7 @@ def shipped(task: str) -> list[Method]:
 
 
 def of_runs(task: str, folder: Path) -> list[Method]:
-    """Find the policies of a task that runs left below `folder`, the latest of each kind."""
+    """Find the latest policies of each kind for a task in runs below `folder`."""
     latest: dict[str, Method] = {}
     for config in sorted(folder.glob(f"*/{CONFIG}"), key=lambda file: file.stat().st_mtime):
         run = config.parent
@@ -176,7 +178,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 
 
 def of_run(run: Path, task: str | None = None) -> Method:
-    """Find the policies that a run left, named by the preset they were trained for."""
+    """Return the policies of a run, named by the preset of their training."""
     agent = trained(policy_folders(run), task)
     config = run / CONFIG
     preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
@@ -184,14 +186,14 @@ def of_run(run: Path, task: str | None = None) -> Method:
 
 
 def policy_folders(run: Path) -> dict[int, Path]:
-    """Find the folders of a run's policies by seed; a single policy is in the run's own."""
+    """Return the folders of a run's policies by seed; a single policy is in the run's folder."""
     named = {each: each.name.removeprefix("seed-") for each in run.glob("seed-*")}
     found = {int(seed): each for each, seed in named.items() if re.fullmatch("[0-9]{1,18}", seed)}
     return dict(sorted(found.items())) or {0: run}
 
 
 def trained(folders: dict[int, Path], task: str | None = None) -> Method:
-    """Read the policies that a run left, a folder for each seed."""
+    """Read the policies of a run, from one folder per seed."""
     files = {seed: library.read_files(folder) for seed, folder in folders.items()}
     card = _read_card(next(iter(files.values())))
     return Method(
@@ -211,8 +213,9 @@ def _read_card(files: library.PolicyFiles) -> library.PolicyCard:
 
 
 def rivals(methods: Iterable[Method]) -> list[Method]:
-    """Pick two methods of a task for pictures: the fixed layout, or the last rule of streams, and
-    PPO, or else the last other method.
+    """Select two methods of a task for pictures: a baseline, and PPO or the last method.
+
+    The baseline is the fixed layout, or the last rule on streams.
     """
     several = [each for each in methods if each.kind != PLANNER]
     first = [each for each in several if each.name == FIXED]
@@ -224,7 +227,7 @@ def rivals(methods: Iterable[Method]) -> list[Method]:
 
 
 class RollOn:
-    """Let every parcel of a stream roll, whatever it does."""
+    """Controller that lets every parcel of a stream roll."""
 
     def __init__(self, config: EnvConfig, _seed: int = 0) -> None:
         self._size = config.action_kind.size
@@ -234,7 +237,7 @@ class RollOn:
         self, observation: Any, state: Any = None, episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:  # fmt: skip
-        """Choose 90 deg for every parcel; see `Controller`."""
+        """Return 90 deg for every parcel; see `Controller`."""
         del state, episode_start, deterministic
         return np.full((*np.shape(observation)[:-2], self._size), self._choice), None
 
@@ -270,7 +273,7 @@ def _read(
     files: dict[int, library.PolicyFiles], task: str | None, config: EnvConfig, seed: int,
     most_touches: float = 0.0,
 ) -> Controller:  # fmt: skip
-    """Build the policy of a seed; fit one whose weights all modules share to the zone."""
+    """Build the policy of a seed; policies shared by modules are fitted to the zone."""
     own = None if task is None or task in TASKS else library.find_task(task)
     shown = config if config.task.is_stream else None
     policy: Any = library.from_files(files[seed], own, shown, most_touches)

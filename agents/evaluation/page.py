@@ -1,4 +1,4 @@
-"""The page of a comparison: one file that holds its tables, pictures and videos."""
+"""The page of a comparison: one file with tables, pictures and videos."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -13,12 +13,12 @@ from surface_gym.tasks.benchmark import Column
 
 from .tables import Table
 
-Pictures = list[tuple[Path, str]]  # files, and what each shows
+Pictures = list[tuple[Path, str]]  # files with captions
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a table, pictures and videos, and columns whose meaning is explained."""
+    """A section of the page: a table, pictures and videos, and explanations of columns."""
 
     table: Table
     pictures: Pictures
@@ -73,7 +73,7 @@ $sections
 
 
 def write_page(sections: Sequence[Section], file: Path, note: str = "") -> None:
-    """Write the page, which holds its pictures and videos and needs nothing else."""
+    """Write the self-contained page with its pictures and videos."""
     text = _PAGE.substitute(
         contents="".join(
             f'<a href="#{escape(each.table.title)}">{escape(each.table.heading)}</a>'

@@ -1,4 +1,4 @@
-"""Plots of the comparison: success, errors, times, trajectories, capacities and the sweep."""
+"""Plots of the comparison: success, errors, times, trajectories, capacities and robustness."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -27,25 +27,25 @@ from .scenario import STARTS
 from .stream_views import BEST, CANNOT, ENTRANCE, Capacities
 from .views import Sweep, level_text
 
-DOTS = 150  # to the inch
+DOTS = 150  # dots per inch
 LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
-# Colours that the colour-blind tell apart, of Okabe and Ito.
+# Okabe and Ito's colours, safe for colour-blind readers.
 BLUE, ORANGE, GREEN, RED, PINK, SKY = (
     "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9",
 )  # fmt: skip
 PALETTE = (BLUE, ORANGE, GREEN, PINK, INK, SKY, RED, "#999999", "#882255", "#a5a12c")
-SHOWN_SPEEDS = {  # [m/s] one trajectory each, by colour
+SHOWN_SPEEDS = {  # [m/s] speeds of trajectories, with colours
     0.4: "#440154", 0.6: "#3b528b", 0.8: "#21918c", 1.2: "#5ec962", 2.0: "#c9a227",
 }  # fmt: skip
 
 
 def choose_colours(names: Iterable[str]) -> dict[str, str]:
-    """Choose a colour for each name; the first of them differ most."""
+    """Choose a colour for each name; the first colours differ most."""
     return dict(zip(names, cycle(PALETTE), strict=False))
 
 
 def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
-    """Write a figure with a legend at its right; `legend` says whose lines, if not everyone's."""
+    """Write a figure with a legend on its right; `legend` selects the panel of its lines."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
     handles: Sequence[Any] = () if legend is None else legend.get_legend_handles_labels()
@@ -54,7 +54,7 @@ def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None)
 
 
 def draw_success(task: str, results: Results, file: Path) -> None:
-    """Draw success rates by preset with their 95 % intervals, a bar for each method."""
+    """Draw success rates by preset with 95 % intervals, one bar per method."""
     names = results.methods(task, STARTS)
     colours = choose_colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
@@ -77,7 +77,7 @@ def draw_success(task: str, results: Results, file: Path) -> None:
 
 
 def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> None:
-    """Draw the share of starts by the size of their error, exact sensors."""
+    """Draw the share of starts by size of the error, with exact sensors."""
     samples = {key[3]: each for key, each in results.among(task, STARTS) if key[2] == "exact"}
     colours = choose_colours(samples)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
@@ -100,9 +100,9 @@ def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> No
 
 
 def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None:
-    """Draw the time of success by entry speed, the slower side of the first seed.
+    """Draw the time of success over entry speed, for the slower side of the first seed.
 
-    A line has gaps where the method fails; methods that did not run on all starts have none.
+    Lines have gaps where the method fails. Methods without results for all starts have no line.
     """
     count = math.prod(grid.shape)
     whole = {
@@ -125,7 +125,7 @@ def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
-    """Draw trajectories to y > 0 by entry speed: a row a method, a column a parcel."""
+    """Draw trajectories to y > 0 by entry speed: one row per method, one column per parcel."""
     figure = Figure(figsize=(12.0, 3.4 * len(runs)), layout="constrained")
     panels = figure.subplots(len(runs), len(PARCELS), sharex=True, sharey=True, squeeze=False)
     for row, (name, episodes) in zip(panels, runs.items(), strict=True):
@@ -146,7 +146,7 @@ def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) ->
 
 
 def _draw_line(panel: Axes, parcel: str) -> None:
-    """Draw rotors, supports and the zone that obeys."""
+    """Draw rotors, supports and the obeying zone."""
     line = sg.lines.Line()
     rotor, (_, rows, first, columns) = line.site(sg.layouts.box(parcel).base)
     row, column = np.mgrid[: line.rows, : line.columns]
@@ -176,7 +176,7 @@ def _draw_path(
 
 
 def draw_capacities(found: Capacities, file: Path) -> None:
-    """Draw the capacities on all streams: a bar for each method, the bounds above them."""
+    """Draw the capacities on all streams: one bar per method, with bounds."""
     colours = choose_colours(found.names)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
@@ -211,25 +211,25 @@ def draw_capacities(found: Capacities, file: Path) -> None:
     _save(figure, file, panel)
 
 
-# The picture of the sweep has a column for each task and a line for each method. Factors are rows,
-# so that it is as wide as a page and can be read there.
-WIDTH, HEIGHT = 2.0, 1.35  # [inch] of a panel
-NARROWEST = 9.0  # [inch] of the picture, which the legend needs
+# The figure of robustness has one column per task and one line per method. Factors are rows, so
+# that it fits the width of a page.
+WIDTH, HEIGHT = 2.0, 1.35  # [inch] size of a panel
+NARROWEST = 9.0  # [inch] minimum width of the figure, for its legend
 IN_LAB = ("all", "square", "rect.", "disc", "poly.")
 ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
-OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one for each task
+OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one per task
 
 
 @dataclass(frozen=True)
 class Style:
     """The line of a method."""
 
-    label: str  # in the legend; several may share one
+    label: str  # label in the legend; may be shared
     colour: str
     dashes: Literal["-", "--", "-.", ":", "None"] = "-"
     width: float = 1.6  # [pt]
-    marker: str = "o"  # where levels are names
-    above: int = 2  # what lies below it
+    marker: str = "o"  # marker for levels that are names
+    above: int = 2  # drawing order
 
 
 STYLES = {
@@ -244,7 +244,7 @@ STYLES = {
 
 
 def find_style(name: str) -> Style:
-    """Find the line of a method; an agent for a preset stands out in its algorithm's colour."""
+    """Return the line style of a method; agents for a preset vary their algorithm's colour."""
     algorithm, comma, preset = name.partition(", ")
     if comma and algorithm in ALGORITHMS:
         label = f"{algorithm}, trained for the {preset}"
@@ -253,7 +253,7 @@ def find_style(name: str) -> Style:
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
-    """Draw success against each factor."""
+    """Draw success over each factor."""
     factors = [factor for factor in FACTORS.values() if factor.name != TRAINED]
     sweeps = [Sweep(task, results) for task in tasks]
     figure = Figure(
@@ -283,7 +283,7 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
 
 
 def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
-    """Draw success at each level; where levels are names, points beside each other."""
+    """Draw success at each level, with points side by side for levels that are names."""
     names = sweep.methods
     drawn = False
     for place, name in enumerate(names):

@@ -54,22 +54,22 @@ from .tables import Table, write_markdown
 from .video import Player, play, write_comparison
 
 NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
-LENGTH = 20.0  # [s] of the video of a stream
-SHOWN_AT = 12.0  # [s] since the start of a stream, of the picture
-TABLE = "table.md"  # of a run
-COMPARED = ("exact", "camera", "lab")  # presets under which a run's policies are compared
+LENGTH = 20.0  # [s] duration of the video of a stream
+SHOWN_AT = 12.0  # [s] time of the picture of a stream
+TABLE = "table.md"  # table of a run
+COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
 SWEEP_TITLE = "# Robustness\n\nSuccess where one thing at a time differs from training.\n\n"
 
-Advance = Callable[[str], None]  # what is under way
+Advance = Callable[[str], None]  # called with the current part
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What a comparison is of."""
+    """Selection of tasks and results for a comparison."""
 
     tasks: tuple[str, ...]
-    groups: tuple[str, ...] = ()  # of offered streams; none: the first of each task
-    runs: Path | None = None  # folder of runs whose policies are compared, too
+    groups: tuple[str, ...] = ()  # groups of offered streams; empty: the first of each task
+    runs: Path | None = None  # folder of runs with additional policies
     extent: Extent = WHOLE
 
     def methods(self, task: str) -> list[Method]:
@@ -80,7 +80,7 @@ class Selection:
         return [*known, *(each for each in found if each.name not in names)]
 
     def jobs(self) -> list[ScenarioJob]:
-        """List what the comparison computes, streams first."""
+        """List the jobs of the comparison, streams first."""
         jobs = []
         for task in sorted(self.tasks, key=lambda each: not is_on_streams(each)):
             if is_on_streams(task):
@@ -91,7 +91,9 @@ class Selection:
         return jobs
 
     def sweep_jobs(self) -> list[ScenarioJob]:
-        """List what the sweep computes: one factor at a time, and streams that no agent knows."""
+        """List the jobs of the robustness study: single factors, and streams without trained
+        agents.
+        """
         jobs = []
         for task in self.tasks:
             if is_on_streams(task):
@@ -105,10 +107,10 @@ def write_report(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, advance: Advance,
     note: str = "",
 ) -> None:  # fmt: skip
-    """Write everything of a comparison into a folder, and show its tables.
+    """Write a comparison to a folder, and print its tables.
 
     Args:
-        note: what readers must know of the whole.
+        note: remark for readers of the whole page.
     """
     results = Results(table)
     sections, numbers = [], []
@@ -141,7 +143,7 @@ def write_report(
 def write_sweep(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
 ) -> None:
-    """Write the tables, numbers and the picture of a sweep into a folder, and show the tables."""
+    """Write tables, numbers and the figure of robustness to a folder, and print the tables."""
     results, numbers = Results(table), []
     single = [task for task in selection.tasks if not is_on_streams(task)]
     tables, unseen = [], []
@@ -164,7 +166,7 @@ def write_sweep(
 
 
 def write_numbers(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """Write rows of numbers as CSV; what is not finite stays empty."""
+    """Write rows of numbers as CSV; numbers that are not finite stay empty."""
     table = pd.DataFrame(rows).replace([np.inf, -np.inf], np.nan)
     with replacing(file) as part:
         table.to_csv(part, index=False)
@@ -199,7 +201,7 @@ def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder:
 
 
 def write_trajectories(methods: Sequence[Method], file: Path) -> bool:
-    """Draw where parcels go by entry speed, of a task whose starts are a grid; say whether."""
+    """Draw trajectories by entry speed for tasks with a grid of starts; return whether drawn."""
     grid = start_benchmark(methods[0].task).grid
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)
@@ -209,7 +211,7 @@ def write_trajectories(methods: Sequence[Method], file: Path) -> bool:
 
 
 def start_player(method: Method, rng: np.random.Generator) -> Player:
-    """Put the first seed of a method on the start of its task that is filmed."""
+    """Return a player of a method's first seed on its task's example start."""
     compared = start_benchmark(method.task)
     config = method.config(compared.task, PRESETS["exact"])
     controller = method.controller(config, method.seeds[0])
@@ -217,7 +219,7 @@ def start_player(method: Method, rng: np.random.Generator) -> Player:
 
 
 def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
-    """Film methods of a task side by side, the first seed of each; return file and caption."""
+    """Record the first seeds of a task's methods side by side; return file and caption."""
     task = methods[0].task
     players = [start_player(method, np_random(SEED)[0]) for method in methods]
     file = folder / f"{library.task_label(task)}.mp4"
@@ -229,7 +231,7 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
 
 
 def filmed_scenario(task: str, preset: str = "exact", group: str | None = None) -> StreamScenario:
-    """Find the stream of a task that is filmed."""
+    """Return the example stream of a task."""
     benchmark = stream_benchmark(task)
     offers = [each for each in benchmark.offers if group in (None, each.group)]
     named = [each for each in offers if each.name == benchmark.filmed]
@@ -237,7 +239,7 @@ def filmed_scenario(task: str, preset: str = "exact", group: str | None = None) 
 
 
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
-    """Put a method on the first replication of a stream, at a rate [parcels/h]."""
+    """Return a player of a method on the first replication of a stream, at a rate [parcels/h]."""
     config = scenario.config(method, rate)
     controller = method.controller(config, method.seeds[0])
     if controller is None:
@@ -246,7 +248,7 @@ def stream_player(method: Method, scenario: StreamScenario, rate: float | None =
 
 
 def stream_picture(player: Player) -> np.ndarray:
-    """Draw a stream in its midst."""
+    """Draw a stream in mid-course."""
     at = round(
         min(SHOWN_AT, 0.5 * player.config.stream_task.duration) / player.config.control_period
     )
@@ -284,7 +286,7 @@ def _draw_streams(task: str, methods: Sequence[Method], results: Results, folder
 def _film(
     methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
 ) -> Pictures:
-    """Film methods side by side, and draw the last of them."""
+    """Record methods side by side, and draw the last one."""
     picture, video = file.with_suffix(".png"), file.with_suffix(".mp4")
     players = [stream_player(each, scenario, rate) for each in methods]
     write_comparison(players, video, LENGTH)
@@ -296,10 +298,10 @@ def _film(
 def evaluate_run(
     run: Path, task: str | None, workers: Workers, console: Console
 ) -> dict[str, dict[str, Any]]:
-    """Compare the policies of a run with the fixed layout, of streams with scheduler or rules.
+    """Compare the policies of a run with the fixed layout, or on streams with scheduler and rules.
 
-    table.md, the trajectories of Sort and a video go into the run's folder, the same byte for byte
-    each time.
+    Writes table.md, the trajectories of Sort and a video to the run's folder. Repeated runs give
+    the same bytes.
     """
     agent = of_run(run, task)
     if is_on_streams(agent.task):

@@ -1,4 +1,4 @@
-"""The table of results: a row for each method, seed, scenario and episode, and samples of it."""
+"""The table of results: one row per method, seed, scenario and episode; and its samples."""
 
 import io
 import math
@@ -19,10 +19,10 @@ from ..base import Booleans, Numbers
 
 CONFIDENCE = 0.95
 FILE = "results.csv"
-KEY = ("task", "scenario", "preset", "method", "seed")  # of a job
+KEY = ("task", "scenario", "preset", "method", "seed")  # key of a job
 TEXTS = ("task", "scenario", "preset", "method", "kind", "shape")  # all other columns are numbers
 
-# Numbers are read to the bit: by default from pandas 3.1 on.
+# Numbers are read exactly, which is the default from pandas 3.1.
 _VERSION = tuple(map(int, pd.__version__.split(".")[:2]))
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if _VERSION < (3, 1) else {}
 
@@ -32,12 +32,12 @@ Key = tuple[Any, ...]
 def interval(success: Booleans) -> tuple[float, float]:
     """Compute the 95 % interval of a success rate over seeds and starts.
 
-    It is Wilson's interval. Its number of trials is the number of independent starts that would
-    spread the mean as the seeds and the starts together do: a seed that fails everywhere must not
+    It is Wilson's interval for an effective number of independent starts. This number gives the
+    same variance of the mean as seeds and starts together, so a seed that fails everywhere does not
     count as many starts.
 
     Args:
-        success: (seeds, starts) the same starts for every seed.
+        success: (seeds, starts), with the same starts for every seed.
     """
     seeds, starts = success.shape
     share = float(success.mean())
@@ -49,7 +49,7 @@ def interval(success: Booleans) -> tuple[float, float]:
 
 
 def wilson(share: float, count: float) -> tuple[float, float]:
-    """Compute Wilson's score interval of a share of `count` trials, which need not be whole."""
+    """Compute Wilson's score interval of a share of `count` trials (possibly fractional)."""
     z = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
     centre = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
     half = z * np.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count**2))
@@ -58,7 +58,7 @@ def wilson(share: float, count: float) -> tuple[float, float]:
 
 
 def half_interval(values: Numbers) -> float:
-    """Compute half of Student's 95 % interval of a mean of independent values; nan of one."""
+    """Compute half of Student's 95 % interval of a mean of values; NaN for one value."""
     count = len(values)
     if count < 2:
         return math.nan
@@ -67,7 +67,7 @@ def half_interval(values: Numbers) -> float:
 
 
 def is_ahead(difference: Numbers) -> bool:
-    """Return whether paired differences are positive beyond their interval."""
+    """Return whether paired differences are significantly positive (95 % confidence)."""
     return bool(difference.mean() > half_interval(difference))
 
 
@@ -87,17 +87,17 @@ class Sample:
 
     @property
     def kind(self) -> str:
-        """The kind of method."""
+        """Kind of the method."""
         return str(self.rows["kind"].iloc[0])
 
     def values(self, name: str) -> Numbers:
-        """Return a column; nan where nothing was measured."""
+        """Return a column; NaN without measurement."""
         if name not in self.rows:
             return np.full((len(self.seeds), len(self.rows) // len(self.seeds)), np.nan)
         return self.rows[name].to_numpy(dtype=np.float64).reshape(len(self.seeds), -1)
 
     def constant(self, name: str) -> float:
-        """Return the value that all episodes share."""
+        """Return the value common to all episodes."""
         return float(self.values(name)[0, 0])
 
     # Results of starts; see `surface_gym.tasks.benchmark.Runs`.
@@ -115,39 +115,39 @@ class Sample:
 
     @property
     def rate(self) -> float:
-        """[-] of success."""
+        """[-] success rate."""
         return float(self.success.mean())
 
     @property
     def interval(self) -> tuple[float, float]:
-        """[-] 95 % of the success rate."""
+        """[-] 95 % interval of the success rate."""
         return interval(self.success)
 
     @property
     def decision_time(self) -> float:
-        """[s] of one environment's decision, mean of the seeds."""
+        """[s] time of one environment's decision, mean over seeds."""
         return float(np.mean(self.values("decision_time")[:, 0]))
 
     # Results of streams.
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the method sustains any rate at all."""
+        """Whether the method sustains any rate."""
         return bool(np.isfinite(self.values("correct")).all())
 
     @cached_property
     def of_seeds(self) -> Numbers:
-        """(seeds, replications) [parcels/h] delivered right."""
+        """(seeds, replications) [parcels/h] rate of correct deliveries."""
         return HOUR * self.values("correct") / self.values("counted")
 
     @cached_property
     def rates(self) -> Numbers:
-        """(replications,) [parcels/h] delivered right, mean of the seeds."""
+        """(replications,) [parcels/h] rate of correct deliveries, mean over seeds."""
         return np.asarray(self.of_seeds.mean(axis=0))
 
     @property
     def throughput(self) -> float:
-        """[parcels/h] delivered right; 0 where no rate is sustained."""
+        """[parcels/h] rate of correct deliveries; 0 if no rate is sustained."""
         return float(self.rates.mean()) if self.is_sustained else 0.0
 
     @property
@@ -157,7 +157,7 @@ class Sample:
 
     @property
     def share_correct(self) -> float:
-        """[-] of deliveries; 0 where there were none."""
+        """[-] share of correct deliveries; 0 without deliveries."""
         return float(self.values("correct").sum() / max(1.0, self.values("delivered").sum()))
 
     @property
@@ -167,18 +167,18 @@ class Sample:
 
     @property
     def turns(self) -> float:
-        """[-] of modules' axes per parcel that left right, of whole episodes."""
+        """[-] turns of axes per correct delivery, over whole episodes."""
         return float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
 
     @property
     def touches(self) -> float:
-        """Times that two parcels began to touch among those that left."""
+        """Number of touches among departed parcels."""
         touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
         return float(np.where(np.isfinite(touches), touches, 0.0).sum())
 
     @property
     def waiting(self) -> float:
-        """[s] at the entry, mean over replications."""
+        """[s] waiting time at the entry, mean over replications."""
         waits = self.values("waiting_mean")
         return float(np.where(np.isfinite(waits), waits, 0.0).mean())
 
@@ -202,25 +202,25 @@ class Results:
         self.samples: dict[Key, Sample] = {key: Sample(rows) for key, rows in groups}
 
     def find(self, task: str, scenario: str, preset: str, method: str) -> Sample | None:
-        """Return the sample of a method; None where it did not run."""
+        """Return the sample of a method; None if it did not run."""
         return self.samples.get((task, scenario, preset, method))
 
     def among(self, task: str, scenario: str | None = None) -> Iterator[tuple[Key, Sample]]:
-        """Yield the samples of a task, of one scenario or of all, by their keys."""
+        """Yield keys and samples of a task, for one scenario or all."""
         for key, sample in self.samples.items():
             if key[0] == task and scenario in (None, key[1]):
                 yield key, sample
 
     def methods(self, task: str, scenario: str | None = None) -> list[str]:
-        """List the methods that ran on a task, in their order."""
+        """List the methods that ran on a task, in order."""
         return list(dict.fromkeys(key[3] for key, _ in self.among(task, scenario)))
 
 
 def read_results(file: Path) -> pd.DataFrame:
-    """Read the rows kept in a file; a last line that was broken off is left out.
+    """Read the rows of a file; an incomplete last line is left out.
 
     Raises:
-        ValueError: the file holds something else.
+        ValueError: the file holds no results.
     """
     try:
         text = file.read_bytes()
@@ -249,7 +249,7 @@ def read_results(file: Path) -> pd.DataFrame:
 
 
 def _check_numbers(table: pd.DataFrame) -> None:
-    """Raise a ValueError where a number is infinite, or a seed negative."""
+    """Raise a ValueError for infinite numbers and negative seeds."""
     for name in (each for each in table if each not in TEXTS):
         values = table[name].to_numpy(dtype=np.float64)
         wrong = np.flatnonzero(np.isinf(values) | ((values < 0.0) & (name == "seed")))
@@ -267,7 +267,7 @@ def write_results(table: pd.DataFrame, file: Path) -> None:
 
 
 def make_rows(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
-    """Make rows of the table, numbers as the file holds them."""
+    """Make rows of the table, with numbers as in the file."""
     table = pd.DataFrame(rows)
     numbers = [name for name in table if name not in (*TEXTS, "seed", "episode")]
     return table.astype(dict.fromkeys(numbers, np.float64))

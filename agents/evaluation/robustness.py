@@ -1,4 +1,4 @@
-"""The sweep of robustness: scenarios in which one thing at a time differs from training."""
+"""The robustness study: scenarios in which one factor at a time differs from training."""
 
 import math
 from collections.abc import Callable
@@ -19,17 +19,17 @@ from ..rollout import run_episodes, run_sequentially
 from .method import ANY_ANGLE, BEST_FIXED, PLANNER, Method, start_benchmark
 from .scenario import SEED, WHOLE, Extent, Row, Scenario, drawn_parcels
 
-# Made for one parcel or zone, or a search for each start.
+# Methods for one parcel or zone, or with a search per start.
 LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
-# Methods that look far ahead run on a quarter of the starts, the planner on a sixth.
+# Methods with a long look-ahead use a quarter of the starts, the planner a sixth.
 FEWER = {"turning rule": 4, "sliding mode": 4, PLANNER: 6}
 EXACT = PRESETS["exact"]
 TRAINED, LAB = "trained", "lab"
-# The planner sees the true state of a start, and so shows what can be reached; it runs on these
-# factors, at the levels that are shown.
+# The planner sees the true state of a start, so it shows the reachable success. It runs on these
+# factors, at the displayed levels.
 PLANNED = (TRAINED, "square", LAB)
-FOLLOWED = 32  # environments that it follows at a time at most
-DIRECTIONS = 16  # evenly around, that a load lies in off centre
+FOLLOWED = 32  # maximum environments of the planner at a time
+DIRECTIONS = 16  # number of evenly spaced directions of an off-centre load
 SENSORS = {
     "exact": sg.sensors.Exact(),
     "camera": sg.sensors.Camera(),
@@ -42,20 +42,20 @@ Level = float | int | str
 
 @dataclass(frozen=True)
 class Change:
-    """Differences from a method's own environment; by default none."""
+    """Differences from a method's own environment; none by default."""
 
     preset: Preset = EXACT  # sensors, randomisation, actuators and parcels
-    control_period: float | None = None  # [s] between decisions; None: the method's own
-    # Of the line that obey; None: its own. An episode may last the longer where there are more.
+    control_period: float | None = None  # [s] between decisions; None: the method's
+    # Obeying columns of the line; None: the line's. With more columns, episodes may last longer.
     zone_columns: int | None = None
     drag: float = 1.0  # [-] factor of mu_max, unknown to every controller
-    rolling: float = 1.0  # [-] factor of mu_min and of mu_support, likewise
-    offset: float = 0.0  # [m] from where parcels enter, to either side
-    turn: float = 0.0  # [rad] from how they enter, to the same side
+    rolling: float = 1.0  # [-] factor of mu_min and mu_support, unknown to every controller
+    offset: float = 0.0  # [m] lateral offset of the entry, to either side
+    turn: float = 0.0  # [rad] angle at the entry, to the same side
 
 
 class Situation(NamedTuple):
-    """An environment: as a controller assumes it, and as it is."""
+    """An environment: assumed by the controller, and true."""
 
     assumed: EnvConfig
     true: EnvConfig
@@ -82,17 +82,17 @@ def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation
 
 @dataclass(frozen=True)
 class Factor:
-    """One thing that is changed."""
+    """One changed factor."""
 
     name: str
-    label: str  # beside its panels
-    unit: str  # of its levels; "": they are names, or bare numbers
-    meaning: str  # in a sentence
+    label: str  # label of its panels
+    unit: str  # unit of its levels; "": names, or numbers without a unit
+    meaning: str  # explanation in a sentence
     levels: tuple[Level, ...]
-    change: Callable[[Any], Change]  # that a level makes
-    shown: tuple[Level, ...]  # those in the table
-    trained: Level | None = None  # the level that is as trained; None: there is none
-    of_lines: bool = False  # it is of tasks on a line alone
+    change: Callable[[Any], Change]  # function from a level to a change
+    shown: tuple[Level, ...]  # levels in the table
+    trained: Level | None = None  # level of the training; None: none
+    of_lines: bool = False  # whether it applies to tasks on a line only
 
     @property
     def swept(self) -> tuple[Level, ...]:
@@ -108,7 +108,7 @@ def _square(length: float) -> Change:
 
 
 def _load(centimetres: float) -> Change:
-    # Half of them S-boxes and half B-boxes, in the order in which the tasks draw those.
+    # Half S-boxes and half B-boxes, in the tasks' order of drawing.
     turns = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
     away = 0.01 * centimetres
     parcels = tuple(
@@ -170,7 +170,7 @@ FACTORS = {factor.name: factor for factor in _EACH}
 
 @dataclass(frozen=True)
 class ChangedScenario(Scenario):
-    """Drawn starts of a task, with one factor at one of its levels."""
+    """Random starts of a task, with one factor at one level."""
 
     factor: str
     level: Level
@@ -214,12 +214,12 @@ class ChangedScenario(Scenario):
 
 
 def scenario_name(factor: str, level: Level) -> str:
-    """Name a level of a factor; the level that is as trained is the same for every factor."""
+    """Return the name of a factor's level; the level of the training is common to all factors."""
     return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
 
 
 def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
-    """List the scenarios of the sweep of a task."""
+    """List the robustness scenarios of a task."""
     found: list[Scenario] = []
     for factor in FACTORS.values():
         levels = factor.shown[: extent.levels] if extent.levels else factor.levels
@@ -230,7 +230,7 @@ def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
 
 
 def name_shape(base: Base) -> str:
-    """Name the shape of a base of the lab."""
+    """Return the name of the shape of a base in the lab."""
     if isinstance(base, sg.Rectangle):
         return "square" if base.length == base.width else "rectangle"
     return "disc" if isinstance(base, sg.Disc) else "polygon"
@@ -238,7 +238,7 @@ def name_shape(base: Base) -> str:
 
 @lru_cache(maxsize=16)
 def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
-    """Name the shape of each start's parcel, as the lab draws it."""
+    """Return the name of the shape of each start's parcel in the lab."""
     config = EnvConfig(task=start_benchmark(task).task, preset=PRESETS[LAB])
     drawn = drawn_parcels(config, [{}] * starts, SEED)
     return tuple(name_shape(each.base) for each in drawn)

@@ -1,4 +1,4 @@
-"""The runner of the comparison: jobs in parallel, each kept as it ends, so that a run resumes."""
+"""The runner of the comparison: parallel jobs with stored results, so that runs resume."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,8 +16,8 @@ from .results import KEY, Key, make_rows, read_results, write_results
 from .robustness import FEWER
 from .scenario import ScenarioJob
 
-GRACE = 1.0  # [s] for which interrupted jobs may go on: their rows would be kept by nobody
-Advance = Callable[[int, int, str], None]  # how many are done, how many there are, the latest
+GRACE = 1.0  # [s] short, since rows of interrupted jobs are lost
+Advance = Callable[[int, int, str], None]  # called with finished jobs, all jobs, and the latest job
 
 
 def compute(
@@ -26,10 +26,10 @@ def compute(
     file: Path | None = None,
     advance: Advance = lambda *_: None,
 ) -> pd.DataFrame:
-    """Compute the results of jobs that are not kept yet; return the rows of all, in their order.
+    """Compute the missing results of jobs; return the rows of all jobs in order.
 
     Args:
-        file: where results are kept. A job whose rows are all there is not computed again.
+        file: file of results. Jobs with complete rows are not computed again.
     """
     known = {job.key: job for job in jobs}
     tables = {} if file is None else _read_whole(file, known)
@@ -51,13 +51,13 @@ def compute(
 
 
 def _place(job: ScenarioJob) -> tuple[bool, bool, bool]:
-    """Order jobs: the slowest first, to fill the cores."""
+    """Sort key of jobs: the slowest first, to use all cores."""
     slow = job.method.kind == PLANNER or job.method.most is not None
     return not slow, job.method.name not in FEWER, "gate" in job.method.arguments
 
 
 def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataFrame]:
-    """Read the results that are kept; a job that was broken off is left out, and computed again."""
+    """Read stored results; incomplete jobs are left out, and computed again."""
     tables = {}
     for key, rows in read_results(file).groupby(list(KEY), sort=False):
         if key not in known or len(rows) == known[key].episodes:
@@ -66,7 +66,7 @@ def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataF
 
 
 def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
-    """Write what is kept anew, so that a line that was broken off does not spoil the next."""
+    """Rewrite stored results, so that an incomplete last line does not corrupt the next one."""
     if not tables:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.unlink(missing_ok=True)
@@ -77,7 +77,7 @@ def _columns(file: Path, tables: dict[Key, pd.DataFrame]) -> list[str]:
 
 
 def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: Path) -> list[str]:
-    """Append the rows of a job to the file; where they have new columns, write it anew."""
+    """Append the rows of a job to the file; rewrite the file if there are new columns."""
     rows = tables[key]
     if set(rows.columns) <= set(columns):
         with file.open("a") as kept:
@@ -88,7 +88,7 @@ def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: P
 
 @contextmanager
 def show_progress(console: Console, title: str) -> Iterator[Advance]:
-    """Show a bar for work under way; what it yields moves the bar, and names the latest part."""
+    """Show a progress bar; yield a function that updates it with the latest part."""
     columns = (
         bars.TextColumn("{task.description}"),
         bars.BarColumn(),

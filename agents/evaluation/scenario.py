@@ -1,4 +1,4 @@
-"""Scenarios: conditions under which methods are compared, and the episodes played there."""
+"""Scenarios: conditions of the comparison, and their episodes."""
 
 import math
 import pickle
@@ -17,29 +17,29 @@ from ..rollout import Episodes, run_episodes, run_sequentially
 from .method import Method, find_benchmark, start_benchmark
 from .results import KEY, Key
 
-SEED = 20_261_121  # of every episode's draws
-STARTS = "starts"  # name of the scenario of a task of one parcel
+SEED = 20_261_121  # seed of every episode
+STARTS = "starts"  # scenario name of tasks of one parcel
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is compared."""
+    """Extent of a comparison."""
 
-    starts: int | None = None  # of a task of one parcel; None: all of its benchmark
-    level_starts: int = 240  # at each level of the sweep
-    seeds: int | None = None  # of a method at most; None: all
+    starts: int | None = None  # starts of a task of one parcel; None: all of its benchmark
+    level_starts: int = 240  # starts per level of robustness
+    seeds: int | None = None  # maximum seeds of a method; None: all
     replications: int | None = None  # of a stream; None: the benchmark's number
-    duration: float = math.inf  # [s] of a stream at most
-    offers: int | None = None  # streams of a task; None: all
-    levels: int | None = None  # of a factor of the sweep; None: all
-    searched: int | None = None  # starts of methods that search at most; None: their own
-    presets: tuple[str, ...] | None = None  # of streams; None: all
+    duration: float = math.inf  # [s] maximum duration of a stream
+    offers: int | None = None  # number of streams of a task; None: all
+    levels: int | None = None  # levels of a factor; None: all
+    searched: int | None = None  # maximum starts of methods that search; None: their own
+    presets: tuple[str, ...] | None = None  # presets of streams; None: all
 
 
 WHOLE = Extent()
-# `--quick`: the same tables of fewer episodes.
+# `--quick`: the same tables with fewer episodes.
 QUICK = Extent(
     starts=12, level_starts=12, seeds=1, replications=2, duration=20.0, offers=1, levels=1,
     searched=2, presets=("exact",),
@@ -48,9 +48,9 @@ QUICK = Extent(
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """Conditions under which methods of a task are compared, by names alone.
+    """Conditions for the comparison of a task's methods, given by names only.
 
-    Other processes look up what the names mean, so that a user's task need not be sent to them.
+    Other processes look up the names, so custom tasks need not be sent to them.
     """
 
     task: str
@@ -63,16 +63,16 @@ class Scenario(ABC):
         """The scenario's name, once a task."""
 
     def accepts(self, method: Method) -> bool:
-        """Return whether a method is compared here."""
+        """Return whether a method takes part."""
         return method.presets is None or self.preset in method.presets
 
     @abstractmethod
     def episodes(self, method: Method) -> int:
-        """Count the episodes that a seed of a method plays."""
+        """Return the number of episodes per seed of a method."""
 
     @abstractmethod
     def play(self, method: Method, seed: int) -> list[Row]:
-        """Play a seed of a method; return the numbers of each episode."""
+        """Run a seed of a method; return the numbers of each episode."""
 
 
 @dataclass(frozen=True)
@@ -97,20 +97,20 @@ class ScenarioJob:
         return self.scenario.episodes(self.method)
 
     def __call__(self) -> list[Row]:
-        """Play it; return rows of the table of results."""
+        """Run the job; return rows of the table of results."""
         names = dict(zip(KEY, self.key, strict=True)) | {"kind": self.method.kind}
         rows = self.scenario.play(self.method, self.seed)
         return [{**names, "episode": k, **row} for k, row in enumerate(rows)]
 
 
 def _unpack(task: str, packed: bytes) -> ScenarioJob:
-    """Unpack a job in another process, where the file of a user's task is loaded first."""
+    """Unpack a job in another process, after loading the file of a custom task."""
     find_benchmark(task)
     return ScenarioJob(*pickle.loads(packed))
 
 
 def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[ScenarioJob]:
-    """List the jobs of a task: its methods in their order, each under its scenarios."""
+    """List the jobs of a task: methods in order, each under its scenarios."""
     return [
         ScenarioJob(each, method, seed)
         for method in methods
@@ -122,14 +122,14 @@ def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[
 
 @dataclass(frozen=True)
 class StartScenario(Scenario):
-    """The starts of a benchmark, of one parcel each, under a preset."""
+    """The starts of a benchmark of one parcel under a preset."""
 
     @property
     def name(self) -> str:
         return STARTS
 
     def count(self, method: Method) -> int | None:
-        """Count the starts that a method asks for; None: all."""
+        """Return the number of starts for a method; None: all."""
         asked = [each for each in (self.extent.starts, method.most) if each is not None]
         if method.most is not None and self.extent.searched is not None:
             asked.append(self.extent.searched)
@@ -154,7 +154,7 @@ class StartScenario(Scenario):
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        """Run a method's seed from every start."""
+        """Run a seed of a method from every start."""
         preset, benchmark = PRESETS[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
@@ -173,8 +173,8 @@ def choose_starts(
     """Choose the starts of a benchmark under a preset.
 
     Args:
-        count: of starts, spread evenly over all; None: all of them.
-        preset: one with parcels of its own leaves open which parcel a start has.
+        count: number of starts, evenly spaced; None: all.
+        preset: preset; with its own parcels, starts do not set the parcel.
     """
     starts = benchmark.starts
     if count is not None:
@@ -188,7 +188,7 @@ def choose_starts(
 def drawn_parcels(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
 ) -> tuple[sg.Parcel, ...]:
-    """List the parcel of each start; start k draws from `seed` + k."""
+    """List the parcel of each start; start k is seeded by `seed` + k."""
     env = sg.SmartSurfaceVectorEnv(num_envs=len(starts), **config.arguments())
     env.reset(seed=seed, options=list(starts))
     parcels = tuple(env.batch.parcel(i) for i in range(len(starts)))
@@ -199,7 +199,7 @@ def drawn_parcels(
 def _path_metrics(
     config: EnvConfig, episodes: Episodes, starts: Sequence[dict[str, Any]]
 ) -> dict[str, list[float]]:
-    """Compute what the task measures on whole paths; most tasks measure nothing there."""
+    """Compute the task's metrics of whole paths; most tasks have none."""
     task, line = config.task, config.chosen_line
     found: dict[str, list[float]] = {}
     if type(task).path_metrics is sg.tasks.Task.path_metrics:

@@ -26,13 +26,14 @@ from .method import PLANNER, Method, stream_benchmark
 from .scenario import SEED, WHOLE, Extent, Row, Scenario, ScenarioJob, make_jobs
 
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab on streams, never tuned on
-LEAST_RIGHT = {"exact": 0.999, "camera": 0.995}  # [-] of deliveries, for a rate to be sustained
-IN_ORDER = 0.999  # [-] share of parcels that must leave rightly at one of several rates
-PRECISION = 1.02  # [-] between a rate that is sustained and one that is not
-LEAST = 1.0 / 16.0  # [-] of what the entrance takes, below which there is no capacity
-CARRIED = 0.98  # [-] of what is offered, so that the queue does not grow
-CHECK_EVERY = 10  # control periods between checks whether a rate can still be sustained
-QUIET = 30.0  # [s] at a stream's end in which none of the parcels there left: a jam
+# [-] required share of correct deliveries for a sustained rate
+LEAST_RIGHT = {"exact": 0.999, "camera": 0.995}
+IN_ORDER = 0.999  # [-] required share of correct departures at one of several rates
+PRECISION = 1.02  # [-] ratio between a failing and a sustained rate
+LEAST = 1.0 / 16.0  # [-] smallest tried rate relative to the entry limit
+CARRIED = 0.98  # [-] required share of the offered rate, so that the queue does not grow
+CHECK_EVERY = 10  # control periods between checks of whether a rate can still be sustained
+QUIET = 30.0  # [s] time at a stream's end without departures that counts as a jam
 STREAM_PRESETS = {
     "exact": Preset("exact", "exact", "Sensors show pose and velocity as they are."),
     "camera": Preset(
@@ -45,14 +46,14 @@ STREAM_PRESETS = {
     ),
     "lab": PRESETS["lab"],
 }
-UNSEEN = "unseen"  # preset of offers with sensors of their own
+UNSEEN = "unseen"  # preset of offers with their own sensors
 
 
 @dataclass(frozen=True)
 class StreamScenario(Scenario):
-    """A stream that is offered at a rate, or at the highest of several or of all."""
+    """A stream at one offered rate, or at the highest sustained rate of several or of all."""
 
-    offered: str  # name of the offer
+    offered: str  # name of the offered stream
 
     @property
     def name(self) -> str:
@@ -76,10 +77,11 @@ class StreamScenario(Scenario):
         return min(each for each in asked if each is not None)
 
     def config(self, method: Method, rate: float | None = None) -> EnvConfig:
-        """Configure the environment of a method, offered parcels at a rate [parcels/h].
+        """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: None: the offer's; of several the first; the entrance's where one is searched.
+            rate: offered rate; None: the stream's rate, the first of several, or the entry limit in
+                a search.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -91,7 +93,7 @@ class StreamScenario(Scenario):
             shapes = assortment(NEVER_SEEN, SHAPES_SEED)
             stream = replace(stream, parcels=tuple((each, 1.0) for each in shapes))
         config = EnvConfig(task=task, **given, stream=stream)
-        if method.kind == PLANNER:  # it knows the truth
+        if method.kind == PLANNER:  # planners know the true state
             config = config.replace(sensors=Exact())
         asked = (*offer.rates, ENTRANCE)[0] if rate is None else rate
         if asked is None:
@@ -126,7 +128,7 @@ class StreamScenario(Scenario):
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
-        """Search the greatest rate that is sustained; the numbers are nan where none is."""
+        """Search for the highest sustained rate; numbers are NaN if there is none."""
         count, ceiling = self.episodes(method), entrance_bound(config)
         fixed = {"actuators": 0, "columns": 0, "modules": 1, "bound": ceiling, "best": math.nan}
         rows: list[Row] | None = None
@@ -159,10 +161,10 @@ class StreamScenario(Scenario):
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
 ) -> list[Scenario]:
-    """List the offers of a task under each of its presets.
+    """List the offered streams of a task under each preset.
 
     Args:
-        groups: of offers; none: the first.
+        groups: groups of offered streams; empty: the first group.
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
@@ -177,7 +179,7 @@ def stream_scenarios(
 
 
 def _some(benchmark: StreamBenchmark, group: str, count: int | None) -> list[Offer]:
-    """Pick so many offers of a group, the one on film first; None: all."""
+    """Select `count` offered streams of a group, the example first; None: all."""
     offers = [each for each in benchmark.offers if each.group == group]
     return (
         sorted(offers, key=lambda each: each.name != benchmark.filmed)[:count] if count else offers
@@ -185,17 +187,17 @@ def _some(benchmark: StreamBenchmark, group: str, count: int | None) -> list[Off
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
-    """List the jobs of the scheduler and the agents on streams that no agent trained on."""
+    """List the jobs of scheduler and agents on streams without trained agents."""
     offers = stream_benchmark(task).held_out[: extent.offers]
     scenarios = [StreamScenario(task, UNSEEN, extent, offer.scenario) for offer in offers]
     return make_jobs(scenarios, methods_of_unseen()) if scenarios else []
 
 
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
-    """Compute how much [s] of an episode's end counts after a warm-up [s].
+    """Return the duration [s] of an episode's counted end after a warm-up [s].
 
-    It is whole gaps between parcels, at least one, so that it makes no difference when the first
-    parcel came.
+    It is a whole number (at least one) of gaps between parcels, so the arrival of the first parcel
+    has no effect.
     """
     gap = HOUR / rate
     return min(duration, gap * max(1, math.floor((duration - warm_up) / gap + 1e-9)))
@@ -205,10 +207,11 @@ def play_stream(
     config: EnvConfig, controller: Controller, count: int, warm_up: float = 0.0,
     least_right: float = 0.0,
 ) -> StreamBatch | None:  # fmt: skip
-    """Play so many replications of a stream to their end.
+    """Run replications of a stream to the end.
 
     Args:
-        least_right: [-] of deliveries; once fewer are sure, or anything jams, it ends with None.
+        least_right: [-] required share of correct deliveries; returns None as soon as it is out of
+            reach, or after a jam.
     """
     batch = begin_streams(config, count, SEED)
     if isinstance(controller, RecedingHorizon):
@@ -228,12 +231,12 @@ def play_stream(
 
 
 def _counted(config: EnvConfig, warm_up: float) -> float:
-    """Compute how much [s] of an episode's end counts."""
+    """Return the duration [s] of an episode's counted end."""
     task = config.stream_task
     if not warm_up:
         return task.duration
     rate = getattr(task.stream.arrivals, "rate", None)
-    if rate is None:  # as recorded
+    if rate is None:  # a recorded stream
         return max(0.0, task.duration - warm_up)
     return counted_time(task.duration, rate, warm_up)
 
@@ -247,10 +250,10 @@ def _is_lost(batch: StreamBatch, begin: float, most_wrong: float) -> bool:
 
 
 def find_jams(batch: StreamBatch) -> Booleans:
-    """Return whether each stream has jammed: it ended so, or nothing leaves any more.
+    """Return whether each stream has jammed: it ended in a jam, or departures have stopped.
 
-    A controller that lets parcels tremble behind each other hides a jam from the environment, which
-    asks that nothing moves.
+    The environment detects a jam by the absence of motion. Parcels that tremble behind each other
+    hide a jam from it.
     """
     streams = batch.streams
     last = np.fmax.reduce(streams.departed, axis=1, initial=0.0)
@@ -259,9 +262,9 @@ def find_jams(batch: StreamBatch) -> Booleans:
 
 
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
-    """Return the numbers of each replication, without its warm-up [s] at least.
+    """Return the numbers of each replication without its warm-up [s].
 
-    A replication that jams counts to its end: nothing comes after it.
+    A replication with a jam counts to its end.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
@@ -289,7 +292,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
 
 
 def is_sustained(rows: Sequence[Row], least_right: float) -> bool:
-    """Return whether nothing jams and enough deliveries are right."""
+    """Return whether there are no jams and enough correct deliveries."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
     return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_right
 
@@ -297,12 +300,11 @@ def is_sustained(rows: Sequence[Row], least_right: float) -> bool:
 def find_capacity(
     sustained: Callable[[float], list[Row] | None], ceiling: float, gate: bool
 ) -> list[Row] | None:
-    """Search the greatest rate that is sustained, to 2 %; None where none is.
+    """Search for the highest sustained rate, to 2 %; None if there is none.
 
-    What the entrance takes at most comes first: a method that keeps parcels waiting at a gate may
-    sustain whatever is offered. One that sustains it without a gate, by parcels that push each
-    other on, may deliver more where fewer come. Else the rate is halved until it is sustained, and
-    then searched for between that and the last that was not.
+    The entry limit is tried first: a method with a gate may sustain any offered rate. A method
+    without a gate, whose parcels push each other, may deliver more at a lower rate. Otherwise, the
+    rate is halved until it is sustained, and then searched by bisection.
     """
     high = low = ceiling
     best = sustained(low)
@@ -328,7 +330,7 @@ def _rate(rows: Sequence[Row]) -> float:
 
 
 def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row]) -> list[Row]:
-    """Find the most delivered: offered most, or at the greatest rate that is carried."""
+    """Return the larger of the delivery rate at full load and the highest sustained rate."""
     low, high = _rate(most), most[0]["offered"]
     while high > PRECISION * low:
         middle = math.sqrt(low * high)

@@ -1,4 +1,4 @@
-"""Views of the results of tasks on streams: tables, and all numbers."""
+"""Views of results on streams: tables, and all numbers."""
 
 import math
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ from .stream_scenario import LEAST_RIGHT, QUIET, STREAM_PRESETS, UNSEEN
 from .tables import NOTHING, Table, bold
 from .views import format_value, numbers
 
-# What no controller exceeds, and what no schedule of a rung's maneuvers does.
+# Upper bounds for all controllers, and for schedules of a rung's maneuvers.
 ENTRANCE = "entrance"
 BEST = "best known for {}"
-CANNOT = "cannot"  # sort all kinds, even one at a time
-EXITS = {  # by the name of a group
+CANNOT = "cannot"  # cannot sort all kinds, even one at a time
+EXITS = {  # descriptions by name of a group
     "sides": "left, right (a chute as long as the line on either side) and straight on",
     "chutes": "two chutes on either side and straight on, the environment's default",
 }
@@ -31,7 +31,7 @@ EXITS = {  # by the name of a group
 
 @dataclass(frozen=True)
 class Capacities:
-    """The capacities of methods on the offers of a group under a preset."""
+    """Capacities of methods on a group of offered streams under a preset."""
 
     results: Results
     task: str
@@ -54,24 +54,24 @@ class Capacities:
         return [(key, sample) for key, sample in among if key[2] == self.preset]
 
     def find(self, name: str, offer: Offer) -> Sample | None:
-        """Find the sample of a method; None where it did not run."""
+        """Return the sample of a method; None if it did not run."""
         return self.results.find(self.task, offer.scenario, self.preset, name)
 
     def able(self, name: str, offer: Offer) -> Sample | None:
-        """Find the sample of a method that sustains any rate."""
+        """Return the sample of a method if it sustains any rate."""
         sample = self.find(name, offer)
         return sample if sample is not None and sample.is_sustained else None
 
     def bound(self, offer: Offer) -> float | None:
-        """Find the rate [parcels/h] that the entrance takes; None where nothing ran."""
+        """Return the entry limit [parcels/h]; None if nothing ran."""
         found = self._of(offer)
         return found[0][1].constant("bound") if found else None
 
     def difference(self, name: str, other: str, offer: Offer) -> tuple[float, float] | None:
-        """Subtract the capacity of another, and find half of the 95 % interval [parcels/h]; None
-        where one has none.
+        """Return the difference of two capacities and half of its 95 % interval [parcels/h], or
+        None.
 
-        Replications are paired where both were offered the same parcels at the same times.
+        Replications are paired if both had the same offered parcels at the same times.
         """
         one, two = self.able(name, offer), self.able(other, offer)
         if one is None or two is None:
@@ -95,7 +95,7 @@ class Capacities:
 
 
 def list_capacities(task: str, results: Results) -> list[Capacities]:
-    """List the groups and presets under which capacities were searched."""
+    """List the capacities by group and preset."""
     searched = [each for each in stream_benchmark(task).offers if not each.rates]
     ran = {(key[1], key[2]) for key, _ in results.among(task)}
     return [
@@ -123,7 +123,7 @@ def stream_tables(task: str, results: Results) -> list[Table]:
 
 
 def ladder_table(found: Capacities) -> Table:
-    """Show the hardware of each method, its capacity on all streams, touches and turns."""
+    """Make the table of hardware, capacity on all streams, touches and turns by method."""
     leaders = [found.leader(offer) for offer in found.offers]
     rows = []
     for name in found.names:
@@ -169,7 +169,7 @@ def ladder_table(found: Capacities) -> Table:
 
 
 def turns_per_actuator(sample: Sample) -> float:
-    """Compute the turns of actuators per parcel; of axes where each turns alone."""
+    """Compute the turns of actuators per parcel, or of axes with single actuators."""
     modules = sample.constant("modules")
     return sample.turns if math.isnan(modules) else sample.turns / modules
 
@@ -191,7 +191,7 @@ def _rate(rate: float, margin: float) -> str:
 
 
 def _span(values: Sequence[int]) -> str:
-    """Write the least and the greatest of some numbers."""
+    """Return the smallest and the largest of numbers as text."""
     if not values:
         return NOTHING
     low, high = min(values), max(values)
@@ -199,7 +199,7 @@ def _span(values: Sequence[int]) -> str:
 
 
 def _zones(found: Capacities) -> str:
-    """Say how many columns were chosen for the zones of each stream."""
+    """Describe the numbers of columns in the zones of each stream."""
     said = []
     for name in ZONES:
         samples = [found.find(name, offer) for offer in found.offers]
@@ -210,7 +210,7 @@ def _zones(found: Capacities) -> str:
 
 
 def step_table(found: Capacities) -> Table:
-    """Show what each rung has over the one below it."""
+    """Make the table of differences between rungs."""
 
     def text(name: str, other: str, offer: Offer) -> str:
         apart, below = found.difference(name, other, offer), found.able(other, offer)
@@ -254,7 +254,7 @@ def _meaning(found: Capacities) -> str:
 
 
 def offer_tables(task: str, results: Results) -> list[Table]:
-    """Show what each method delivers of each offered stream under each preset."""
+    """Make the tables of deliveries by method, offered stream and preset."""
     benchmark, rows = stream_benchmark(task), []
     for offer in benchmark.offers:
         if not offer.rates:
@@ -314,9 +314,7 @@ def _offer_row(
 
 
 def unseen_tables(task: str, results: Results) -> list[Table]:
-    """Show the rates of scheduler and agents on streams that no agent trained on, and their paired
-    difference.
-    """
+    """Make the tables of scheduler and agents on streams without trained agents."""
     rows, agent = [], ""
     for offer in stream_benchmark(task).held_out:
         rule = results.find(task, offer.scenario, UNSEEN, SCHEDULER)
@@ -356,7 +354,7 @@ def _touches(seeds: Sequence[Sample]) -> str:
 
 
 def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
-    """Write the ratio of the agents' mean, and count the agents that are ahead by themselves."""
+    """Return the ratio of the agents' mean, and the number of agents significantly ahead."""
     apart = np.mean(agents, axis=0) - rule
     ratio, margin = 1.0 + apart.mean() / rule.mean(), half_interval(apart) / rule.mean()
     text = f"{ratio:.3f} ±{margin:.3f}"
@@ -365,7 +363,7 @@ def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
 
 
 def stream_numbers(task: str, results: Results) -> list[dict[str, Any]]:
-    """List every number of a task, a row for each."""
+    """List every number of a task, one row each."""
     benchmark, rows = stream_benchmark(task), []
     for key, sample in results.among(task):
         values = {"rate": sample.throughput, "bound": sample.constant("bound")}

@@ -1,4 +1,4 @@
-"""Tables of texts: on screen, as Markdown and as HTML."""
+"""Text tables: on screen, as Markdown and as HTML."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -13,12 +13,12 @@ from rich.table import Table as Screen
 from rich.text import Text
 
 NOTHING = "-"
-BOLD = "**"  # on either side, as in Markdown
-BETWEEN, EDGES = 3, 4  # characters between columns, and at both edges of a table
+BOLD = "**"  # on both sides, as in Markdown
+BETWEEN, EDGES = 3, 4  # characters between columns, and at the edges of a table
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---") -> str:
-    """Write rows as a Markdown table; `others` aligns all columns but the first."""
+    """Return rows as a Markdown table; `others` aligns all columns except the first."""
     lines = [header, ["---"] + [others] * (len(header) - 1), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -30,13 +30,13 @@ def bold(text: str) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows and columns, some in bold; the first columns name the rows."""
+    """Texts in rows and columns, with row names in the first columns."""
 
     title: str
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    keys: int = 1  # columns that name the rows
+    keys: int = 1  # number of columns with row names
 
     @property
     def heading(self) -> str:
@@ -55,13 +55,13 @@ class Table:
         return f"<table><thead>{line('th', self.header)}</thead><tbody>{body}</tbody></table>"
 
     def show(self, console: Console) -> None:
-        """Print the table, whole cells at any width.
+        """Print the table at any width without breaking cells.
 
         A table that is too wide comes in parts that repeat the names of the rows. Each row is a
         list if not even one column fits beside the names.
         """
         columns = list(zip(self.header, *self.rows, strict=True))
-        # A cell stands in one line; a heading may be broken between words.
+        # Cells are not wrapped; headings may be wrapped between words.
         widths = [
             max(len(_plain(each)) for each in (*head.split(), *cells)) for head, *cells in columns
         ]
@@ -74,7 +74,7 @@ class Table:
         console.print(Text(self.caption, style="dim"))
 
     def _split(self, widths: Sequence[int], room: int) -> list[list[int]]:
-        """Share the columns among parts of the table; none where one does not fit."""
+        """Distribute columns to parts of the table; empty if a column does not fit."""
         names = list(range(self.keys))
         used_by_names = EDGES - BETWEEN + sum(widths[k] + BETWEEN for k in names)
         parts: list[list[int]] = []
@@ -115,5 +115,5 @@ def _shown(text: str) -> Text:
 
 
 def write_markdown(tables: Iterable[Table], file: Path, title: str = "") -> None:
-    """Write tables one below the other."""
+    """Write tables to a file, one below the other."""
     file.write_text(title + "\n".join(table.markdown() for table in tables))

@@ -1,4 +1,4 @@
-"""Views of the results of tasks of one parcel: tables, and all numbers."""
+"""Views of results with one parcel: tables, and all numbers."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ from .robustness import FACTORS, LAB, SHAPES, Factor, Level, scenario_name
 from .scenario import STARTS
 from .tables import NOTHING, Table
 
-SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] rows of the table by entry speed
+SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] entry speeds in the table
 
 
 def task_table(task: str, results: Results) -> Table:
-    """Make a row for each method: success under each preset, and the task's own columns."""
+    """Make the table of a task: success by method and preset, and the task's columns."""
     benchmark = start_benchmark(task)
     ran = {key[2] for key, _ in results.among(task, STARTS)}
     shown = [preset for preset in PRESETS.values() if preset.name in ran and preset.name != "exact"]
@@ -49,10 +49,9 @@ def task_table(task: str, results: Results) -> Table:
 
 
 def column_value(column: Column, sample: Sample, fixed: Sample) -> float:
-    """Compute a column's number, unscaled, beside the fixed layout's results.
+    """Compute a column's unscaled number, relative to the fixed layout's results.
 
-    nan where it has none: it needs every start of both boxes, and this method ran on some, or
-    on other parcels.
+    NaN if it is undefined: some columns need every start of both boxes.
     """
     fewer = sample.success.shape[1] != fixed.success.shape[1]
     others = bool(PRESETS[str(sample.rows["preset"].iloc[0])].parcels)
@@ -71,7 +70,7 @@ def _text(column: Column, sample: Sample, fixed: Sample) -> str:
 
 
 def format_value(column: Column, value: float) -> str:
-    """Write a column's number in its unit."""
+    """Return a column's number as text in its unit."""
     if math.isnan(value):
         return NOTHING
     if math.isinf(value):
@@ -96,14 +95,14 @@ def task_numbers(task: str, results: Results) -> list[dict[str, Any]]:
 def numbers(
     key: tuple[str, str, str, str], sample: Sample, values: dict[str, float]
 ) -> list[dict[str, Any]]:
-    """Make a row for each number of a sample."""
+    """Return one row per number of a sample."""
     names = dict(zip(("task", "scenario", "preset", "method"), key, strict=True))
     count = {"seeds": len(sample.seeds), "episodes": len(sample.rows) // len(sample.seeds)}
     return [{**names, **count, "metric": name, "value": each} for name, each in values.items()]
 
 
 def speed_tables(task: str, results: Results) -> list[Table]:
-    """Show the time of success by entry speed, of a task whose starts are a grid of speeds."""
+    """Make tables of the time of success by entry speed, for tasks with a grid of speeds."""
     grid, fixed = start_benchmark(task).grid, results.find(task, STARTS, "exact", FIXED)
     if grid is None or fixed is None or fixed.success.shape[1] != math.prod(grid.shape):
         return []
@@ -142,10 +141,10 @@ def speed_tables(task: str, results: Results) -> list[Table]:
 
 
 def decision_table(tasks: Sequence[str], results: Results) -> Table:
-    """Show decision times: a row for each method, a column for each task, exact sensors.
+    """Make the table of decision times by method and task, with exact sensors.
 
-    They are measured, and differ from run to run: this table has a file of its own, so that the
-    others can be compared byte for byte.
+    Times differ from run to run. This table has its own file, so that the other tables can be
+    compared byte by byte.
     """
 
     def time(task: str, method: str) -> str:
@@ -163,7 +162,7 @@ def decision_table(tasks: Sequence[str], results: Results) -> Table:
 
 
 class Sweep:
-    """The results of the sweep of one task."""
+    """Results of the robustness study of one task."""
 
     def __init__(self, task: str, results: Results) -> None:
         self.task = task
@@ -175,21 +174,21 @@ class Sweep:
         self.methods = list(dict.fromkeys(method for _, method in found))
 
     def find(self, method: str, factor: str, level: Level) -> Sample | None:
-        """Find the sample of a method at a level; None where it did not run."""
+        """Return the sample of a method at a level; None if it did not run."""
         return self._found.get((scenario_name(factor, level), method))
 
     def success(self, method: str, factor: str, level: Level) -> Booleans | None:
-        """Return successes (seeds, starts); None where the method did not run."""
+        """Return successes (seeds, starts); None if the method did not run."""
         sample = self.find(method, factor, level)
         return None if sample is None else sample.success
 
     def rate(self, method: str, factor: str, level: Level) -> float | None:
-        """Return the share of successes; None where the method did not run."""
+        """Return the success rate; None if the method did not run."""
         sample = self.find(method, factor, level)
         return None if sample is None else sample.rate
 
     def by_shape(self, method: str) -> dict[str, Booleans]:
-        """Return successes in the lab by the shape of the parcel, of the shapes that were drawn."""
+        """Return successes in the lab by shape of the parcel, for drawn shapes."""
         sample = self.find(method, LAB, LAB)
         if sample is None:
             return {}
@@ -199,14 +198,14 @@ class Sweep:
 
 
 def sweep_tables(task: str, results: Results) -> list[Table]:
-    """Make the tables of the sweep of a task."""
+    """Make the tables of a task's robustness study."""
     sweep = Sweep(task, results)
     made: tuple[Callable[[Sweep], Table], ...] = (factor_table, square_table, shape_table)
     return [make(sweep) for make in made] if sweep.methods else []
 
 
 def factor_table(sweep: Sweep) -> Table:
-    """Make a row for each method, a column for each factor with some of its levels."""
+    """Make the table of success by method and factor."""
     names = sweep.methods
     factors = [
         factor
@@ -234,7 +233,7 @@ def _heading(factor: Factor) -> str:
 
 
 def level_text(level: Level) -> str:
-    """Write a level."""
+    """Return a level as text."""
     return level if isinstance(level, str) else f"{level:g}"
 
 
@@ -243,7 +242,7 @@ def _share(rate: float | None) -> str:
 
 
 def _starts(sweep: Sweep) -> str:
-    """Say in words how many starts each method ran on."""
+    """Return the numbers of starts by method as text."""
     counts: dict[int, list[str]] = {}
     for name in sweep.methods:
         sample = next(each for (_, method), each in sweep._found.items() if method == name)
@@ -254,7 +253,7 @@ def _starts(sweep: Sweep) -> str:
 
 
 def square_table(sweep: Sweep) -> Table:
-    """Make a row for each method: the worst square, and success beside the planner's."""
+    """Make the table of squares: worst size, and success relative to the planner, by method."""
     squares = FACTORS["square"]
     rows = []
     for name in sweep.methods:
@@ -286,7 +285,7 @@ def square_table(sweep: Sweep) -> Table:
 
 
 def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float | None:
-    """Compare with the planner on its starts; None where it did not run or never succeeded."""
+    """Return success relative to the planner on its starts; None if the planner did not succeed."""
     planned = sweep.success(PLANNER, "square", level)
     success = sweep.success(name, "square", level)
     if planned is None or success is None or not planned.any():
@@ -295,7 +294,7 @@ def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float | None:
 
 
 def shape_table(sweep: Sweep) -> Table:
-    """Make a row for each method, a column for each shape of the lab's parcels."""
+    """Make the table of success in the lab by method and shape."""
     rows = []
     for name in sweep.methods:
         shapes, whole = sweep.by_shape(name), sweep.find(name, LAB, LAB)
@@ -309,7 +308,7 @@ def shape_table(sweep: Sweep) -> Table:
 
 
 def sweep_numbers(task: str, results: Results) -> list[dict[str, Any]]:
-    """List every rate of the sweep, a row for each number."""
+    """List every rate of the robustness study, one row each."""
     metrics, rows = start_benchmark(task).task.metrics, []
     for (_, scenario, preset, method), sample in results.among(task):
         if scenario == STARTS:

@@ -1,7 +1,7 @@
-"""The package's learning algorithms: their options, and what trains and builds their policies.
+"""The package's learning algorithms: options, training functions and policies.
 
-The modules that train and build are imported when they are first called, so that options are known
-without PyTorch.
+Training and policy modules are imported on first use, so that options are available without
+PyTorch.
 """
 
 from collections.abc import Callable
@@ -19,15 +19,15 @@ from surface_gym.tasks.sort import Sort
 from ..library import ALGORITHMS, QUEUE, Algorithm
 from .config import CPU, NOMINAL, ActionName, DeviceName, ParcelConfig, TrainConfig
 
-MOST_PARCELS = 12  # on a surface at once, for a policy of its parcels or its modules
+MOST_PARCELS = 12  # maximum parcels on a surface for policies of parcels or modules
 
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutConfig(TrainConfig):
-    """Options of all algorithms that learn by PPO."""
+    """Options of all PPO algorithms."""
 
     n_steps: int = 64
-    """Control periods of each environment between updates."""
+    """Control periods per environment between updates."""
     batch_size: int = 1024
     """Samples of a gradient step."""
     n_epochs: int = 5
@@ -65,7 +65,8 @@ class PPOConfig(ParcelConfig, RolloutConfig):
     """PPO."""
     device: DeviceName = CPU
     """Device of the environments and the network: cpu, or cuda with exact sensors, with defaults in
-    agents/hyperparams/ppo-cuda.yml."""
+    agents/hyperparams/ppo-cuda.yml.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,11 +103,11 @@ class DQNConfig(ParcelConfig):
     gradient_steps: int = 8
     """Gradient steps after every control period of all environments."""
     tau: float = 0.005
-    """[-] weight of the network in an update of the target network."""
+    """[-] weight of the network in updates of the target network."""
     exploration_fraction: float = 0.15
-    """[-] of the run in which the share of random actions falls."""
+    """[-] share of the run in which the rate of random actions decreases."""
     exploration_final_eps: float = 0.02
-    """[-] share of random actions after that."""
+    """[-] final rate of random actions."""
     max_grad_norm: float = 1.0
     """Maximum norm of a gradient."""
 
@@ -122,8 +123,9 @@ class DQNConfig(ParcelConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesConfig(ParcelConfig, RolloutConfig):
-    """Train one policy shared by all modules to sort, by PPO with shared draws, then compare it
-    with the paper's fixed layout.
+    """Train one policy shared by all modules to sort, by PPO with shared random numbers.
+
+    Then compare it with the paper's fixed layout.
 
     Defaults are in agents/hyperparams/modules.yml.
     """
@@ -133,8 +135,8 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
-    """[-] that a line through the parcel splits its modules into two groups, each with a draw of
-    its own; otherwise all modules share one."""
+    """[-] probability of splitting a parcel's modules into two groups with separate random numbers.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -143,8 +145,9 @@ class ModulesConfig(ParcelConfig, RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class SchedulesConfig(TrainConfig):
-    """Train one policy on the schedule of streams, on any lines: it learns which decisions lead to
-    touches, from those that it takes itself. Then measure its capacity.
+    """Train one policy on the schedule of streams, for any line, then measure its capacity.
+
+    It learns from its own decisions which decisions lead to touches.
 
     Defaults are in agents/hyperparams/schedule.yml.
     """
@@ -156,11 +159,11 @@ class SchedulesConfig(TrainConfig):
     actions: ActionName = "parcels"
     """Kind of action, as in the environment."""
     lines: int = 4
-    """Rollouts between updates, each on a line drawn at random, with `num_envs` streams."""
+    """Rollouts between updates, each on a random line with `num_envs` streams."""
     batch_size: int = 1024
-    """Decisions of a gradient step."""
+    """Decisions per gradient step."""
     gradient_steps: int = 60
-    """Gradient steps of an update."""
+    """Gradient steps per update."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,14 +173,15 @@ class SchedulesConfig(TrainConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class ParcelsConfig(RolloutConfig):
-    """Train one policy shared by all parcels of a stream by PPO with a reward for each; where the
-    task has a rule, the policy corrects it. Then compare it with that rule.
+    """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
+
+    If the task has a rule, the policy corrects it. Then compare it with the rule.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
 
     task: str = DEFAULT_SLOPE
-    """Task to learn: one on a stream of parcels."""
+    """Task on a stream of parcels."""
     algo: str = "parcels"
     """Shared-policy PPO per parcel."""
     actions: ActionName = "parcels"
@@ -188,21 +192,24 @@ class ParcelsConfig(RolloutConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class LocalConfig(RolloutConfig):
-    """Train one policy shared by all modules on a slope, each of which sees only itself and what
-    its neighbours pass on, by PPO, beginning from the task's rule; then compare it with that rule.
+    """Train one policy shared by all modules on a slope by PPO, then compare it with the rule.
+
+    Modules have local observations and messages of neighbours. Training starts from the task's
+    rule.
 
     Defaults are in agents/hyperparams/local.yml.
     """
 
     task: str = DEFAULT_SLOPE
-    """Task to learn: one on a slope with a take-away."""
+    """Task on a slope with a take-away."""
     algo: str = "local"
-    """Shared-policy PPO per module that sees what is near."""
+    """Shared-policy PPO per module with local observations."""
     actions: ActionName = "modules"
     """Kind of action, as in the environment."""
     split_probability: float = 0.3
     """[-] that a line through a parcel splits its modules into two groups, each with a draw of its
-    own; otherwise all modules share one."""
+    own; otherwise all modules share one.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -210,7 +217,7 @@ class LocalConfig(RolloutConfig):
 
 
 def _later(module: str, name: str) -> Callable[..., Any]:
-    """Return a function of a module beside this folder, imported as it is first called."""
+    """Return a function of a module beside this folder, imported at the first call."""
 
     def call(*given: Any, **options: Any) -> Any:
         return getattr(import_module(module, __package__), name)(*given, **options)

@@ -1,5 +1,6 @@
-"""Configuration of a training run; every field is a flag of `train.py`. Defaults by task, in
-rl-baselines3-zoo's schema.
+"""Configuration of a training run; every field is a flag of `train.py`.
+
+Defaults by task are in rl-baselines3-zoo's schema.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -24,7 +25,7 @@ ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 DeviceName = Literal["cpu", "cuda"]
 CPU: DeviceName = "cpu"
 
-# Earlier names of fields, which files and command lines may still have.
+# Earlier names of fields, still accepted in files and command lines.
 RENAMED = {
     "lanes": "num_envs",
     "condition": "preset",
@@ -32,12 +33,12 @@ RENAMED = {
 }
 
 
-# Fields that the configuration of every algorithm had, also where it did not use them.
+# Fields of all earlier configurations, even if unused by the algorithm.
 ONCE_UNUSED = {"observe", "camera_share", "zones", "friction", "gamma", "device"}
 
 
 def current_option(argument: str) -> str:
-    """Return an argument with the current name of its option, if it has an earlier one."""
+    """Return an argument with the current name of its option."""
     option, equals, value = argument.partition("=")
     name = option.removeprefix("--")
     if option == name or name not in RENAMED:
@@ -49,18 +50,18 @@ def current_option(argument: str) -> str:
 class TrainConfig:
     """Options of all algorithms; an algorithm's own configuration inherits from it."""
 
-    presets: ClassVar[tuple[str, ...]] = (NOMINAL,)  # that the algorithm trains for
+    presets: ClassVar[tuple[str, ...]] = (NOMINAL,)  # presets of the algorithm
 
     task: str = DEFAULT_TASK
-    """Task to learn: its name, or a user's as path/to/file.py:Class."""
+    """Name of the task, or a custom task as path/to/file.py:Class."""
     algo: str = "ppo"
-    """Algorithm: its name, or a user's as path/to/file.py:NAME."""
+    """Name of the algorithm, or a custom algorithm as path/to/file.py:NAME."""
     seed: int = 0
     """Seed of the starts, the network and the sampling; the first of `seeds`."""
     seeds: int = 1
     """Number of seeds, trained in parallel processes and summarised."""
     steps: int = 1_000_000
-    """Control periods to learn from, of all environments together."""
+    """Total control periods over all environments."""
     actions: ActionName = "halves"
     """Kind of action, as in the environment."""
     control_period: float = 0.04
@@ -70,15 +71,15 @@ class TrainConfig:
     preset: PresetName = NOMINAL
     """Conditions to train for: nominal, the two boxes and axes that turn at once; or lab."""
     hidden: tuple[int, ...] = (64, 64)
-    """Units of the hidden layers, of policy and value alike."""
+    """Units of the hidden layers of policy and value."""
     learning_rate: float = 1e-3
-    """Learning rate at the start; it falls to 0 over the run."""
+    """Initial learning rate, which decreases linearly to 0."""
     checkpoint_every: int = 500_000
-    """Control periods between checkpoints, at which all environments start anew."""
+    """Control periods between checkpoints, at which all environments restart."""
     out: Path = Path("runs")
-    """Folder to make run folders in."""
+    """Folder of run folders."""
     name: str | None = None
-    """Name of the run's folder; by default the task, the algorithm, the seed and the time."""
+    """Name of the run's folder; the default has task, algorithm, seed and time."""
 
     def __post_init__(self) -> None:
         algorithm = find_algorithm(self.algo)
@@ -99,7 +100,7 @@ class TrainConfig:
             raise ValueError("hidden must be at least one layer, got none")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Be sent to another process by the algorithm's name: it may stand in a user's file."""
+        """Pickle by the algorithm's name, since its class may be in a user's file."""
         return _make_config, ({each.name: getattr(self, each.name) for each in fields(self)},)
 
 
@@ -110,18 +111,18 @@ def _make_config(values: dict[str, Any]) -> TrainConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ParcelConfig(TrainConfig):
-    """Options of all algorithms for one parcel: the environments that they learn in."""
+    """Options of the training environments of all algorithms for one parcel."""
 
     presets = (NOMINAL, "lab")
 
     observe: tuple[str, ...] = ()
-    """Groups of features in the observation beside the task's: parcel, rotors, load."""
+    """Additional groups of features in the observation: parcel, rotors, load."""
     camera_share: float = 0.5
     """[-] of environments with a late and noisy camera and varied friction, or the lab preset; the
-    others have exact sensors."""
+    others have exact sensors.
+    """
     zones: tuple[int, ...] = ()
-    """Columns of other zones, each on an equal share of half of the environments with exact
-    sensors; none: the task's zone on all."""
+    """Columns of other zones, on equal shares of half of the environments with exact sensors."""
     friction: float = 0.2
     """[-] spread of the varied friction."""
 
@@ -146,7 +147,7 @@ def config_of_seed(config: Config, seed: int) -> Config:
 
 
 def device_of(config: TrainConfig) -> DeviceName:
-    """Return the device that a run's tensors are on."""
+    """Return the device of a run's tensors."""
     device: DeviceName = getattr(config, "device", CPU)
     return device
 
@@ -168,16 +169,16 @@ def make_card(config: TrainConfig) -> PolicyCard:
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _ZOO = {"num_envs": "n_envs", "steps": "n_timesteps"}  # the zoo's names of fields
 _FIELDS = {**RENAMED, **{zoo: name for name, zoo in _ZOO.items()}}
-# No hyper-parameters:
+# Fields that are no hyper-parameters:
 _OF_THE_RUN = ("task", "algo", "preset", "device", "seed", "seeds", "out", "name")
 _OF_THE_ENV = {"actions", "control_period", "observe"}
-# Fields that the zoo does not know and would refuse, in a section of their own.
+# Fields that the zoo does not accept, in a separate section.
 BESIDE = "beside the zoo"
 _BESIDE = {
     "camera_share", "zones", "friction", "checkpoint_every", "split_probability", "lines",
 }  # fmt: skip
-OTHERS = "default"  # the entry of users' tasks
-_LINEAR = "lin_"  # the zoo's mark of a learning rate that falls to 0
+OTHERS = "default"  # entry of custom tasks
+_LINEAR = "lin_"  # the zoo's prefix of a learning rate that decreases to 0
 
 
 def defaults(
@@ -207,7 +208,7 @@ def defaults(
 
 
 def write_hyperparams(config: TrainConfig, file: Path) -> None:
-    """Write a configuration for `defaults` to read, without its seeds, folder and name."""
+    """Write a configuration in the format of `defaults`, without seeds, folder and name."""
     entry: dict[str, Any] = {}
     beside: dict[str, Any] = {}
     of_env: dict[str, Any] = {}
@@ -277,7 +278,7 @@ def _read(given: dict[str, str], file: Path) -> TrainConfig:
 
 
 def _initial_rate(value: Any) -> float:
-    """Parse the zoo's notation of a learning rate that falls to 0."""
+    """Parse the zoo's notation of a learning rate that decreases to 0."""
     try:
         if isinstance(value, str) and value.startswith(_LINEAR):
             return parse_number("learning_rate", value.removeprefix(_LINEAR))
@@ -289,6 +290,6 @@ def _initial_rate(value: Any) -> float:
 
 
 def _hidden(value: Any) -> tuple[int, ...] | None:
-    """Parse the zoo's notation of hidden layers; None where there is more or anything else."""
+    """Parse the zoo's notation of hidden layers; None for any other content."""
     layers = value.get("net_arch") if isinstance(value, dict) and len(value) == 1 else None
     return tuple(layers) if isinstance(layers, list) else None

@@ -1,6 +1,6 @@
-"""PPO on tensors that stay on the environments' device.
+"""PPO with tensors on the environments' device.
 
-Loss, network and optimiser are those of Stable-Baselines3's PPO.
+Loss, network and optimiser equal Stable-Baselines3's PPO.
 """
 
 from collections.abc import Callable
@@ -30,14 +30,15 @@ if TYPE_CHECKING:
     from surface_gym.cuda.env import CudaVectorEnv
 
 VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
-EPISODES = "episodes"  # their number, beside the sums over them
+EPISODES = "episodes"  # number of episodes, in addition to sums over them
 
 
-MakeDeviceEnvs = Callable[[PPOConfig, int], "CudaVectorEnv"]  # for a configuration, so many
+# function from a configuration and a number of environments
+MakeDeviceEnvs = Callable[[PPOConfig, int], "CudaVectorEnv"]
 
 
 def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
-    """Make environments of a run on its device."""
+    """Make the environments of a run on its device."""
     task = training_task(config.task)
     try:
         made: Any = gym.make_vec(
@@ -57,7 +58,7 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
 
 
 def check_device(config: PPOConfig) -> None:
-    """Raise a ValueError if environments cannot be on a run's device: one is tried."""
+    """Raise a ValueError if environments cannot run on a run's device, by testing one."""
     make_device_envs(config, 1).close()
 
 
@@ -74,21 +75,21 @@ class TensorMirror:
         else:
             images = mirrored_orientations(orientations)
             sources = kind.flip(np.arange(kind.size)[np.newaxis])[0]
-        self._images = torch.from_numpy(images).to(device)  # (options,) mirror image of each
-        self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each
+        self._images = torch.from_numpy(images).to(device)  # (options,) mirror image of each option
+        self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each part
 
     def __call__(self, actions: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
-        """Return actions (num_envs, ...) in the world for the asked side (num_envs,) of each."""
+        """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
         parts = actions.reshape(len(actions), -1)
         images = self._images[parts[:, self._sources]]
-        # Side 0, straight through, is not mirrored.
+        # Side 0, straight ahead, is not mirrored.
         return torch.where((side >= 0.0).unsqueeze(1), parts, images).reshape(actions.shape)
 
 
 class EpisodeTotals:
-    """Sums over the episodes that ended since the last fetch, on the device.
+    """Sums over the episodes that ended since the last fetch, kept on the device.
 
-    Tens of thousands end in a rollout: they are not recorded one by one.
+    Tens of thousands of episodes end per rollout, so they are not recorded individually.
     """
 
     def __init__(self, terms: tuple[str, ...], num_envs: int, device: torch.device) -> None:
@@ -101,7 +102,7 @@ class EpisodeTotals:
         self._running.zero_()
 
     def add(self, rewards: torch.Tensor, ended: torch.Tensor, infos: dict[str, Any]) -> None:
-        """Add a control period: rewards (num_envs,) and which episodes ended (num_envs,)."""
+        """Add a control period: rewards (num_envs,), and ended episodes as a mask (num_envs,)."""
         final = infos["final_info"]
         terms = [torch.where(ended, final[name], infos[name]) for name in self._terms]
         self._running += torch.stack([rewards, torch.ones_like(rewards), *terms])
@@ -111,7 +112,7 @@ class EpisodeTotals:
         self._running = torch.where(ended, 0.0, self._running)
 
     def fetch(self) -> dict[str, float]:
-        """Return the number of episodes that ended and the sums over them; forget them."""
+        """Return the number of ended episodes and their sums, and reset both."""
         totals = dict(zip(self._names, self._ended.tolist(), strict=True))
         self._ended.zero_()
         return totals
@@ -120,8 +121,8 @@ class EpisodeTotals:
 class TotalsCurve(Curve):
     """Learning curve from episode totals: means over the latest rollouts.
 
-    They are as few as hold `RECENT_EPISODES` and one for each environment: where all environments
-    have just started, only the shortest episodes have ended.
+    The means use the fewest rollouts with at least `RECENT_EPISODES` episodes and one per
+    environment. After a restart of all environments, only the shortest episodes have ended.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class TotalsCurve(Curve):
 
 
 class DeviceTrainingEnvs:
-    """Environments with totals of their episodes, with mirrored actions where goals are."""
+    """Environments with totals of episodes, and mirrored actions for mirrored goals."""
 
     def __init__(self, envs: "CudaVectorEnv") -> None:
         self.device = torch.device(envs.device)
@@ -186,11 +187,11 @@ class DeviceTrainingEnvs:
 
 
 class DevicePolicy(EqualChoicesPolicy):
-    """`EqualChoicesPolicy` that draws a single choice in the same way as several.
+    """`EqualChoicesPolicy` that draws single choices in the same way as several.
 
-    PyTorch's own draw checks its probabilities on the host and would wait for the device at every
-    control period. Log probabilities are for actions (num_envs, choices). Names and shapes of the
-    parameters are the same.
+    PyTorch's sampling checks probabilities on the host, which waits for the device at every control
+    period. Log probabilities are for actions (num_envs, choices). Names and shapes of parameters
+    are unchanged.
     """
 
     def _build(self, lr_schedule: Any) -> None:
@@ -200,11 +201,11 @@ class DevicePolicy(EqualChoicesPolicy):
 
 
 class Samples(NamedTuple):
-    """Control periods of all environments, in a row."""
+    """Control periods of all environments, concatenated."""
 
     observations: torch.Tensor  # (samples, features)
     actions: torch.Tensor  # (samples, choices)
-    log_prob: torch.Tensor  # (samples,) of the actions when they were chosen
+    log_prob: torch.Tensor  # (samples,) log probability of the actions when chosen
     advantage: torch.Tensor  # (samples,)
     returns: torch.Tensor  # (samples,)
 
@@ -213,7 +214,7 @@ class Samples(NamedTuple):
 
 
 def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torch.Tensor:
-    """Compute PPO's loss of a policy; the advantages are normalised here."""
+    """Compute PPO's loss of a policy, with normalised advantages."""
     value, log_prob, entropy = policy.evaluate_actions(samples.observations, samples.actions)
     assert entropy is not None
     advantage = samples.advantage
@@ -234,13 +235,13 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
 
 
 class DeviceLearner:
-    """The policy on the device, and its training."""
+    """A policy on the device, and its training."""
 
     def __init__(self, config: PPOConfig, envs: DeviceTrainingEnvs) -> None:
         self._config = config
         self._envs = envs
         torch.manual_seed(config.seed)
-        # Drawn on the CPU: a seed gives the same first weights on every device.
+        # Drawn on the CPU, so that a seed gives the same initial weights on every device.
         self._policy = DevicePolicy(
             envs.envs.single_observation_space,
             envs.envs.single_action_space,

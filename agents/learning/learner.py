@@ -1,4 +1,4 @@
-"""The loop of a run: a learner learns from one rollout after another, between checkpoints."""
+"""The training loop: a learner learns from successive rollouts, with checkpoints."""
 
 import time
 from collections.abc import Callable
@@ -13,27 +13,27 @@ from .config import Config, TrainConfig, make_card
 
 
 def learning_rate(config: TrainConfig, steps: int) -> float:
-    """Compute the learning rate after some control periods; it falls linearly to 0."""
+    """Compute the learning rate after `steps` control periods; it decreases linearly to 0."""
     return max(0.0, 1.0 - steps / config.steps) * config.learning_rate
 
 
 class Learner(Protocol):
-    """Learns from one rollout after another, and returns to the state of a checkpoint."""
+    """Interface of learners: learning from rollouts, and states at checkpoints."""
 
     steps: int  # control periods learned from
 
     @property
     def network(self) -> torch.nn.Module:
-        """Network of the policy, on the CPU."""
+        """Network of the policy on the CPU."""
 
     def begin(self, seed: int) -> None:
-        """Start all environments and random numbers anew."""
+        """Restart all environments and random numbers."""
 
     def learn(self, curve: Any) -> None:
-        """Learn from one rollout and add the episodes that ended in it to the curve."""
+        """Learn from one rollout, and add its ended episodes to the curve."""
 
     def state(self) -> dict[str, Any]:
-        """Return the state at a checkpoint: tensors and plain values, `steps` among them."""
+        """Return the state at a checkpoint: tensors and plain values, including `steps`."""
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the state of a checkpoint."""
@@ -47,14 +47,14 @@ def train_learner(
     make_curve: Callable[..., runs.Curve] = runs.Curve,
     terms: tuple[str, ...] | None = None,
 ) -> runs.TrainResult:
-    """Train as the configuration says and leave a policy in `folder`.
+    """Train by a configuration, and write a policy to `folder`.
 
-    A run with a checkpoint is resumed. An interrupt saves the policy as it is.
+    A run with a checkpoint is resumed. An interrupt saves the current policy.
 
     Args:
         make_learner: makes the learner of a configuration.
-        make_curve: makes the learning curve, as `Curve` is made.
-        terms: of the reward, for the curve; None: the task's.
+        make_curve: makes the learning curve, with the arguments of `Curve`.
+        terms: reward terms for the curve; None: the task's.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""PPO of modules on a slope: one network for all, each sees itself and what neighbours pass on.
+"""PPO of modules on a slope: one shared network with local observations.
 
 It begins by imitating the rule of its task. A parcel's reward is that of each module below it, and
 each is a sample of its own. They choose alike, by a shared draw, so that what they do together is
@@ -20,7 +20,15 @@ from ..parcel_policy import to_halves
 from .algorithms import LocalConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .slopes import VALUE_COEF, Kept, SlopeLearner, Stepped, Surfaces, shuffle, training_configs
+from .slopes import (
+    VALUE_COEF,
+    RolloutData,
+    SlopeLearner,
+    SlopeStep,
+    Surfaces,
+    shuffle,
+    training_configs,
+)
 
 # Rounds of imitation: control periods, the share of environments in which the network acts while
 # the rule says what it would do, and passes over all that was seen so far.
@@ -32,7 +40,7 @@ RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 class LocalLearner(SlopeLearner[LocalNetwork]):
-    """Network of the modules' policy and of the parcels' value, and its training."""
+    """Training of the modules' policy and the parcels' value."""
 
     most_kl = 0.01
     _config: LocalConfig
@@ -60,13 +68,13 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
     def _see(self) -> LocalInputs:
         return see_modules(self._view, self._surfaces.see().tables)
 
-    def _move(self, seen: LocalInputs, choice: Integers) -> Stepped:
+    def _move(self, seen: LocalInputs, choice: Integers) -> SlopeStep:
         surfaces = self._surfaces
         actions = fill(seen, choice, surfaces.num_envs, self._view.modules, self._rest)
         return surfaces.step(actions)
 
     def _imitate(self) -> None:
-        """Learn to choose as the rule does, where it leads and then where the network leads."""
+        """Imitate the rule, first in the rule's states and then in the network's states."""
         optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
@@ -84,7 +92,7 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
         self._surfaces.infos.clear()
 
     def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
-        """Collect what some modules saw, with what the rule chooses for each."""
+        """Collect observations of modules, with the rule's choices."""
         surfaces, rng = self._surfaces, self._rng
         surfaces.begin(rng)
         found: list[tuple[torch.Tensor, ...]] = []
@@ -107,7 +115,7 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,), and return them with the logarithm of each one's probability."""
+        """Draw choices (modules,); return them with their log probabilities."""
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._rows) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
@@ -122,17 +130,19 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
 
     @torch.no_grad()
     def _value(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Compute the values (rows,) of the parcels in all rows, 0 where there is none."""
+        """Compute the values (rows,) of parcels in all rows; 0 without a parcel."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value
 
     def _roll_out(self) -> list[torch.Tensor]:
-        """Collect samples of modules: what was passed on to each and what it saw itself, its choice
-        and the logarithm of its probability, the normalised advantage and the return of its parcel.
+        """Collect samples of modules.
+
+        They hold shared and own features, the choice with its log probability, and the parcel's
+        normalised advantage and return.
         """
         parts, rows = [], []
-        kept = Kept([], [], [], [])
+        kept = RolloutData([], [], [], [])
         for _ in range(self._config.n_steps):
             seen = self._seen
             value = self._value(seen, self._rows)
@@ -163,10 +173,8 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
             torch.from_numpy(each.astype(np.float32)) for each in (advantage, returns)
         ]
 
-    def _after(self, stepped: Stepped) -> Numbers:
-        """Compute the values (rows,) of what would follow episodes that are out of time, which
-        could have gone on.
-        """
+    def _after(self, stepped: SlopeStep) -> Numbers:
+        """Compute the values (rows,) after truncated episodes, which could have continued."""
         after = np.zeros(stepped.left.shape)
         count = len(stepped.last)
         if count:

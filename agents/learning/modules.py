@@ -1,4 +1,4 @@
-"""Shared-policy PPO per module, by the likelihood of all choices in an environment together."""
+"""Shared-policy PPO per module, with the joint likelihood of an environment's choices."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -9,7 +9,7 @@ import torch
 
 from .. import module_policy
 from ..base import Integers, Singles
-from ..module_policy import GROUPS, ModuleView
+from ..module_policy import GROUPS, SortModuleView
 from ..tensors import check_like, load_optimizer
 from ..vec_env import ConcatVecEnv
 from . import ppo
@@ -35,19 +35,19 @@ def step_envs(envs: ConcatVecEnv, actions: Integers) -> ppo.Transition:
 
 @dataclass(frozen=True, eq=False)
 class ModuleSamples:
-    """Samples, one for each environment and control period, and all their modules in a row."""
+    """Samples, one per environment and control period, with their modules concatenated."""
 
     observations: torch.Tensor  # (samples, features)
-    shared: torch.Tensor  # (samples, shared features) of all modules of a sample
-    log_prob: torch.Tensor  # (samples,) of the choices together, when they were made
-    count: torch.Tensor  # (samples,) of modules
+    shared: torch.Tensor  # (samples, shared features) features shared by a sample's modules
+    log_prob: torch.Tensor  # (samples,) joint log probability of the choices when made
+    count: torch.Tensor  # (samples,) number of modules
     place: torch.Tensor  # (modules, place features)
-    group: torch.Tensor  # (modules,) within its sample
+    group: torch.Tensor  # (modules,) group within the sample
     choice: torch.Tensor  # (modules,)
 
     @property
     def sample(self) -> torch.Tensor:
-        """Index of each module's sample (modules,)."""
+        """(modules,) index of each module's sample."""
         return torch.arange(len(self.count)).repeat_interleave(self.count)
 
     def select(self, samples: Integers) -> "ModuleSamples":
@@ -72,13 +72,13 @@ class ModuleSamples:
 
 
 class ModuleLearner:
-    """Networks of the modules' policy and value, and their training."""
+    """Training of the modules' policy and value."""
 
     def __init__(self, config: ModulesConfig) -> None:
         self._config = config
         self._envs = make_training_envs(config)
         env_config = make_card(config).env_config()
-        self._view = ModuleView(env_config)
+        self._view = SortModuleView(env_config)
         torch.manual_seed(config.seed)
         self.network = module_policy.SharedNetwork(
             len(env_config.chosen_orientations), config.hidden, env_config.observe
@@ -131,7 +131,7 @@ class ModuleLearner:
 
     @torch.no_grad()
     def _decide(self) -> tuple[ModuleSamples, Integers]:
-        """Draw the choices of all modules; return them as samples, and the actions."""
+        """Draw the choices of all modules; return samples and actions."""
         num_envs = len(self._seen)
         seen = self._view(self._seen)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
@@ -154,7 +154,7 @@ class ModuleLearner:
 
     @torch.no_grad()
     def _roll_out(self) -> tuple[ModuleSamples, torch.Tensor, torch.Tensor, list[dict[str, Any]]]:
-        """Collect samples, their normalised advantages, their returns, and infos."""
+        """Collect samples, normalised advantages, returns and infos."""
         parts, rewards, ended, next_value = [], [], [], []
         infos: list[dict[str, Any]] = []
         for _ in range(self._config.n_steps):

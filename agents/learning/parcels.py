@@ -1,4 +1,4 @@
-"""PPO of parcels on a slope: one network for all of them, which corrects the rule of its task."""
+"""PPO of parcels on a slope: one shared network that corrects the task's rule."""
 
 from pathlib import Path
 
@@ -10,11 +10,11 @@ from ..parcel_policy import ParcelNetwork, make_network, to_halves
 from .algorithms import ParcelsConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .slopes import Kept, Seen, SlopeLearner, Surfaces, training_configs
+from .slopes import RolloutData, SlopeLearner, SlopeObservations, Surfaces, training_configs
 
 
 class ParcelLearner(SlopeLearner[ParcelNetwork]):
-    """Network of the parcels' policy and value, and its training."""
+    """Training of the parcels' policy and value."""
 
     most_kl = 0.03
 
@@ -30,9 +30,10 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
         self._seen = self._surfaces.see()
 
     @torch.no_grad()
-    def _decide(self, seen: Seen) -> tuple[Integers, Integers, Singles, Singles]:
-        """Draw choices; return halves (num_envs, rows, 2), and of all rows (num_envs x rows,)
-        choice, logarithm of its probability, and value.
+    def _decide(self, seen: SlopeObservations) -> tuple[Integers, Integers, Singles, Singles]:
+        """Draw choices; return halves (num_envs, rows, 2), and data of all rows (num_envs x rows,).
+
+        The data are choice, log probability and value.
         """
         found = self._learning(*map(torch.from_numpy, seen))
         log_probability = found.logits.log_softmax(dim=1)
@@ -50,14 +51,16 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
 
     @torch.no_grad()
     def _roll_out(self) -> list[torch.Tensor]:
-        """Collect tables (samples, rows, features), and of their rows (samples, rows) what the rule
-        proposed, the choice, the logarithm of its probability, normalised advantage, and return.
+        """Collect tables (samples, rows, features), and data of their rows (samples, rows).
+
+        The data are the rule's proposal, the choice, its log probability, the normalised advantage
+        and the return.
         """
         surfaces = self._surfaces
-        all_seen: list[Seen] = []
+        all_seen: list[SlopeObservations] = []
         chosen: list[Integers] = []
         likely: list[Singles] = []
-        kept = Kept([], [], [], [])
+        kept = RolloutData([], [], [], [])
         for _ in range(self._config.n_steps):
             seen = self._seen
             halves, choice, log_probability, value = self._decide(seen)
@@ -73,8 +76,8 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
             timed = stepped.out_of_time
             kept.ended.append((stepped.left | (stepped.jammed | timed)[:, np.newaxis]).ravel())
             after = np.zeros(stepped.left.shape, dtype=np.float32)
-            if timed.any():  # an episode that is out of time could have gone on
-                last = Seen(stepped.last, seen.proposed[timed])
+            if timed.any():  # a truncated episode could have continued
+                last = SlopeObservations(stepped.last, seen.proposed[timed])
                 after[timed] = self._decide(last)[3].reshape(last.proposed.shape)
             kept.following.append((after * ~stepped.left).ravel())
         value = self._decide(self._seen)[3]

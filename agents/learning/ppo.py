@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 # As in Stable-Baselines3's PPO.
-CLIP_RANGE = 0.2  # by which the probability ratio may differ from 1 and still earn
+CLIP_RANGE = 0.2  # maximum rewarded difference of the probability ratio from 1
 MAX_GRAD_NORM = 0.5
 
 
@@ -20,14 +20,15 @@ def compute_advantages(
     gamma: float,
     gae_lambda: float,
 ) -> torch.Tensor:
-    """Compute generalised advantage estimates; all tensors (periods, num_envs), on one device.
+    """Compute generalised advantage estimates of tensors (periods, num_envs) on one device.
 
     Schulman et al., High-dimensional continuous control using generalised advantage estimation,
     ICLR 2016, Eq. (16).
 
     Args:
-        value: of the observation before each period.
-        next_value: of the observation after it, in the same episode; 0 after success or failure.
+        value: value of the observation before each period.
+        next_value: value of the observation after it, in the same episode; 0 after success or
+            failure.
     """
     delta = rewards + gamma * next_value - value
     advantage = torch.zeros_like(rewards)
@@ -48,7 +49,7 @@ def ppo_loss(
     ent_coef: float,
     value_coef: float,
 ) -> torch.Tensor:
-    """Compute PPO's loss of samples (samples,) each, with the clipped objective of Eq. (7)."""
+    """Compute PPO's loss of samples (samples,) with the clipped objective of Eq. (7)."""
     ratio = (log_prob - old_log_prob).exp()
     clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
     objective = torch.min(ratio * advantage, clipped * advantage).mean()
@@ -59,9 +60,9 @@ def ppo_loss(
 class Transition(NamedTuple):
     """Result of a control period: arrays, or tensors on the environments' device."""
 
-    observations: Any  # (num_envs, features) of the next start where an episode ended
+    observations: Any  # (num_envs, features) observations; the next start's after an end
     rewards: Any  # (num_envs,) float64
-    terminated: Any  # (num_envs,) ended by success or failure
-    ended: Any  # (num_envs,) or by the time limit
-    last: Any  # (num_envs, features) at the period's end, of an episode that ended too
-    infos: list[dict[str, Any]] = []  # of SurfaceVecEnv
+    terminated: Any  # (num_envs,) whether ended by success or failure
+    ended: Any  # (num_envs,) whether ended, also by the time limit
+    last: Any  # (num_envs, features) observations at the period's end, also of ended episodes
+    infos: list[dict[str, Any]] = []  # infos of SurfaceVecEnv

@@ -1,8 +1,9 @@
-"""Training runs: their folders, with configuration, command, checkpoint, learning curve and card;
-one run, all its seeds in parallel, or on nodes of a cluster.
+"""Training runs, in parallel seeds or on a cluster, and their folders.
 
-A run goes from checkpoint to checkpoint. At each one it saves its state, seeds everything anew and
-starts all environments anew, so that a resumed run comes to the same result as an unbroken one.
+A folder holds configuration, command, checkpoint, learning curve and card.
+
+At each checkpoint, a run saves its state, reseeds everything and restarts all environments. So a
+resumed run gives the same result as an uninterrupted one.
 """
 
 import csv
@@ -54,42 +55,42 @@ from .config import TrainConfig
 CONFIG = "config.yaml"
 COMMAND = "command.txt"
 CHECKPOINT = "checkpoint.pt"
-PLAIN = 2**19  # [bytes] in a checkpoint beside its tensors: 1000 episodes have half of it
+PLAIN = 2**19  # [bytes] maximum size of plain values in a checkpoint; 1000 episodes need half of it
 CURVE = "curve.csv"
 CARD = "card.yaml"
-CURVE_EVERY = 10_000  # control periods from row to row of the curve
+CURVE_EVERY = 10_000  # control periods between rows of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
 RECENT_EPISODES = 1000
 
 Restored = TypeVar("Restored")
-# Called with control periods done and the success rate of the latest episodes.
+# Called with finished control periods and the success rate of the latest episodes.
 OnProgress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """End of a run."""
+    """Result of a run."""
 
-    steps: int  # control periods learned from
-    seconds: float  # duration, since the last resume
+    steps: int  # number of control periods
+    seconds: float  # duration since the last resume
     interrupted: bool
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Report of a run in another process."""
+    """Progress of a run in another process."""
 
-    steps: int  # control periods done
-    success: float | None  # of the latest episodes; None: unchanged
-    files: dict[str, bytes] = field(default_factory=dict)  # changed ones, if the folder is remote
+    steps: int  # finished control periods
+    success: float | None  # success rate of the latest episodes; None: unchanged
+    files: dict[str, bytes] = field(default_factory=dict)  # changed files of a remote folder
 
 
 class StopTraining(Exception):
-    """Raised by `on_progress` to end a run early, as an interrupt does."""
+    """Raised by `on_progress` to end a run early, like an interrupt."""
 
 
 def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
-    """Make a new folder with the resolved configuration and the command."""
+    """Make a new folder with the full configuration and the command."""
     which = f"seed{config.seed}" if config.seeds == 1 else f"{config.seeds}seeds"
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
@@ -106,7 +107,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
 
 
 def seed_folders(config: TrainConfig, folder: Path) -> list[tuple[TrainConfig, Path]]:
-    """List the configuration and folder of each seed; a single seed has the run's own folder."""
+    """List configuration and folder of each seed; a single seed uses the run's folder."""
     if config.seeds == 1:
         return [(config, folder)]
     return [
@@ -130,9 +131,9 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
     """Read a configuration written by `write_config`, also with earlier names of fields.
 
     Args:
-        task: that it must be of; None: one that is registered, since a file must not say what code
-            is run.
-        algo: in the same way.
+        task: required task; None: any registered task, since a file must not select code to
+            execute.
+        algo: required algorithm, in the same way.
     """
     try:
         plain = read_yaml(file)
@@ -163,7 +164,7 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
 
 
 def task_name(file: Path) -> str | None:
-    """Read the task's name from a run's configuration; None where it is damaged. Runs no code."""
+    """Return the task's name in a run's configuration without executing code; None if damaged."""
     try:
         return str(read_yaml(file)["task"])
     except (OSError, ValueError, KeyError):
@@ -171,7 +172,7 @@ def task_name(file: Path) -> str | None:
 
 
 def training_command(config: TrainConfig) -> str:
-    """Build the command that trains the same again, with every option that is no default."""
+    """Return the command of a configuration, with every option that differs from the default."""
     device = configs.device_of(config)
     default = configs.defaults(config.task, config.algo, preset=config.preset, device=device)
     chosen = ["--task", config.task, "--algo", config.algo]
@@ -190,19 +191,19 @@ def training_command(config: TrainConfig) -> str:
 def write_card(
     config: TrainConfig, trained: Sequence[TrainResult], results: dict[str, Any], folder: Path
 ) -> None:
-    """Write a run's card: its command, its seeds, and the results of their evaluation."""
+    """Write a run's card: command, seeds, and results of the evaluation."""
     card = {
         "command": training_command(config),
         "seeds": list(range(config.seed, config.seed + config.seeds)),
         "steps": [each.steps for each in trained],
-        "seconds": [round(each.seconds) for each in trained],  # of each seed, on a core or device
+        "seconds": [round(each.seconds) for each in trained],  # per seed, on one core or device
         "results": results,
     }
     (folder / CARD).write_text(yaml.safe_dump(card, sort_keys=False))
 
 
 def interval_at(config: TrainConfig, steps: int) -> int:
-    """Return the number of the checkpoint interval after some control periods."""
+    """Return the checkpoint interval after `steps` control periods."""
     return steps // config.checkpoint_every
 
 
@@ -212,7 +213,7 @@ def interval_seed(config: TrainConfig, interval: int) -> int:
 
 
 def write_state(state: dict[str, Any], folder: Path) -> None:
-    """Write tensors and plain values as a folder's checkpoint, whole or not at all."""
+    """Write tensors and plain values as a folder's checkpoint, atomically."""
     import torch
 
     with replacing(folder / CHECKPOINT) as part, part.open("wb") as file:
@@ -222,7 +223,10 @@ def write_state(state: dict[str, Any], folder: Path) -> None:
 
 
 def read_state(folder: Path, restore: Callable[[dict[str, Any]], Restored]) -> Restored:
-    """Pass a folder's checkpoint to `restore` and return its result. Runs no code from the file."""
+    """Pass a folder's checkpoint to `restore`, and return its result.
+
+    No code of the file is executed.
+    """
     from ..tensors import load_tensors
 
     try:
@@ -239,7 +243,7 @@ class Curve:
     """Learning curve in curve.csv and TensorBoard: means over the latest episodes.
 
     Args:
-        steps: control periods done before; later rows in the files are dropped.
+        steps: control periods so far; later rows in the files are removed.
     """
 
     def __init__(
@@ -273,7 +277,7 @@ class Curve:
 
     @property
     def success(self) -> float:
-        """Success rate [-] of the latest episodes; nan before the first."""
+        """[-] success rate of the latest episodes; NaN before the first."""
         return self._mean("success")
 
     def write(self, steps: int) -> None:
@@ -297,10 +301,10 @@ class Curve:
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of a run's curve, without a last line that was broken off.
+    """Read the rows of a run's curve, without an incomplete last line.
 
     Raises:
-        ValueError: the file holds no curve; the error names it and the line.
+        ValueError: the file holds no curve; the message names the file and the line.
     """
     file = folder / CURVE
     rows: list[dict[str, float]] = []
@@ -331,7 +335,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
-    """Raise a ValueError unless a checkpoint's latest episodes have numbers by these names."""
+    """Raise a ValueError unless a checkpoint's latest episodes have the named numbers."""
     try:
         if not isinstance(recent, list):
             raise ValueError(f"recent must be a list, got a {type(recent).__name__}")
@@ -345,10 +349,10 @@ def _check_recent(file: Path, recent: Any, names: Sequence[str]) -> None:
 def train(
     config: TrainConfig, folder: Path, on_progress: OnProgress = lambda *_: None
 ) -> TrainResult:
-    """Train one seed by the configuration's algorithm and leave a policy in `folder`.
+    """Train one seed by the configuration's algorithm, and write a policy to `folder`.
 
     A run with a checkpoint is resumed. An interrupt, or `StopTraining` raised by `on_progress`,
-    saves the policy as it is.
+    saves the current policy.
     """
     result: TrainResult = find_algorithm(config.algo).train(config, folder, on_progress)
     return result
@@ -357,9 +361,9 @@ def train(
 def train_seeds(
     config: TrainConfig, folder: Path, console: Console, workers: Workers
 ) -> list[TrainResult]:
-    """Train every seed of a configuration, each in its folder; return their results in order.
+    """Train every seed of a configuration in its folder; return results in order.
 
-    An interrupt ends all of them, each with what it has learned so far; then there are fewer.
+    An interrupt ends all seeds with their current policies; then there may be fewer results.
     """
     runs = seed_folders(config, folder)
     for _, own in runs:
@@ -400,10 +404,10 @@ def _train(config: TrainConfig, folder: Path, report: Report) -> TrainResult:
 
 @dataclass(frozen=True)
 class RemoteRun:
-    """A run for a node of a cluster, which works in a temporary folder of its own.
+    """A run for a node of a cluster, in a temporary folder.
 
-    It is sent with the files that its folder holds at that moment, so that it is resumed from its
-    last checkpoint if a node has died. Files that it writes are sent back with its progress.
+    It is sent with the current files of its folder, so that it resumes from the last checkpoint if
+    a node dies. Written files are sent back with the progress.
     """
 
     config: TrainConfig
@@ -417,12 +421,12 @@ class RemoteRun:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """Read all files of a folder, by their names in it."""
+    """Read all files of a folder, by name."""
     return {name: (folder / name).read_bytes() for name in _stamps(folder)}
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files, each whole or not at all; the checkpoint last, since the others belong to it."""
+    """Write files atomically; the checkpoint last, since the others belong to it."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -1,4 +1,4 @@
-"""Training environments: some with exact sensors, some with a camera and varied friction."""
+"""Stable-Baselines3: training environments, PPO and DQN."""
 
 import time
 from dataclasses import replace
@@ -27,27 +27,27 @@ from .algorithms import DQNConfig, PPOConfig
 from .config import ParcelConfig, make_card
 from .ppo import CLIP_RANGE
 
-# For the lab: other parcels than in its evaluation, of the same distribution and a little beyond.
+# For the lab: other parcels than in its evaluation, from a slightly wider distribution.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
-# With exact sensors beside it: squares of all sizes, and as often the study's boxes.
+# With exact sensors: squares of all sizes, and equally often the study's boxes.
 _SQUARES = tuple(sg.Parcel(sg.Rectangle(0.01 * side, 0.01 * side)) for side in range(15, 51))
 _EXACT_PARCELS = (*_SQUARES, *(sg.layouts.box("S"), sg.layouts.box("B")) * (len(_SQUARES) // 2))
 
 
 def training_task(name: str) -> sg.tasks.Task:
-    """Return the task to train on, which may be narrower than the task of a name."""
+    """Return the training task, which may be narrower than the named task."""
     return find_task(name).training_tasks()[0]
 
 
 def make_mirrored_envs(config: ParcelConfig) -> vec_env.VecEnv:
-    """Make the environments of a configuration, with actions mirrored where the task is."""
+    """Make the environments of a configuration, with mirrored actions for mirrored tasks."""
     envs = make_training_envs(config)
     mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
     return envs if mirror is None else MirrorVecEnv(envs, mirror)
 
 
 def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
-    """Make the environments of a configuration, with actions in the world."""
+    """Make the environments of a configuration, without mirrored actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -74,7 +74,7 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> SurfaceVecEnv:
-    """Make environments under a preset, with a zone of so many columns or the task's own."""
+    """Make environments under a preset, with a number of zone columns or the task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
     if columns is not None:
@@ -96,7 +96,7 @@ def _make_envs(
     )
 
 
-# Fields of a configuration that are arguments of Stable-Baselines3's algorithms.
+# Fields of a configuration that are arguments of Stable-Baselines3.
 _OF_BOTH = ("gamma", "batch_size", "n_steps", "seed")
 _OF_PPO = ("n_epochs", "gae_lambda", "ent_coef")
 _OF_DQN = (
@@ -108,10 +108,10 @@ _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones",
 
 
 class DoubleDQN(DQN):
-    """Stable-Baselines3's DQN with the double estimate as the target."""
+    """Stable-Baselines3's DQN with double-Q targets."""
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """Take gradient steps on batches of the replay buffer."""
+        """Do gradient steps on batches of the replay buffer."""
         assert self.replay_buffer is not None
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
@@ -141,9 +141,9 @@ class DoubleDQN(DQN):
 
 
 def truncate_last(model: DoubleDQN) -> None:
-    """Mark the latest transitions as truncated, for the environments start anew after them.
+    """Mark the latest transitions as truncated, since the environments restart after them.
 
-    Without it, n-step returns would reach into other episodes.
+    Otherwise, n-step returns would extend into other episodes.
     """
     buffer = model.memory
     last = buffer.pos - 1
@@ -155,19 +155,20 @@ def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | Doub
     names = _OF_PPO if isinstance(config, PPOConfig) else _OF_DQN
     given: dict[str, Any] = {
         **{name: getattr(config, name) for name in (*_OF_BOTH, *names)},
-        "learning_rate": lambda left: config.learning_rate * left,  # of the run, from 1 to 0
+        # remaining share of the run, from 1 to 0
+        "learning_rate": lambda left: config.learning_rate * left,
         "policy_kwargs": {"net_arch": list(config.hidden)},
         "device": "cpu",
     }
     if isinstance(config, PPOConfig):
         return PPO(EqualChoicesPolicy, env, clip_range=CLIP_RANGE, **given)
-    # The target follows at every control period of all environments.
+    # The target is updated at every control period of all environments.
     every = config.num_envs
     return DoubleDQN("MlpPolicy", env, train_freq=1, target_update_interval=every, **given)
 
 
 def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], folder: Path) -> None:
-    """Write networks, optimiser, counters, replay buffer and the latest episodes into a folder."""
+    """Write networks, optimiser, counters, replay buffer and latest episodes to a folder."""
     state: dict[str, Any] = {
         "policy": model.policy.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
@@ -184,7 +185,7 @@ def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], fold
 
 
 def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
-    """Restore a model from a checkpoint and return the latest episodes."""
+    """Restore a model from a checkpoint; return the latest episodes."""
 
     def restore(state: dict[str, Any]) -> list[dict[str, float]]:
         check_like("policy", state["policy"], model.policy.state_dict())
@@ -214,7 +215,7 @@ def _restore_memory(model: DoubleDQN, state: dict[str, Any]) -> None:
 
 
 class _Checkpoints(BaseCallback):
-    """Checkpoints, where everything is seeded and started anew, and the learning curve."""
+    """Callback for checkpoints, at which everything restarts, and for the learning curve."""
 
     def __init__(
         self,
@@ -264,9 +265,9 @@ class _Checkpoints(BaseCallback):
 def train_sb3(
     config: PPOConfig | DQNConfig, folder: Path, on_progress: runs.OnProgress = lambda *_: None
 ) -> runs.TrainResult:
-    """Train PPO or DQN as the configuration says and leave a policy in `folder`.
+    """Train PPO or DQN by a configuration, and write a policy to `folder`.
 
-    A run with a checkpoint is resumed. An interrupt saves the policy as it is.
+    A run with a checkpoint is resumed. An interrupt saves the current policy.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()

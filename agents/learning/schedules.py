@@ -1,5 +1,6 @@
-"""Learning on the schedule of streams: which touches decisions at the gate lead to, on lines that
-vary, from episodes in which the network itself decides and explores.
+"""Learning the touches caused by decisions of a schedule, on varied lines.
+
+The network learns from episodes with its own decisions and exploration.
 """
 
 import math
@@ -33,26 +34,26 @@ from .learner import learning_rate, train_learner
 from .runs import Curve, OnProgress, TrainResult
 
 DURATION = 16.0  # [s] of an episode
-PRICES = (0.5, 50.0)  # [-] of a touch, log-uniform between them
-WRONG = 2.0  # [touches] that a parcel counts that leaves by another exit, or is in a jam
-IN_THE_WAY = 0.5  # [touches] that the one ahead counts
-ANY_LEVEL, ANY_OPTION = 0.3, 0.15  # [-] of decisions that explore
-NEAR = 0.7  # [parcels] that an explored maneuver may cost more
-STRONG = 100.0  # [parcels] by which exploring counts more than all else
-MEMORY = 160  # rollouts that are learned from
-PASSES = 2  # over what is remembered, of an update at most
-KEPT = 0.9  # [-] odds that a rollout is on a line that is kept
-LINES = 24  # that are kept, the libraries of which take seconds to make
+PRICES = (0.5, 50.0)  # [-] price of a touch, log-uniform in this range
+WRONG = 2.0  # [touches] penalty of a wrong exit or a jam
+IN_THE_WAY = 0.5  # [touches] penalty of the parcel ahead
+ANY_LEVEL, ANY_OPTION = 0.3, 0.15  # [-] share of exploring decisions
+NEAR = 0.7  # [parcels] maximum additional cost of an explored maneuver
+STRONG = 100.0  # [parcels] bonus that enforces exploration
+MEMORY = 160  # number of remembered rollouts
+PASSES = 2  # maximum passes over the memory per update
+KEPT = 0.9  # [-] probability of a rollout on a stored line
+LINES = 24  # number of stored lines, whose libraries take seconds to make
 FOUR, SIX = (0.0, 45.0, -45.0, 90.0), (0.0, 45.0, -45.0, 90.0, 80.0, -80.0)  # [deg]
 TERMS = ("touches", "wrong")
 
 
 def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
-    """Draw the line of an episode: its exits, stream, orientations, sensors and what errs."""
+    """Draw a random line: exits, stream, orientations, sensors and errors."""
     length = round(float(rng.uniform(4.0, 8.0)), 1) if rng.random() < 0.5 else 6.0
     line = flow_line(length)
     speed = float(rng.uniform(0.9, 2.2))
-    # A library has maneuvers for each parcel, speed and exit: not all three vary at once.
+    # A library has maneuvers for each parcel, speed and exit, so not all three vary at once.
     spread, chutes, six = (rng.random() < odds for odds in (0.3, 0.5, 0.4))
     speeds = (max(0.8, speed - float(rng.uniform(0.3, 0.9))), speed) if spread else speed
     exits = _draw_exits(rng, length) if chutes and not spread else sides(length)
@@ -91,7 +92,7 @@ def draw_config(rng: np.random.Generator, control_period: float) -> EnvConfig:
 
 
 def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
-    """Draw one to four parcels: the study's boxes, or others."""
+    """Draw one to four parcels: the study's boxes, or other ones."""
     if rng.random() < 0.4:
         return tuple(sg.layouts.box(name) for name in ("S", "B")[: int(rng.integers(1, 3))])
     sizes = rng.uniform(0.2, 0.45, (int(rng.integers(1, 5)), 2)).round(2).tolist()
@@ -99,7 +100,7 @@ def _draw_parcels(rng: np.random.Generator) -> tuple[sg.Parcel, ...]:
 
 
 def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
-    """Draw one to three chutes a side, and the exit straight on."""
+    """Draw one to three chutes per side, and the exit straight ahead."""
     found = [Exit("straight", 0)]
     for name, side in (("left", 1), ("right", -1)):
         count = int(rng.integers(1, 4))
@@ -111,7 +112,7 @@ def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
 
 
 class Recorder(NetworkScheduler):
-    """Scheduler that explores, and keeps its decisions."""
+    """Scheduler that explores and records its decisions."""
 
     def begin(self, batch: StreamBatch, rng: np.random.Generator) -> None:
         """Begin to record the decisions in a batch."""
@@ -123,7 +124,7 @@ class Recorder(NetworkScheduler):
         rng, count = self._rng, len(decisions.env)
         price = self._prices[decisions.env][:, np.newaxis, np.newaxis]
         cost = decisions.cost + price * np.exp(self.risk(decisions))
-        # Some take any level, and some any maneuver that costs little more time.
+        # Some decisions take any level, and some any maneuver with a small additional cost.
         levels = rng.random((count, 1, 1)) < ANY_LEVEL
         cost += STRONG * levels * rng.random((count, 1, len(LEVELS)))
         near = decisions.cost[..., USUAL, np.newaxis] < NEAR
@@ -136,8 +137,8 @@ class Recorder(NetworkScheduler):
         return option, level
 
 
-class Samples(NamedTuple):
-    """Decisions: what was known of the candidate that was chosen, and what it led to."""
+class DecisionSamples(NamedTuple):
+    """Decisions: features of the chosen candidate, and the resulting touches."""
 
     option: torch.Tensor  # (samples, 1, OPTION)
     token: torch.Tensor
@@ -146,13 +147,13 @@ class Samples(NamedTuple):
     level: torch.Tensor  # (samples,)
     touches: torch.Tensor  # (samples,)
 
-    def select(self, chosen: torch.Tensor) -> "Samples":
-        """Return some of them."""
-        return Samples(*(each[chosen] for each in self))
+    def select(self, chosen: torch.Tensor) -> "DecisionSamples":
+        """Return a selection of samples."""
+        return DecisionSamples(*(each[chosen] for each in self))
 
 
 class ScheduleLearner:
-    """Network of candidates' risk, which learns from what its own decisions led to."""
+    """Training of the network of candidates' risk, from its own decisions."""
 
     def __init__(self, config: SchedulesConfig) -> None:
         self._config = config
@@ -165,7 +166,7 @@ class ScheduleLearner:
     def begin(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._lines: list[tuple[EnvConfig, Recorder]] = []
-        self._samples: list[Samples] = []
+        self._samples: list[DecisionSamples] = []
 
     def learn(self, curve: Curve) -> None:
         for group in self._optimiser.param_groups:
@@ -174,8 +175,8 @@ class ScheduleLearner:
             samples, infos = self._roll_out()
             self._samples = [*self._samples, samples][-MEMORY:]
             curve.add_episodes(infos)
-        every = Samples(*map(torch.cat, zip(*self._samples, strict=True)))
-        # Few decisions are not learned by heart, at the start and after a checkpoint.
+        every = DecisionSamples(*map(torch.cat, zip(*self._samples, strict=True)))
+        # Avoids overfitting to few decisions, at the start and after a checkpoint.
         most = PASSES * len(every.level) // self._config.batch_size
         for _ in range(min(self._config.gradient_steps, most)):
             chosen = self._rng.integers(len(every.level), size=self._config.batch_size)
@@ -197,7 +198,7 @@ class ScheduleLearner:
         self.steps = state["steps"]
 
     def _take_line(self) -> tuple[EnvConfig, Recorder]:
-        """Take a line of those kept, or a new one."""
+        """Return a stored line, or a new one."""
         if len(self._lines) == LINES and self._rng.random() < KEPT:
             return self._lines[int(self._rng.integers(LINES))]
         config = draw_config(self._rng, self._config.control_period)
@@ -205,8 +206,8 @@ class ScheduleLearner:
         self._lines = [*self._lines, made][-LINES:]
         return made
 
-    def _roll_out(self) -> tuple[Samples, list[dict[str, Any]]]:
-        """Collect the decisions of an episode on each of some streams."""
+    def _roll_out(self) -> tuple[DecisionSamples, list[dict[str, Any]]]:
+        """Collect the decisions of one episode per stream."""
         config, recorder = self._take_line()
         count = self._config.num_envs
         batch = StreamBatch(config, count)
@@ -226,8 +227,8 @@ class ScheduleLearner:
         recorder.kept.clear()
         return found
 
-    def _step(self, samples: Samples) -> None:
-        """Raise the likelihood of the touches, which are Poisson's."""
+    def _step(self, samples: DecisionSamples) -> None:
+        """Do a gradient step on the Poisson likelihood of touches."""
         risk = self.network(samples.option, samples.token, samples.shown, samples.about)[:, 0]
         own = risk.gather(1, samples.level[:, None])[:, 0]
         loss = (own.exp() - samples.touches * own).mean()
@@ -237,8 +238,8 @@ class ScheduleLearner:
         self._optimiser.step()
 
 
-def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Samples:
-    """Collect the decisions for parcels that have left, with the touches that they led to."""
+def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> DecisionSamples:
+    """Collect the decisions for departed parcels, with their touches."""
     streams = batch.streams
     env = np.concatenate([each.env for each, *_ in recorder.kept])
     option, level, arrival = (
@@ -250,19 +251,20 @@ def _collect(recorder: Recorder, batch: StreamBatch, blame: Numbers) -> Samples:
     wrong = left & (streams.taken[env, arrival] != streams.exit[env, arrival])
     wrong |= (streams.outcome[env] == JAM) & ~left
     touches = blame[env, arrival] + WRONG * wrong
-    # Of several decisions for a parcel, whose entry was put off, the last one counts.
+    # If a parcel's entry was postponed, the last decision counts.
     last = {key: k for k, key in enumerate(zip(env.tolist(), arrival.tolist(), strict=True))}
     kept = [k for k in last.values() if left[k] or streams.outcome[env[k]] == JAM]
     chosen = options[kept, option[kept]][:, None]
-    return Samples(
+    return DecisionSamples(
         chosen, token[kept], shown[kept], about[kept], torch.from_numpy(level[kept]),
         torch.from_numpy(touches[kept]).float(),
     )  # fmt: skip
 
 
 def share_blame(touched: Booleans, blame: Numbers) -> None:
-    """Add touches that began: one for each parcel that touched another ahead of it, and a part for
-    the first, which was in its way.
+    """Add new touches to the blame of parcels.
+
+    A parcel that touches one ahead of it gets a full touch; the parcel ahead gets a part.
     """
     for i in np.nonzero(touched.sum(axis=1) > 1)[0].tolist():
         first, *others = np.nonzero(touched[i])[0].tolist()
@@ -271,7 +273,7 @@ def share_blame(touched: Booleans, blame: Numbers) -> None:
 
 
 def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
-    """Say how each episode went: the share that left right, and what was lost."""
+    """Return infos of each episode: share of correct departures, and losses."""
     streams = batch.streams
     infos = []
     for i in range(batch.num_envs):

@@ -1,6 +1,6 @@
-"""What agents on a slope learn from: surfaces side by side, rewards of each parcel, and PPO.
+"""Learning on a slope: several surfaces, rewards per parcel, and PPO.
 
-Each parcel has rewards of its own, and a part of the others'.
+Each parcel gets its own rewards, and a share of the others' rewards.
 """
 
 import copy
@@ -30,17 +30,17 @@ from .learner import learning_rate
 from .runs import Curve
 
 DURATION = 60.0  # [s] of an episode
-SHAPES = 64  # of the lab, in each of its groups of environments
-JAMMED = -1.0  # reward of each parcel in a jam
-STALLED = 15.0  # [s] in which none of the parcels there leaves, that count as a jam
-SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
-CRITIC_FIRST = 10  # rollouts in which only the critic learns
+SHAPES = 64  # shapes of the lab in each group of environments
+JAMMED = -1.0  # reward of every parcel in a jam
+STALLED = 15.0  # [s] time without departures that counts as a jam
+SHARED = 0.2  # share of the rewards of all others on the surface
+CRITIC_FIRST = 10  # initial rollouts in which only the critic learns
 VALUE_COEF = 0.5
-SMOOTH = 0.97  # [-] of the score of all rollouts before the last
+SMOOTH = 0.97  # [-] weight of earlier rollouts in the score
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """List the environments to learn from: each task with exact sensors and in the lab."""
+    """List the training environments: each task with exact sensors and in the lab."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -56,25 +56,26 @@ def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
     return found
 
 
-class Seen(NamedTuple):
-    """What is seen of all environments, and what the rule would choose."""
+class SlopeObservations(NamedTuple):
+    """Observations of all environments, and the rule's choices."""
 
     tables: Singles  # (num_envs, rows, features)
     proposed: Integers  # (num_envs, rows)
 
 
-class Stepped(NamedTuple):
-    """What a control period led to, of all rows (num_envs, rows)."""
+class SlopeStep(NamedTuple):
+    """Result of a control period for all rows (num_envs, rows)."""
 
     reward: Numbers
-    left: Booleans  # whether the parcel that was there is no more
-    jammed: Booleans  # (num_envs,) by the environment, or as nothing has left for long
+    left: Booleans  # whether the row's parcel has departed
+    # (num_envs,) detected by the environment, or by a long time without departures
+    jammed: Booleans
     out_of_time: Booleans  # (num_envs,)
-    last: Singles  # (out of time, rows, features) tables at the end of these
+    last: Singles  # (out of time, rows, features) final tables of truncated environments
 
 
 class Surfaces:
-    """Environments of several configurations, side by side, that begin anew as they end."""
+    """Environments of several configurations, which restart when they end."""
 
     def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
         self.batches = [
@@ -91,11 +92,12 @@ class Surfaces:
         self._weights = np.array(weights)
         self._terms = task.terms
         self._sums = np.zeros((num_envs, len(self._terms)))
-        self._quiet = np.zeros(num_envs)  # [s] since a parcel left, or none was there
-        self.infos: list[dict[str, Any]] = []  # of the episodes that have ended
+        # [s] since the last departure, or since the surface was empty
+        self._quiet = np.zeros(num_envs)
+        self.infos: list[dict[str, Any]] = []  # infos of ended episodes
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Begin all episodes anew, from seeds of a generator."""
+        """Restart all episodes with seeds from a generator."""
         self._rng = rng
         self._sums[:] = self._quiet[:] = 0.0
         self._memories: list[Any] = [None] * len(self.batches)
@@ -103,8 +105,8 @@ class Surfaces:
             self._reset(batch, np.arange(batch.num_envs))
         self._fresh = [np.ones(batch.num_envs, dtype=np.bool_) for batch in self.batches]
 
-    def see(self) -> Seen:
-        """See all, once in a control period: the rule remembers what it has seen."""
+    def see(self) -> SlopeObservations:
+        """Observe all environments, once per control period since the rule has a memory."""
         proposed = []
         for k, (rule, batch) in enumerate(zip(self._rules, self.batches, strict=True)):
             choice, self._memories[k] = rule.propose(
@@ -112,10 +114,10 @@ class Surfaces:
             )
             proposed.append(choice)
         tables = np.concatenate([batch.observation for batch in self.batches])
-        return Seen(tables, np.concatenate(proposed))
+        return SlopeObservations(tables, np.concatenate(proposed))
 
-    def step(self, halves: Integers) -> Stepped:
-        """Move all by a control period, by choices (num_envs, ...), of each half or module."""
+    def step(self, halves: Integers) -> SlopeStep:
+        """Step all by a control period with choices (num_envs, ...) of halves or modules."""
         parts = [self._step(*each) for each in self._parts(halves)]
         self._fresh = [each.jammed | each.out_of_time for each in parts]
         return _join(parts)
@@ -127,7 +129,9 @@ class Surfaces:
             yield batch, halves[here], self._sums[here], self._quiet[here]
             first += batch.num_envs
 
-    def _step(self, batch: StreamBatch, halves: Integers, sums: Numbers, quiet: Numbers) -> Stepped:
+    def _step(
+        self, batch: StreamBatch, halves: Integers, sums: Numbers, quiet: Numbers
+    ) -> SlopeStep:
         streams = batch.streams
         number, there = streams.number.copy(), streams.present.copy()
         batch.step(halves.reshape(batch.num_envs, -1))
@@ -155,7 +159,7 @@ class Surfaces:
             )
         sums[ended] = quiet[ended] = 0.0
         self._reset(batch, ended)
-        return Stepped(reward, left, jammed, timed, last)
+        return SlopeStep(reward, left, jammed, timed, last)
 
     def _reset(self, batch: StreamBatch, chosen: Integers) -> None:
         for i in chosen.tolist():
@@ -164,26 +168,26 @@ class Surfaces:
             batch.reset(chosen)
 
 
-def _join(parts: list[Stepped]) -> Stepped:
-    return Stepped(*map(np.concatenate, zip(*parts, strict=True)))
+def _join(parts: list[SlopeStep]) -> SlopeStep:
+    return SlopeStep(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-class Kept(NamedTuple):
-    """What a rollout keeps of all rows (num_envs x rows,) in each control period."""
+class RolloutData(NamedTuple):
+    """Data of a rollout for all rows (num_envs x rows,) in each control period."""
 
     value: list[Any]
     reward: list[Numbers]
     ended: list[Booleans]
-    following: list[Any]  # value of what comes after
+    following: list[Any]  # value after the period
 
 
 Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 class SlopeLearner(ABC, Generic[Network]):
-    """Network of a policy on slopes and of the parcels' values, and its training by PPO."""
+    """Training of a policy on slopes and of the parcels' values by PPO."""
 
-    most_kl: ClassVar[float]  # [nat] that a pass may move the policy before it is the last
+    most_kl: ClassVar[float]  # [nat] change of the policy after which no further pass follows
     _rng: np.random.Generator
 
     def __init__(
@@ -192,9 +196,9 @@ class SlopeLearner(ABC, Generic[Network]):
         self._config = config
         self._surfaces = surfaces
         self._learning = network
-        self.network = copy.deepcopy(network)  # the best so far
+        self.network = copy.deepcopy(network)  # best network so far
         self._optimiser = torch.optim.Adam(network.parameters(), config.learning_rate)
-        self._score = self._best = -math.inf  # [1/s] rewards of an environment, smoothed
+        self._score = self._best = -math.inf  # [1/s] smoothed rewards of an environment
         self.steps = 0
 
     def learn(self, curve: Curve) -> None:
@@ -242,17 +246,17 @@ class SlopeLearner(ABC, Generic[Network]):
 
     @abstractmethod
     def begin(self, seed: int) -> None:
-        """Begin to learn, all that is drawn from a seed."""
+        """Begin to learn, with random numbers from a seed."""
 
     @abstractmethod
     def _roll_out(self) -> list[torch.Tensor]:
-        """Collect samples, to which all tensors have a row each."""
+        """Collect samples, one row per sample in all tensors."""
 
     @abstractmethod
     def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step; return by how much [nat] the policy has moved."""
+        """Do a gradient step; return the change [nat] of the policy."""
 
-    def _compute_returns(self, kept: Kept) -> tuple[Numbers, Numbers]:
+    def _compute_returns(self, kept: RolloutData) -> tuple[Numbers, Numbers]:
         """Compute advantages and returns (periods, num_envs x rows), and rate the policy."""
         rewards, value = np.stack(kept.reward), np.stack(kept.value).astype(np.float64)
         self._rate(rewards)
@@ -280,14 +284,13 @@ class SlopeLearner(ABC, Generic[Network]):
         old: tuple[torch.Tensor, ...],
         critic_only: bool,
     ) -> float:
-        """Take a step of PPO; return by how much [nat] the policy has moved.
+        """Do a step of PPO; return the change [nat] of the policy.
 
         Args:
             log_probability: (samples, choices).
             value: (samples,) expected returns.
-            old: of the samples the choice, the logarithm of its probability, the normalised
-                advantage, and the return.
-            critic_only: whether the actor stays as it is.
+            old: choice, log probability, normalised advantage and return of the samples.
+            critic_only: whether the actor does not change.
         """
         choice, old_log_prob, advantage, returns = old
         log_prob = log_probability.gather(1, choice.long()[:, None])[:, 0]
@@ -301,7 +304,7 @@ class SlopeLearner(ABC, Generic[Network]):
         return float((ratio.exp() - 1.0 - ratio).mean())
 
     def _descend(self, loss: torch.Tensor, critic_only: bool) -> None:
-        """Take a step down the gradient of a loss; that of the actor is left out at first."""
+        """Do a gradient step on a loss, initially without the actor's gradient."""
         self._optimiser.zero_grad()
         torch.autograd.backward(loss)
         if critic_only:
@@ -313,7 +316,7 @@ class SlopeLearner(ABC, Generic[Network]):
 
 
 def shuffle(rng: np.random.Generator, count: int, size: int) -> Iterator[torch.Tensor]:
-    """Yield the indices of all samples in random order, so many at a time."""
+    """Yield batches of indices of all samples in random order."""
     order = rng.permutation(count)
     for first in range(0, count, size):
         yield torch.from_numpy(order[first : first + size])

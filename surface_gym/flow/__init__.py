@@ -1,1 +1,1 @@
-"""A stream of parcels along a line of modules, each to leave by its own exit."""
+"""Streams of parcels on a line of modules."""

@@ -1,4 +1,4 @@
-"""A batch of streams: parcels to come are drawn for each surface, commands step it."""
+"""Batches of streams: arrivals are drawn for each surface, and commands step it."""
 
 import math
 from collections import Counter
@@ -29,7 +29,7 @@ _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """A table of bodies, each there as long as an episode uses it; all meet the same surface."""
+    """A table of bodies on one surface; each exists while an episode uses it."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place
@@ -48,7 +48,7 @@ class BodyPool:
         self._free = list(range(_FIRST_ROOM))[::-1]
 
     def take(self, parcel: Parcel, users: int = 1) -> int:
-        """Get the row of a parcel's body, for so many more users."""
+        """Return the row of a parcel's body, with `users` more users."""
         row = self._row_of.get(parcel)
         if row is None:
             placement = self._place(parcel)
@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Release rows, each as often as it stands there; one without users is free again."""
+        """Release rows, once per occurrence; rows without users become free."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:
@@ -86,7 +86,7 @@ class BodyPool:
 
 
 def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
-    """Collect the functions that the kernel of streams is built from."""
+    """Collect the functions for the kernel of streams."""
     task, kind = config.task, config.action_kind
     names = (
         "begin outside has_room has_departed exit_taken deliver advance may_jam inform reward "
@@ -104,7 +104,7 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
 
 
 def make_stream_params(config: EnvConfig) -> fs.StreamParams:
-    """Collect the numbers that all streams of a batch have in common."""
+    """Collect the parameters common to all streams of a batch."""
     task = config.stream_task
     return fs.StreamParams(
         exits=np.array(config.exits.table), entry_gap=task.entry_gap, rotors_end=config.rotors_end,
@@ -116,13 +116,13 @@ def make_stream_params(config: EnvConfig) -> fs.StreamParams:
 
 
 def _rear(parcel: Parcel, theta: float) -> float:
-    """[m] from the rearmost point of the base, turned by theta, to its frame's origin."""
+    """Return the distance [m] from the rearmost point of a base, turned by theta, to its origin."""
     outline = parcel.base.outline
     return -float((math.cos(theta) * outline[:, 0] - math.sin(theta) * outline[:, 1]).min())
 
 
 def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> float:
-    """[m] y of its frame's origin from the middle of a room [m], as `Stream.aside` says."""
+    """Return y [m] of the frame from the middle of an inlet, for a position `Stream.aside`."""
     outline = parcel.base.outline
     across = math.sin(theta) * outline[:, 0] + math.cos(theta) * outline[:, 1]
     low, high = float(across.min()), float(across.max())
@@ -130,15 +130,15 @@ def _place_across(parcel: Parcel, theta: float, aside: float, room: float) -> fl
 
 
 def list_figures(task: StreamTask) -> tuple[str, ...]:
-    """List the names, in infos, of the statistics of an episode."""
+    """List the names of an episode's statistics in infos."""
     return tuple(f"episode_{each.name}" for each in fields(task.statistics))
 
 
-COUNTS = ("entered", "right", "wrong", "touches", "turns")  # as the columns of the tally
+COUNTS = ("entered", "right", "wrong", "touches", "turns")  # names of the tally's columns
 
 
 class StreamBatch(BaseBatch):
-    """Environments of a task on streams of parcels, each a surface with a stream.
+    """Environments of a task on streams of parcels, one surface each.
 
     Arguments and errors are those of `BaseBatch`.
     """
@@ -162,8 +162,9 @@ class StreamBatch(BaseBatch):
             task.surface_memories, task.exit_memories, len(task.results),
         )  # fmt: skip
         self.figures = list_figures(task)
-        self._no_figures = dict.fromkeys(self.figures, 0.0)  # of an episode that runs
-        self._used: list[list[int]] = [[] for _ in range(num_envs)]  # rows of the pool, by surface
+        self._no_figures = dict.fromkeys(self.figures, 0.0)  # figures of a running episode
+        # used rows of the pool, by surface
+        self._used: list[list[int]] = [[] for _ in range(num_envs)]
         self._generators: list[np.random.Generator | None] = [None] * num_envs
 
     def _make_scratch(self) -> Any:
@@ -210,7 +211,7 @@ class StreamBatch(BaseBatch):
     def info(self, env_index: int) -> dict[str, Any]:
         if self.config.info:
             return super().info(env_index)
-        streams = self.streams  # the same without arrays of all: a single environment is fast by it
+        streams = self.streams  # faster for a single environment than arrays of all
         present, number = streams.present[env_index], streams.number[env_index]
         runs = streams.outcome.item(env_index) == st.RUNNING
         return {
@@ -222,14 +223,14 @@ class StreamBatch(BaseBatch):
         }
 
     def _figures(self) -> Infos:
-        """Collect the figures of the episodes that have ended, by name; 0 in the others."""
+        """Collect the figures of ended episodes by name; 0 for running ones."""
         figures = np.zeros((len(self.figures), self.num_envs))
         for i in np.nonzero(self.streams.outcome != st.RUNNING)[0].tolist():
             figures[:, i] = list(self._end(i).values())
         return dict(zip(self.figures, figures, strict=True))
 
     def _end(self, i: int) -> dict[str, float]:
-        """Compute the figures of an episode that has ended, by name."""
+        """Compute the figures of an ended episode by name."""
         obeys = self.streams.obeys
         obeying = int(obeys[i if len(obeys) > 1 else 0].sum())
         jammed = bool(self.streams.outcome[i] == fs.JAM)
@@ -261,7 +262,8 @@ class StreamBatch(BaseBatch):
                 working = rng.random(self.streams.commanded.shape[1:]) >= share
                 self.streams.obeys[i] = self.bodies.obeys[0] & working
             if self._draws:
-                # No row behind the next parcel's, so that the queue's length changes no number.
+                # Noise ends at the next parcel's row, so that results do not depend on the queue's
+                # length.
                 for row in range(self.rows - self.task.queue + 1):
                     draw_noise(self.parcels, i * self.rows + row, rng)
             self.streams.memory[i] = self.task.draw_memory(rng)
@@ -274,7 +276,7 @@ class StreamBatch(BaseBatch):
             self.surfaces.stiffness[i] = stiffness
 
     def _write(self, i: int, arrivals: Arrivals, rng: np.random.Generator) -> None:
-        """Write the arrivals of a surface, with no parcel on it yet."""
+        """Write the arrivals of a surface without parcels."""
         count = len(arrivals)
         self.streams = streams = fs.with_room(self.streams, count)
         streams.time[i, :count] = arrivals.time
@@ -299,8 +301,9 @@ class StreamBatch(BaseBatch):
     def _entries(
         self, i: int, arrivals: Arrivals, rng: np.random.Generator
     ) -> tuple[Integers, Array]:
-        """Return rows of the body table (arrivals,) and states (arrivals, STATE_SIZE) of parcels as
-        they enter: the rear at the line's edge, where the stream and the randomisation place it.
+        """Return body rows (arrivals,) and states (arrivals, STATE_SIZE) of parcels at their entry.
+
+        Their rears are at the line's edge; stream and randomisation determine the rest.
         """
         randomisation, count = self.config.randomisation, len(arrivals)
         entrances = self.config.entrances
@@ -360,7 +363,7 @@ class StreamBatch(BaseBatch):
         super().restore(snapshot, chosen)
 
     def _copy_parcels(self, chosen: Integers) -> list[dict[int, tuple[Parcel, int]]]:
-        """Copy the parcels of surfaces by their rows in the pool, and how often a row is used."""
+        """Copy the parcels of surfaces by row in the pool, with their numbers of users."""
         return [
             {row: (self._pool.parcel(row), users) for row, users in Counter(self._used[i]).items()}
             for i in chosen.tolist()

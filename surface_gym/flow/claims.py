@@ -1,4 +1,4 @@
-"""Which parcel each module of a surface obeys, compiled, and how the modules follow a command."""
+"""Assignment of modules to parcels, and commands of modules (compiled)."""
 
 import math
 from typing import Any
@@ -15,13 +15,13 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Places
 from surface_gym.state import EnvState
 
-NEARER = 1e-6  # [s/m^2] of two that a module bears at once, the one with the nearer centre wins
-CLOSING = 1.0  # [m/s] at which a base counts as nearing a module that lies outside it
+NEARER = 1e-6  # [s/m^2] of two parcels on a module, the one with the nearer centre wins
+CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside it
 
 
 @inlined
 def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
-    """Let every module of the zone obey no parcel, so that any may claim it."""
+    """Release all modules of the zone, so that any parcel may claim them."""
     zone = state.zone
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
@@ -31,7 +31,7 @@ def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
 
 @inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
-    """Return the time [s] until an interval moving at a speed [m/s] holds a point, or infinity."""
+    """Return the time [s] until a moving interval contains a point; infinite if never."""
     if point > high:
         return (point - high) / speed if speed > 0.0 else np.inf
     if point < low:
@@ -41,21 +41,22 @@ def _until(point: float, low: float, high: float, speed: float) -> float:
 
 @inlined
 def _after(point: float, low: float, high: float, speed: float) -> float:
-    """[s] until an interval that moves at a speed [m/s] has passed a point; infinite if never."""
+    """Return the time [s] until a moving interval has passed a point; infinite if never."""
     if speed > 0.0:
         return (point - low) / speed
     return (high - point) / -speed if speed < 0.0 else np.inf
 
 
 def claiming(outside: Function) -> Any:
-    """Build `claim_modules`, by the task's `outside(state, x, y)`."""
+    """Build `claim_modules` from the task's `outside(state, x, y)`."""
 
     @inlined
     def claim_modules(
         owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
     ) -> None:
-        """Let the parcel in a slot claim every module of the zone that bears it, or that it will be
-        the first to bear on within `ahead` seconds, by its box as it is sensed and moves on.
+        """Let a slot's parcel claim the modules under it, and the ones that it reaches first.
+
+        The latter are reached within `ahead` seconds, by the parcel's sensed box and velocity.
         """
         sensed = state.sensed
         theta = sensed[ph.THETA]
@@ -72,7 +73,7 @@ def claiming(outside: Function) -> Any:
         low_y = (right + min(0.0, vy * ahead) - y0) / elements.pitch_y
         high_y = (left + max(0.0, vy * ahead) - y0) / elements.pitch_y
         if not (abs(low_x) < 1e6 and abs(high_x) < 1e6 and abs(low_y) < 1e6 and abs(high_y) < 1e6):
-            return  # an estimate that has lost the parcel
+            return  # the estimate has lost the parcel
         for row in range(
             max(first_row, math.ceil(low_y)), min(first_row + zone[st.ROWS], math.floor(high_y) + 1)
         ):
@@ -96,19 +97,19 @@ def claiming(outside: Function) -> Any:
     return claim_modules
 
 
-# Which part of the command a module follows; negative if none.
+# Index of the command's part for a module; negative if none.
 
 
 @inlined
 def part_of_module(view: StreamView, row: int, column: int) -> int:
-    """Let each module follow a part of its own."""
+    """Return the module's own part."""
     zone = view.bodies.zone[0]
     return (row - zone[st.FIRST_ROW]) * zone[st.COLUMNS] + column - zone[st.FIRST_COLUMN]
 
 
 @inlined
 def part_of_owner(view: StreamView, row: int, column: int) -> int:
-    """Let a module follow the half of the parcel that it obeys; without one it stays as it is."""
+    """Return the half of the obeyed parcel; without a parcel, the module keeps its axis."""
     slot = view.streams.owner[view.i, row, column]
     if slot < 0:
         return -1
@@ -116,30 +117,30 @@ def part_of_owner(view: StreamView, row: int, column: int) -> int:
     return HALVES * slot + (1 if x < view.parcels.sensed[view.first + slot, ph.X] else 0)
 
 
-# The axis angle [rad] that a part of the command sets.
+# The axis angle [rad] set by a part of the command.
 
 
 @inlined
 def commanded_choice(view: StreamView, part: int) -> float:
-    """Get the angle of the orientation that the part counts."""
+    """Return the angle of the orientation chosen by the part."""
     return view.params.acting.orientations[view.surfaces.command[view.i, part]]
 
 
 @inlined
 def commanded_angle(view: StreamView, part: int) -> float:
-    """Get the angle that the part is."""
+    """Return the part as an angle."""
     return view.surfaces.command[view.i, part]
 
 
 @inlined
 def is_turn(angle: float, before: float) -> bool:
-    """Whether an axis has to turn from one angle to the other; one turned by pi is the same."""
+    """Return whether two axis angles differ; axes have period pi."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 
 
 def assigning(outside: Function) -> Any:
-    """Build `assign_modules(view)`, which writes whom each module of a surface obeys."""
+    """Build `assign_modules(view)`, which writes the parcel that each module obeys."""
     claim_modules = claiming(outside)
 
     @inlined
@@ -156,7 +157,7 @@ def assigning(outside: Function) -> Any:
 
 
 def obeying(outside: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
-    """Build `obey_command(view)`, which sets the modules of a surface and counts their turns."""
+    """Build `obey_command(view)`, which sets a surface's modules and counts their turns."""
     assign_modules = assigning(outside)
 
     @inlined

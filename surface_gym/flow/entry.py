@@ -1,7 +1,7 @@
-"""Entry and exit of the parcels of a stream, compiled.
+"""Entry and exit of a stream's parcels (compiled).
 
-A surface has a fixed number of slots, each a row of the batch's arrays that one parcel at a time
-has. With a gate more rows show the parcels that wait.
+A surface has a fixed number of slots: rows of the batch's arrays for one parcel each. With a gate,
+more rows show waiting parcels.
 """
 
 import math
@@ -18,7 +18,7 @@ from surface_gym.state import EnvState
 
 @inlined
 def count_due(streams: StreamState, i: int) -> None:
-    """Count the parcels whose time has come."""
+    """Count due parcels."""
     while (
         streams.due[i] < streams.arrivals[i] and streams.time[i, streams.due[i]] <= streams.clock[i]
     ):
@@ -27,7 +27,7 @@ def count_due(streams: StreamState, i: int) -> None:
 
 @inlined
 def _free_slot(view: StreamView) -> int:
-    """Find the first slot that is free, or NOBODY."""
+    """Return the first free slot, or NOBODY."""
     for slot in range(view.slots):
         if view.streams.number[view.i, slot] == fs.NOBODY:
             return slot
@@ -36,13 +36,13 @@ def _free_slot(view: StreamView) -> int:
 
 @inlined
 def count_waiting(streams: StreamState, i: int) -> int:
-    """Count the parcels whose time has come and that have not entered."""
+    """Count due parcels that have not entered."""
     return streams.due[i] - streams.tally[i, fs.ENTERED]
 
 
 @inlined
 def bars(other: EnvState, state: EnvState, gap: float) -> bool:
-    """Whether a parcel on the line is in the way of one about to enter, with a gap [m] ahead."""
+    """Return whether a parcel on the line blocks an entry with a gap [m] ahead."""
     front = state.truth[ph.X] + st.reach_along(state, state.truth[ph.THETA], 1.0, 0.0) + gap
     if other.truth[ph.X] - st.reach_along(other, other.truth[ph.THETA], -1.0, 0.0) > front:
         return False
@@ -55,7 +55,7 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 @inlined
 def _put(view: StreamView, slot: int, arrival: int) -> None:
-    """Write an arrival into the row of a slot that is free."""
+    """Write an arrival to the row of a free slot."""
     parcels, streams, i = view.parcels, view.streams, view.i
     row = view.first + slot
     for k in range(ph.STATE_SIZE):
@@ -78,7 +78,7 @@ def _put(view: StreamView, slot: int, arrival: int) -> None:
 
 @inlined
 def show_waiting(view: StreamView) -> None:
-    """Write the parcels that wait into the rows behind the slots, in order, as they will enter."""
+    """Write waiting parcels to the rows after the slots, in order, at their entry poses."""
     streams, i = view.streams, view.i
     for place in range(view.stream_params.queue):
         slot = view.slots + place
@@ -97,7 +97,7 @@ def show_waiting(view: StreamView) -> None:
 
 @inlined
 def _occupy(view: StreamView, slot: int, arrival: int) -> None:
-    """Give an arrival, which is in its slot's row, the slot."""
+    """Mark a slot as used by the arrival in its row."""
     streams, i = view.streams, view.i
     streams.number[i, slot] = arrival
     streams.present[i, slot] = True
@@ -119,7 +119,7 @@ def entering(has_room: Function) -> Any:
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
-        """Return whether every parcel on the surface leaves room for the one in a slot's row."""
+        """Return whether there is room for the parcel in a slot's row."""
         state = view_parcel(view, slot)
         st.read_truth(state)
         for k in range(view.rows):

@@ -1,7 +1,7 @@
-"""The compiled code of streams: one control period of a surface with all the parcels on it.
+"""Compiled kernel of streams: one control period of a surface with its parcels.
 
-Command, axes, entries, physics, exits, sensors, rewards, observation. Only the functions of the
-batch's own task, sensor and kind of action are compiled into it.
+The order is: command, axes, entries, physics, exits, sensors, rewards, observation. The kernel
+contains only the functions of the batch's task, sensor and kind of action.
 """
 
 import math
@@ -28,10 +28,10 @@ from surface_gym.tasks.base import STALL_SPEED
 
 
 class StreamFunctions(NamedTuple):
-    """Functions that a kernel is built from."""
+    """Functions of a kernel."""
 
-    label: str  # of its files in the cache
-    begin: Function  # the task's
+    label: str  # name of its files in the cache
+    begin: Function  # task
     outside: Function
     has_room: Function
     has_departed: Function
@@ -44,11 +44,11 @@ class StreamFunctions(NamedTuple):
     observe: Function
     observe_neighbour: Function
     observe_no_neighbour: Function
-    begin_sensor: Function  # the sensor's
+    begin_sensor: Function  # sensor
     update_sensor: Function
     read_sensor: Function
     watches: bool
-    part_of: Function  # the kind of action's
+    part_of: Function  # kind of action
     commanded: Function
     actuation: Actuation
 
@@ -63,7 +63,7 @@ def view_surface(
     streams: StreamState,
     i: int,
 ) -> StreamView:
-    """View surface i of a batch."""
+    """Return the view of surface i of a batch."""
     rows = streams.number.shape[1]
     slots = rows - stream_params.queue
     return StreamView(
@@ -73,7 +73,7 @@ def view_surface(
 
 @inlined
 def begin_period(view: StreamView) -> None:
-    """Clear the results of the last control period, and the rows of parcels that departed in it."""
+    """Clear the results of the last control period, and rows of departed parcels."""
     parcels, streams, i = view.parcels, view.streams, view.i
     streams.fault[i] = st.NO_FAULT
     for k in range(streams.terms.shape[1]):
@@ -87,7 +87,7 @@ def begin_period(view: StreamView) -> None:
 
 @inlined
 def begin_episode(view: StreamView) -> None:
-    """Let no module obey a parcel; each axis is the conveyor's."""
+    """Release all modules, and set each axis to the conveyor's."""
     streams, i = view.streams, view.i
     for row in range(streams.commanded.shape[1]):
         for column in range(streams.commanded.shape[2]):
@@ -96,18 +96,18 @@ def begin_episode(view: StreamView) -> None:
     streams.outcome[i] = st.RUNNING
 
 
-APART = 0.2  # [s] two that have not pushed each other for so long touch anew
-MEAN_OVER = 0.1  # [s] over which the force between two is a mean, weighted exponentially
+APART = 0.2  # [s] a push after a longer break counts as a new touch
+MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Count the pairs of parcels that begin to touch, and note how hard they press."""
+    """Count pairs of parcels that begin to touch, and record their forces."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]
         since = streams.steps[i] - streams.touched_at[i, a, b]
-        # Rows' order in a pair is theirs in the table: the pair is always the same way round.
+        # A pair's rows are in the order of the table, so each pair has one form.
         force = streams.pressing[i, a, b] * math.exp(-dt * since / MEAN_OVER)
         force += scratch.impulse[k] / MEAN_OVER
         streams.pressing[i, a, b] = force
@@ -132,7 +132,7 @@ def _moving(functions: StreamFunctions) -> Any:
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:
-        """Take a parcel off the line that has departed; let the sensor see one that has not."""
+        """Remove a departed parcel from the line; otherwise update its sensor."""
         streams, i = view.streams, view.i
         state = view_parcel(view, slot)
         surface = view_task(view)
@@ -178,15 +178,16 @@ def _moving(functions: StreamFunctions) -> Any:
 
 
 def _running(functions: StreamFunctions) -> Any:
-    """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period,
-    in which parcels depart and enter. A start has none, and parcels enter alone.
+    """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
+
+    Parcels depart and enter meanwhile. A start has no steps; parcels only enter.
     """
     move, let_in = _moving(functions), entering(functions.has_room)
     task_begin, sensor_begin = functions.begin, functions.begin_sensor
 
     @inlined
     def enter(view: StreamView) -> bool:
-        """Let the next parcel enter if there is room; return whether one did."""
+        """Let the next parcel enter if there is room; return whether it did."""
         slot = let_in(view)
         if slot == fs.NOBODY:
             return False
@@ -214,12 +215,12 @@ def _running(functions: StreamFunctions) -> Any:
         gate = view.surfaces.command.shape[1] - 1
         opens = int(view.surfaces.command[i, gate]) if gated else 1
         entered = False
-        # Parcels may enter at a start, which is step 0 alone, and after every step.
+        # Parcels may enter at a start (step 0) and after every step.
         for step in range(0 if begins else 1, 1 if begins else params.timing.steps + 1):
             if not begins:
                 move(view, grid, world, physics, scratch)
             count_due(streams, i)
-            # A gate opens at a physics step of the period, for one parcel; or not at all.
+            # A gate opens at one physics step of the period for one parcel, or not at all.
             if gated and (entered or opens == 0 or step < opens):
                 continue
             if enter(view):
@@ -229,8 +230,9 @@ def _running(functions: StreamFunctions) -> Any:
 
 
 def _earning(functions: StreamFunctions) -> Any:
-    """Build `earn(view) -> bool`, which pays parcels and reads their sensors; it returns whether
-    parcels are there, and all of them stand.
+    """Build `earn(view) -> bool`, which computes parcels' rewards and reads their sensors.
+
+    It returns whether there are parcels and all of them are at rest.
     """
     task_reward, sensor_read = functions.reward, functions.read_sensor
 
@@ -262,7 +264,7 @@ def _earning(functions: StreamFunctions) -> Any:
 
 @inlined
 def end(view: StreamView, stands: bool) -> None:
-    """End the episode by a jam or by time, and sum up the surface's reward.
+    """End the episode after a jam or at the time limit, and sum the surface's reward.
 
     `stands` says whether nothing moved in the period that should have.
     """
@@ -290,9 +292,9 @@ def end(view: StreamView, stands: bool) -> None:
 
 @inlined
 def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
-    """Find the slot of the nearest parcel ahead along x, or behind, as sensed; or NOBODY.
+    """Return the slot of the nearest sensed parcel ahead or behind in x, or NOBODY.
 
-    Of two at the same x the one that came first is ahead.
+    At equal x, the earlier arrival is ahead.
     """
     streams, sensed, i, first = view.streams, view.parcels.sensed, view.i, view.first
     x = sensed[first + slot, ph.X]
@@ -310,13 +312,13 @@ def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
 
 
 def _observing(functions: StreamFunctions) -> Any:
-    """Build `observe_parcels(view)`, which writes a surface's table: a row a parcel."""
+    """Build `observe_parcels(view)`, which writes a surface's table, one row per parcel."""
     observe, observe_neighbour = functions.observe, functions.observe_neighbour
     inform, observe_no_neighbour = functions.inform, functions.observe_no_neighbour
 
     @inlined
     def observe_neighbours(view: StreamView, slot: int) -> None:
-        """Write the next parcel ahead of one, and the next behind."""
+        """Write the features of the next parcels ahead and behind."""
         state = view_parcel(view, slot)
         x, theta = state.sensed[ph.X], state.sensed[ph.THETA]
         front = x + st.reach_along(state, theta, 1.0, 0.0)
@@ -362,8 +364,8 @@ def _observing(functions: StreamFunctions) -> Any:
 def make_stream_kernel(functions: StreamFunctions) -> Any:
     """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
-    Of the chosen surfaces (count,) those placed begin, those that run are stepped by one control
-    period, and those that have ended stay. It returns how many have a fault.
+    Among the chosen surfaces (count,), placed ones begin, running ones do one control period, and
+    ended ones do not change. It returns the number of surfaces with a fault.
     """
     straighten, obey = functions.actuation.straighten, functions.actuation.obey
     obey_command = obeying(functions.outside, functions.part_of, functions.commanded, obey)
@@ -405,8 +407,9 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
 
 @lru_cache(maxsize=64)
 def make_assigning_kernel(functions: StreamFunctions) -> Any:
-    """Build `assign_streams`, which takes what `step_streams` takes, steps nothing, and writes whom
-    the modules of the chosen surfaces (count,) obey in the next control period. It returns 0.
+    """Build `assign_streams`, which writes the parcel that each module obeys in the next period.
+
+    It takes the arguments of `step_streams`, does no step, and returns 0.
     """
     assign_modules = assigning(functions.outside)
 

@@ -1,4 +1,4 @@
-"""The task of merging lines of parcels into one on a slope."""
+"""Merge: merge lines of parcels into one on a slope."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,44 +22,41 @@ THREE = side_by_side(3)
 
 
 def lines(rate: float = 6000.0) -> Stream:
-    """Make boxes of mixed sizes that come in a row on each line, at a mean rate [parcels/h] of all.
+    """Make boxes of mixed sizes on each line, at a total mean rate [parcels/h].
 
-    They come at random, in the middle of their line, nearly straight, at 0.8 m/s.
+    They arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
     """
     return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT)
 
 
 @dataclass(frozen=True)
 class Merge(TakeAwayTask):
-    """Merge two or three lines of parcels into one, a gap apart, each line in its turn.
+    """Merge two or three lines of parcels into one line with gaps, fairly.
 
-    Lines end side by side at the upper edge of a slope, and parcels come in a row on each. They are
-    to leave by one mouth in the middle of the lower end, each at least `gap` behind the one before.
-    No motor drives them: the slope pulls, and the modules brake, hold, turn and lead them aside. A
-    parcel that finds no room waits on its line, and so do those behind it, while the other lines go
-    on.
+    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
+    must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
+    one. No motor drives them: the slope pulls, and the modules brake, hold, turn and move them
+    aside. A parcel without room waits on its line and blocks it, while the other lines continue.
 
-    What `Singulate` says of the surface, the end, actions, reward, episode and infos holds here; so
-    does its table, which has one feature more.
+    Surface, end, actions, reward, episode and infos are as in `Singulate`. The table has one more
+    feature.
 
     ### Lines
 
-    `inlets` says where the lines end: `side_by_side(3)`, the default, are three side by side at the
-    upper edge, 0.46 m from middle to middle; an `Inlet` may lie on any edge. `stream` says when
-    parcels come, which, and by its `origins` how many on each line: by default 6000 an hour, at
+    `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets at the
+    upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets the
+    arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
     equal odds.
 
     ### Observation
 
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 28 | what Singulate shows |
-    | 29 | the line it came by / 8 |
+    | feature | meaning | | --- | --- | | 0 to 28 | features of Singulate | | 29 | line of the
+    parcel / 8 |
 
     ### Info
 
-    Beside what Singulate's has, as an episode ends: `episode_unfairness`, the largest mean wait at
-    the entry of a line less the smallest [s].
+    In addition to Singulate, at the end of an episode: `episode_unfairness`, the difference between
+    the largest and the smallest mean wait at the lines' entries [s].
 
     ### Example
 
@@ -89,7 +86,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with more parcels than it can take."""
+        """Return the task with more parcels than its capacity."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:
@@ -98,6 +95,6 @@ class Merge(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Show a parcel as it is sensed, and its line."""
+        """Write the sensed parcel, and its line."""
         _observe(state, waits)
         show(state.observation, LINE, state.goal[fs.INLET])

@@ -1,4 +1,4 @@
-"""Streams in PettingZoo: each parcel an agent."""
+"""Streams in PettingZoo: each parcel is an agent."""
 
 from typing import Any
 
@@ -28,11 +28,11 @@ Returned = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool
 
 
 class StreamParallelEnv(ParallelEnv):
-    """Environment of a stream whose agents have spaces alike.
+    """Base class of environments of streams whose agents have equal spaces.
 
     Args:
-        render_mode: as of `SmartSurfaceEnv`.
-        actions: the only kind of action.
+        render_mode: see `SmartSurfaceEnv`.
+        actions: kind of action, fixed by the environment.
         config: other arguments.
     """
 
@@ -67,7 +67,7 @@ class StreamParallelEnv(ParallelEnv):
         self._env.close()
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> NDArray[np.float32]:
-        """Begin an episode; options that it does not know are ignored."""
+        """Begin an episode; unknown options are ignored."""
         if isinstance(options, dict):
             options = {name: options[name] for name in self.batch.options if name in options}
         observation, _ = self._env.reset(seed=seed, options=options)
@@ -84,31 +84,30 @@ class StreamParallelEnv(ParallelEnv):
 
 
 class FlowParallelEnv(StreamParallelEnv):
-    """`SmartSurfaceEnv` of a stream with `actions="parcels"`, each parcel an agent.
+    """`SmartSurfaceEnv` of a stream with `actions="parcels"`, with one agent per parcel.
 
-    An agent is there from the control period in which its parcel enters to the one in which it
-    leaves; "parcel_0" comes first, and no id comes twice in an episode. Where no parcel is on the
-    line and more are to come, time runs on until the next has entered: no agents means that the
+    An agent exists from the control period of its parcel's entry to the one of its departure.
+    "parcel_0" is the first parcel; ids are unique in an episode. If no parcel is on the line and
+    more will arrive, time advances until the next entry. So an empty list of agents means that the
     episode is over.
 
     ## Agents
 
-    - observation: (features,) its row of the table.
-    - action: its two choices, for the modules ahead of its centre and for those behind; with
-      `orientations="any"` two angles.
-    - reward: that of its parcel, so without `waiting` and `jam`.
-    - terminated: its parcel has left, or all are jammed. Truncated: the time is over.
-    - info: `time` [s], `exit` the name of the one asked; and as it ends `outcome`: "right" or
-      "wrong" where it left, else "jam" or "out of time". By tasks with a take-away it is right if
-      its gap, its turn and its place in the order are, too.
+    - observation: (features,) the parcel's row of the table.
+    - action: two choices, for the modules ahead of its centre and behind it; with
+      `orientations="any"`, two angles.
+    - reward: the parcel's reward, without `waiting` and `jam`.
+    - terminated: the parcel has departed, or there is a jam. Truncated: at the time limit.
+    - info: `time` [s], `exit` (name of the goal exit); at the end also `outcome`: "right" or
+      "wrong" after a departure, else "jam" or "out of time". In tasks with a take-away, "right"
+      also requires the correct gap, angle and order.
 
-    `possible_agents` are all that come or may still come in this episode; before the first reset,
-    as many as one draw of the stream has.
+    `possible_agents` are all agents that arrive or may still arrive in this episode; before the
+    first reset, the number of parcels in one random stream.
 
-    Arguments are those of `SmartSurfaceEnv` and of the task, by default Flow, but `actions`, `gate`
-    and `queue`; `task="singulate"`, "merge" and "sequence" are others.
-    `reset(options={"stream": ...})` gives an episode a stream of its own; other options are
-    ignored, as PettingZoo's tests have it.
+    Takes the arguments of `SmartSurfaceEnv` and of the task, except `actions`, `gate` and `queue`.
+    The task is Flow by default, or "singulate", "merge" or "sequence". `reset(options={"stream":
+    ...})` sets the stream of an episode; other options are ignored, as PettingZoo's tests require.
 
     >>> env = FlowParallelEnv(duration=4.0)
     >>> observations, infos = env.reset(seed=0)
@@ -135,7 +134,7 @@ class FlowParallelEnv(StreamParallelEnv):
 
     @property
     def possible_agents(self) -> list[str]:
-        """The ids of all that come or may still come in this episode."""
+        """Ids of all agents that arrive or may still arrive in this episode."""
         return [_name(number) for number in self._possible]
 
     def reset(
@@ -148,9 +147,9 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned[0], returned[4]
 
     def step(self, actions: dict[str, Any]) -> Returned:
-        """Move all parcels over a control period, by an action of every agent.
+        """Step by one control period with the actions of all agents.
 
-        Returns are of the agents that were there and of those that have entered since.
+        Returns results of present agents, and of agents that have just entered.
         """
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))
@@ -159,7 +158,7 @@ class FlowParallelEnv(StreamParallelEnv):
         return returned
 
     def _action(self, actions: dict[str, Any]) -> NDArray[Any]:
-        """Merge the agents' actions into that of all rows; rows without a parcel have any."""
+        """Merge the agents' actions into one action; rows without a parcel are arbitrary."""
         self._check_agents(actions)
         all_slots = np.zeros((self.task.max_parcels, HALVES), self.batch.surfaces.command.dtype)
         if actions:
@@ -169,13 +168,13 @@ class FlowParallelEnv(StreamParallelEnv):
         return all_slots.reshape(-1)
 
     def _wait(self, returned: Returned) -> None:
-        """Step on while no parcel is on the line and more may come."""
+        """Continue steps while the line is empty and more parcels may arrive."""
         while not self.agents and self.batch.outcome[0] == RUNNING:
             observation, *_ = self._env.step(self._action({}))
             self._report(returned, observation)
 
     def _report(self, returned: Returned, observation: NDArray[np.float32]) -> None:
-        """Add the results of the last control period, of every agent that was there or came."""
+        """Add the results of the last control period for present and new agents."""
         observations, rewards, terminated, truncated, infos = returned
         streams, reward = self.batch.streams, self.batch.parcels.reward
         outcome = streams.outcome[0]
@@ -199,11 +198,11 @@ class FlowParallelEnv(StreamParallelEnv):
             infos[agent] = info
         self.agents = [_name(number) for number in sorted(there)]
         coming = np.arange(streams.arrivals[0])
-        if outcome != RUNNING:  # who has not entered cannot any more
+        if outcome != RUNNING:  # parcels that have not entered cannot enter any more
             coming = coming[~np.isnan(streams.entered[0, : len(coming)])]
         self._possible = coming.tolist()
 
 
 def _name(number: int) -> str:
-    """Return the id of the parcel that comes after so many others."""
+    """Return the id of a parcel by its arrival number."""
     return f"parcel_{number}"

@@ -1,4 +1,4 @@
-"""The task of bringing parcels into an order on a slope."""
+"""Sequence: bring parcels into a required order on a slope."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,10 +32,10 @@ _observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
 
 
 def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
-    """Make boxes of mixed sizes that come one by one, out of order, at a mean rate [parcels/h].
+    """Make boxes of mixed sizes that arrive one by one, out of order, at a mean rate [parcels/h].
 
-    So many in a row as the window has come in an order by chance; at least 1 s apart, in the middle
-    of the upper edge, nearly straight, at 0.8 m/s.
+    Successive groups of `window` parcels have a random order. Parcels arrive at least 1 s apart, in
+    the middle of the upper edge, almost straight, at 0.8 m/s.
     """
     law = Poisson(rate, least_gap=1.0)
     return Stream(law, bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT, window=window)
@@ -43,28 +43,26 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 
 @dataclass(frozen=True)
 class Sequence(TakeAwayTask):
-    """Bring parcels into the order in which they are to leave: a truck's load, a kit.
+    """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
-    Each parcel has a place in an order. They come out of it, by a window: of so many in a row any
-    may be first. They are to leave by the lower end in their order, each at least `gap` behind the
-    one before. No motor drives them: the slope pulls, and the modules brake, hold, turn and lead
-    them aside. Parcels whose turn has not come must wait where others can pass them.
+    Each parcel has a place in an order, but arrives out of order within a window of parcels.
+    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. No
+    motor drives them: the slope pulls, and the modules brake, hold, turn and move them aside.
+    Parcels must wait for their turn where others can pass them.
 
-    What `Singulate` says of the surface, the end, actions, reward, episode and infos holds here; so
-    does its table, which has one feature more. The surface is shorter, 3 m x 1.4 m.
+    Surface, end, actions, reward, episode and infos are as in `Singulate`, but the surface is
+    shorter: 3 m x 1.4 m. The table has one more feature.
 
     ### Order
 
-    `stream` numbers the parcels: `Stream(..., window=4)` numbers each four in a row by chance. A
-    parcel leaves rightly only if all of a lower number have left. By default they come one by one
-    in the middle, 2000 an hour, with a window of 4.
+    `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
+    random. A departure is correct only if all parcels with lower numbers have departed. By default,
+    2000 parcels per hour arrive one by one in the middle, with a window of 4.
 
     ### Observation
 
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 28 | what Singulate shows |
-    | 29 | how many are to leave before it, of those that have not / 8 |
+    | feature | meaning | | --- | --- | | 0 to 28 | features of Singulate | | 29 | number of
+    remaining parcels that must depart before it / 8 |
 
     ### Example
 
@@ -84,7 +82,7 @@ class Sequence(TakeAwayTask):
 
     stream: Stream = shuffled()
 
-    patience: float = 20.0  # [s] without motion that make a jam: parcels may wait for one to come
+    patience: float = 20.0  # [s] without motion until a jam: parcels may wait for an arrival
 
     in_order = True
     line = slope_line(3.0)
@@ -95,7 +93,7 @@ class Sequence(TakeAwayTask):
         checks.integer("window", self.stream.window, 1, MOST_WINDOW)
 
     def training_tasks(self) -> tuple["Sequence", ...]:
-        """Return the task with parcels out of order in a narrow and in a wide window."""
+        """Return the task with a narrow and with a wide window."""
         return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
 
     def benchmark(self) -> Any:
@@ -111,7 +109,7 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Show a parcel as it is sensed, and its place in the order."""
+        """Write the sensed parcel, and its place in the order."""
         _observe(state, waits)
         before = state.goal[fs.ORDER] - state.goal[NEXT]
         show_within(state.observation, PLACE, before)

@@ -1,7 +1,7 @@
 """The state arrays of streams, and the statistics of an episode.
 
-Parcels lie in rows of `ParcelState`, as those of any batch do: with R rows a surface, surface i has
-those from i R on, and `StreamState.number` says which arrival has which row.
+Parcels use rows of `ParcelState`, as in any batch. With R rows per surface, the rows of surface i
+start at i R. `StreamState.number` is the arrival in each row.
 """
 
 from dataclasses import dataclass
@@ -16,82 +16,83 @@ from surface_gym.physics.collision import ContactMaterial
 from surface_gym.physics.types import STATE_SIZE, Array, Booleans, Integers, Places
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState, env_state
 
-NOBODY = -1  # `number` of a row that is free, `owner` of a module that obeys no parcel
-# `taken` of a parcel that is on the line, or departed between exits; from 0 on it is an exit
+NOBODY = -1  # `number` of a free row, and `owner` of a module without a parcel
+# `taken` of a parcel on the line, or departed between exits; otherwise index of the exit
 ON_ITS_WAY, BETWEEN = -2, -1
 
-JAM = 3  # the outcome of a surface, beside those of every environment; a stream has no success
+JAM = 3  # outcome of a surface, in addition to the common outcomes; a stream has no success
 DEPARTED_CORRECT, DEPARTED_WRONG = 2, 3  # outcomes of a parcel, in `ParcelState.outcome`
 
 ENTERED, CORRECT, WRONG, TOUCHES, TURNS = range(5)  # columns of `tally`
-# Places in a parcel's goal: exit, its side and span; where it comes from, its place in the order
+# Indices in a parcel's goal: exit, its side and span; inlet; place in the order
 EXIT, SIDE, FIRST, LAST, INLET, ORDER = range(6)
 GOALS = 6
-TOUCHED, OWN_MEMORY = range(2)  # places in its memory: touches begun since the last decision
-NEVER = -1_000_000  # `touched_at` of two that have not touched
+TOUCHED, OWN_MEMORY = range(2)  # indices in its memory: touches begun since the last decision
+NEVER = -1_000_000  # `touched_at` of two parcels without a touch
 
 
 class StreamState(NamedTuple):
-    """State and results of every stream, beside its surface and the parcels on it."""
+    """State and results of every stream, in addition to its surface and its parcels."""
 
-    time: Array  # (surfaces, arrivals) [s] at which each parcel comes
-    start: Array  # (surfaces, arrivals, STATE_SIZE) of its centre of mass as it enters
-    body: Integers  # (surfaces, arrivals) its row in the body table
-    exit: Integers  # (surfaces, arrivals) that it is to leave by
-    inlet: Integers  # (surfaces, arrivals) that it comes by
-    order: Integers  # (surfaces, arrivals) its place in the order in which parcels are to leave
-    past: Booleans  # (surfaces, arrivals) whether the parcel of a place in the order has departed
-    arrivals: Integers  # (surfaces,) how many there are
-    coming: Integers  # (surfaces,) before which all have entered
-    due: Integers  # (surfaces,) the next whose time has not come: those between the two wait
-    entered: Array  # (surfaces, arrivals) [s] when it did; nan before
-    departed: Array  # (surfaces, arrivals) [s] when no rotor bore it any more; nan before
-    taken: Integers  # (surfaces, arrivals) the exit it took, BETWEEN them, or ON_ITS_WAY
-    correct: Booleans  # (surfaces, arrivals) whether it departed as it was to
+    time: Array  # (surfaces, arrivals) [s] time of arrival
+    start: Array  # (surfaces, arrivals, STATE_SIZE) state of the centre of mass at entry
+    body: Integers  # (surfaces, arrivals) row in the body table
+    exit: Integers  # (surfaces, arrivals) goal exit
+    inlet: Integers  # (surfaces, arrivals) inlet
+    order: Integers  # (surfaces, arrivals) place in the required order of departure
+    past: Booleans  # (surfaces, arrivals) whether the parcel with a place in the order has departed
+    arrivals: Integers  # (surfaces,) number of arrivals
+    coming: Integers  # (surfaces,) next arrival to enter
+    # (surfaces,) next arrival that is not due; arrivals between `coming` and it are waiting
+    due: Integers
+    entered: Array  # (surfaces, arrivals) [s] time of entry; NaN before
+    departed: Array  # (surfaces, arrivals) [s] time of departure from the rotors; NaN before
+    taken: Integers  # (surfaces, arrivals) exit taken, BETWEEN exits, or ON_ITS_WAY
+    correct: Booleans  # (surfaces, arrivals) whether it departed correctly
     results: Array  # (surfaces, arrivals, results) of the task as it departed; nan before
-    final: Array  # (surfaces, arrivals, 6) pose and velocity as it departed, like `truth`
-    touches: Integers  # (surfaces, arrivals) how often it began to touch another
-    # (surfaces, rows) which arrival has each row, or NOBODY; with a gate, the last rows are of
-    # parcels that wait to enter
+    final: Array  # (surfaces, arrivals, 6) pose and velocity at departure, like `truth`
+    touches: Integers  # (surfaces, arrivals) number of touches begun
+    # (surfaces, rows) arrival in each row, or NOBODY; with a gate, the last rows are waiting
+    # parcels
     number: Integers
-    present: Booleans  # (surfaces, rows) whether a parcel is there and has not departed
-    touched_at: Integers  # (surfaces, rows, rows) physics step in which two touched last
+    present: Booleans  # (surfaces, rows) whether there is a parcel that has not departed
+    touched_at: Integers  # (surfaces, rows, rows) physics step of the last touch of two parcels
     clock: Array  # (surfaces,) [s]
     steps: Integers  # (surfaces,) physics steps since the start
-    still: Array  # (surfaces,) [s] for which nothing has moved
-    waited: Array  # (surfaces,) [s] that parcels have waited to enter, all together
+    still: Array  # (surfaces,) [s] time without motion
+    waited: Array  # (surfaces,) [s] total waiting time of parcels
     next_place: Integers  # (surfaces,) least place in the order whose parcel has not departed
     memory: Array  # (surfaces, surface_memories) what the task keeps of the surface
     exit_memory: Array  # (surfaces, exits, exit_memories) what the task keeps of each exit
-    pressing: Array  # (surfaces, rows, rows) [N] mean force between two as of `touched_at`
-    impulse: Array  # (surfaces,) [N s] largest in a physics step
+    pressing: Array  # (surfaces, rows, rows) [N] mean force between two parcels at `touched_at`
+    impulse: Array  # (surfaces,) [N s] largest impulse in a physics step
     squeeze: Array  # (surfaces,) [N] largest mean force
-    owner: Places  # (surfaces, rows, columns) the row of the parcel a module obeys, or NOBODY
-    soonest: Array  # (surfaces, rows, columns) [s] when that parcel will bear on it
-    commanded: Array  # (surfaces, rows, columns) [rad] axis angle that a module was last set to
-    obeys: Booleans  # (surfaces or 1, rows, columns) a rotor in the zone, not stuck
+    owner: Places  # (surfaces, rows, columns) row of the parcel that a module obeys, or NOBODY
+    soonest: Array  # (surfaces, rows, columns) [s] time until this parcel is on it
+    commanded: Array  # (surfaces, rows, columns) [rad] last commanded axis angle of a module
+    obeys: Booleans  # (surfaces or 1, rows, columns) whether a rotor is in the zone and not stuck
     tally: Integers  # (surfaces, 5) ENTERED ... TURNS so far
     terms: Array  # (surfaces, terms) of the reward
-    reward: Array  # (surfaces,) their sum
+    reward: Array  # (surfaces,) sum of the terms
     outcome: Integers  # (surfaces,)
     fault: Integers  # (surfaces,)
 
 
 class StreamParams(NamedTuple):
-    """Numbers that all streams of a batch have in common."""
+    """Parameters common to all streams of a batch."""
 
     exits: Array  # (exits, 3) side, first and last x [m]
-    entry_gap: float  # [m] clear ahead of one that enters
+    entry_gap: float  # [m] clearance ahead of an entering parcel
     rotors_end: float  # [m] x half a pitch past the last column with a rotor
-    ahead: float  # [s] in which a parcel must be about to bear on a module for it to obey
+    ahead: float  # [s] maximum time before a parcel's arrival at which a module obeys it
     duration: float  # [s] of an episode
-    patience: float  # [s] without any motion that make a jam
-    inlets: int  # how many there are
-    queue: int  # rows of parcels that wait at the gate; 0 without one
+    patience: float  # [s] time without motion until a jam
+    inlets: int  # number of inlets
+    queue: int  # rows of parcels waiting at the gate; 0 without a gate
     numbers: Array  # (numbers,) of the task alone, as its `numbers` makes them
-    touching: ContactMaterial  # how parcels' sides behave
-    waiting_reward: float  # per second of each parcel that waits to enter
-    jam_reward: float  # once, as nothing moves any more
+    touching: ContactMaterial  # contact material of parcels' sides
+    waiting_reward: float  # per second and waiting parcel
+    jam_reward: float  # once, at a jam
 
 
 class SurfaceView(NamedTuple):
@@ -105,7 +106,7 @@ class SurfaceView(NamedTuple):
 
 
 class StreamView(NamedTuple):
-    """One surface of a batch of streams: the batch's arrays, and its places in them."""
+    """View of one surface of a batch of streams: the batch's arrays, and indices."""
 
     params: EnvParams
     stream_params: StreamParams
@@ -113,15 +114,15 @@ class StreamView(NamedTuple):
     parcels: ParcelState
     bodies: BodyTable
     streams: StreamState
-    i: int  # the surface
-    first: int  # the row of its first parcel in `parcels`
-    rows: int  # of its parcels
-    slots: int  # the first of these rows, for parcels on the surface; the others show who waits
+    i: int  # index of the surface
+    first: int  # row of its first parcel in `parcels`
+    rows: int  # number of its rows
+    slots: int  # number of rows for parcels on the surface; the other rows show waiting parcels
 
 
 @inlined
 def view_parcel(view: StreamView, row: int) -> EnvState:
-    """View the parcel in a row of a surface."""
+    """Return the view of the parcel in a row of a surface."""
     return env_state(
         view.surfaces, view.parcels, view.bodies, view.i, view.first + row, view.params.elements
     )
@@ -148,7 +149,7 @@ def make_streams(
     exit_memories: int = 0,
     results: int = 0,
 ) -> StreamState:
-    """Make the memory of streams, with room for one arrival each."""
+    """Allocate streams with one arrival each."""
     grid = (surfaces, *shape)
     return StreamState(
         **_arrivals(surfaces, 1, results),
@@ -181,7 +182,7 @@ def make_streams(
 
 
 def with_room(streams: StreamState, arrivals: int) -> StreamState:
-    """Widen streams to hold so many arrivals; what is there is kept."""
+    """Widen streams to a number of arrivals; keep their contents."""
     surfaces, room = streams.time.shape
     if arrivals <= room:
         return streams
@@ -192,7 +193,7 @@ def with_room(streams: StreamState, arrivals: int) -> StreamState:
 
 
 def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
-    """Make the arrays that have a column an arrival."""
+    """Allocate arrays with one column per arrival."""
     shape = (surfaces, room)
     return {
         "time": np.zeros(shape),
@@ -214,30 +215,30 @@ def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class FlowStatistics:
-    """Statistics of one episode, or of its part after a warm-up; nan where nothing happened."""
+    """Statistics of one episode, or of its part after a warm-up; NaN without events."""
 
-    delivered: int  # parcels that left the line
-    parcels_per_hour: float  # [1/h] that left by their own exit
+    delivered: int  # number of departed parcels
+    parcels_per_hour: float  # [1/h] correct departures
     missort_rate: float  # [-] of those that left, otherwise than they were to
-    touches_per_1000: float  # times that two began to touch, per 1000 parcels delivered
-    jams_per_1000: float  # jams per 1000 parcels delivered
-    gap_mean: float  # [s] between parcels that leave by the same exit, one after the other
-    gap_5: float  # [s] their 5th percentile
-    gap_spread: float  # [s] their standard deviation
-    time_mean: float  # [s] on the surface
-    time_95: float  # [s] its 95th percentile
-    waiting_mean: float  # [s] at the entry, of those that have entered
-    waiting_most: float  # [s] the longest, of those that wait still too
-    turns_per_hour: float  # [1/h] of a module's axis, mean over those that obey: its wear
+    touches_per_1000: float  # touches begun per 1000 departed parcels
+    jams_per_1000: float  # jams per 1000 departed parcels
+    gap_mean: float  # [s] mean gap between successive departures by the same exit
+    gap_5: float  # [s] 5th percentile of the gaps
+    gap_spread: float  # [s] standard deviation of the gaps
+    time_mean: float  # [s] mean time on the surface
+    time_95: float  # [s] 95th percentile of the time on the surface
+    waiting_mean: float  # [s] mean waiting time of entered parcels
+    waiting_most: float  # [s] longest waiting time, including waiting parcels
+    turns_per_hour: float  # [1/h] turns per obeying module, a measure of wear
 
 
 def compute_statistics(
     streams: StreamState, surface: int, jammed: bool, obeying: int, warm_up: float = 0.0
 ) -> FlowStatistics:
-    """Compute the statistics of a surface's episode so far, of which `obeying` modules obey.
+    """Compute the statistics of a surface's episode so far, with `obeying` modules.
 
-    A touch counts half for each of the two, as it leaves; jams and turns are of the whole episode.
-    Parcels that came or departed within a warm-up [s] do not count.
+    A touch counts half for each of two parcels, at departure. Jams and turns count over the whole
+    episode. Parcels that arrived or departed within a warm-up [s] do not count.
     """
     count = int(streams.arrivals[surface])
     time, entered, departed = (
@@ -245,7 +246,7 @@ def compute_statistics(
     )
     taken, clock = streams.taken[surface, :count], float(streams.clock[surface])
     counted = clock - warm_up
-    gone = departed >= warm_up  # false for nan: the parcel is there still
+    gone = departed >= warm_up  # false for NaN: the parcel has not departed
     correct = gone & streams.correct[surface, :count]
     delivered = int(gone.sum())
     gaps = [np.diff(np.sort(departed[gone & (taken == exit_)])) for exit_ in np.unique(taken[gone])]
@@ -278,10 +279,10 @@ def compute_statistics(
 
 
 def mean(values: np.ndarray) -> float:
-    """Return the mean of values (n,); nan where there are none."""
+    """Return the mean of values (n,); NaN without values."""
     return float(values.mean()) if values.size else np.nan
 
 
 def percentile(values: np.ndarray, share: float) -> float:
-    """Return the percentile [%] of values (n,); nan where there are none."""
+    """Return the percentile [%] of values (n,); NaN without values."""
     return float(np.percentile(values, share)) if values.size else np.nan

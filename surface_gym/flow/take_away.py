@@ -1,7 +1,7 @@
-"""Tasks on a slope whose parcels leave by its end onto a take-away conveyor.
+"""Tasks on a slope with a take-away conveyor at its end.
 
-What they share: the line, the bulk of parcels that comes, who has left rightly, the observation,
-the reward, and the statistics of an episode.
+Common parts are the line, the arriving bulk of parcels, correct departures, observation, reward and
+statistics.
 """
 
 import math
@@ -43,9 +43,9 @@ from surface_gym.tasks.sort import HORIZON
 
 
 def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
-    """Make a surface of rotors [m] long and wide, with supports after it.
+    """Make a surface of rotors with a length [m] and a width [m], followed by supports.
 
-    Parcels leave before their rear is past the rotors, so that the supports bear what hangs over.
+    Parcels depart before their rears pass the rotors, so supports carry the overhang.
     """
     columns = round(checks.positive("length", length, *checks.LENGTH) / PITCH)
     rows = round(checks.positive("width", width, *checks.LENGTH) / PITCH)
@@ -56,18 +56,19 @@ def slope_line(length: float = 5.0, width: float = 1.4) -> Pattern:
 
 QUARTER, EIGHTH = 0.5 * math.pi, 0.25 * math.pi  # [rad]
 BULK_SEED = 28
-NEARLY_STRAIGHT = (-math.radians(5.0), math.radians(5.0))  # [rad] how parcels in a row are turned
+# [rad] range of angles of parcels in a row
+NEARLY_STRAIGHT = (-math.radians(5.0), math.radians(5.0))
 LENGTHS, WIDTHS, MASSES = (0.2, 0.45), (0.2, 0.4), (1.0, 15.0)  # [m], [m], [kg]
 
 
 def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
-    """Draw boxes of mixed sizes, the same for the same seed.
+    """Draw boxes of mixed sizes, reproducibly by seed.
 
     Length, width and mass are uniform: 0.2 to 0.45 m, 0.2 to 0.4 m and 1 to 15 kg.
 
     Args:
-        count: of parcels.
-        seed: of the draws.
+        count: number of parcels.
+        seed: seed of the random draws.
     """
     checks.integer("count", count, least=1)
     rng = np.random.default_rng(checks.integer("seed", seed, least=0))
@@ -80,7 +81,7 @@ def bulk_parcels(count: int = 32, seed: int = BULK_SEED) -> tuple[Parcel, ...]:
 def bulk(rate: float = 9000.0) -> Stream:
     """Make a bulk of boxes of mixed sizes at a mean rate [parcels/h].
 
-    They come at random, anywhere across the surface, turned by any angle, at 0.8 m/s.
+    They arrive at random times, anywhere across the surface, at any angle, at 0.8 m/s.
     """
     turned = (-math.pi, math.pi)
     return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, aside=(-1.0, 1.0), turned=turned)
@@ -88,11 +89,11 @@ def bulk(rate: float = 9000.0) -> Stream:
 
 @dataclass(frozen=True)
 class Stops:
-    """Stops of the take-away: it runs and stands in turn, each for a uniform time."""
+    """Stops of the take-away: alternate running and stopped times, uniform at random."""
 
     run: tuple[float, float] = (10.0, 20.0)  # [s] least and greatest
     stop: tuple[float, float] = (2.0, 5.0)  # [s] least and greatest
-    notice: float = 1.0  # [s] before each stop from which on it shows as standing
+    notice: float = 1.0  # [s] time of notice before each stop
 
     def __post_init__(self) -> None:
         for name in ("run", "stop"):
@@ -102,7 +103,7 @@ class Stops:
         object.__setattr__(self, "notice", notice)
 
 
-# Features of a row of the table: of the parcel itself, and of its neighbours. Tasks add to them.
+# Features of a row of the table: of the parcel and its neighbours. Tasks may add features.
 EXTENT = Feature("extent", -10.0, 100.0, "half of its extent along y", "m", 0.1, 0.2)
 NEIGHBOUR_FEATURES = (flow.GAP, flow.SPEED, flow.ASIDE, EXTENT)
 FEATURES: tuple[Feature, ...] = (
@@ -124,20 +125,20 @@ FEATURES: tuple[Feature, ...] = (
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
-AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # where neighbours' numbers begin
+AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # first columns of the neighbours
 
 PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "progress", "time")
-RIGHT_REWARD = 1.0  # once, as a parcel leaves as it was to
-WRONG_REWARD = -1.0  # once, as it leaves otherwise
-TOUCH_REWARD = -0.02  # for each parcel that begins to touch another
+RIGHT_REWARD = 1.0  # once, at a correct departure
+WRONG_REWARD = -1.0  # once, at a wrong departure
+TOUCH_REWARD = -0.02  # per parcel that begins to touch another
 PROGRESS_REWARD = 0.05  # per metre towards the end
-TIME_REWARD = -0.02  # per second of each parcel on the surface
+TIME_REWARD = -0.02  # per second and parcel on the surface
 
-GRIP = 0.5  # [-] friction of the take-away's belt, which a parcel slides on until it has its speed
+GRIP = 0.5  # [-] friction of the take-away's belt while a parcel slides on it
 ROUND_OFF = 1e-6  # [m]
-AT_LEAST = 1e-3  # [m/s] speed of one that leaves, for where it was as its centre passed the end
+AT_LEAST = 1e-3  # [m/s] minimum speed of a departing parcel, for the position at departure
 
-# Places in a parcel's goal, after those of every stream.
+# Indices in a parcel's goal, after the common ones of streams.
 LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, ASKED_GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
 # Places in the task's numbers.
 BELT_SPEED, LEAST_GAP, MOST_TURNED, NOTICE = range(4)
@@ -149,20 +150,20 @@ BELT, CHANGES, DEMAND = range(3)
 ANY, REAR_END = range(2)
 # In the results of a parcel: [m] behind the one before it on the belt, [rad] how it was turned.
 GAP_BEFORE, MISALIGNMENT = range(2)
-BEFORE = fs.OWN_MEMORY  # place in its memory: [m] x at the last decision
+BEFORE = fs.OWN_MEMORY  # index in its memory: [m] x at the last decision
 
 
 @inlined
 def _is_disc(state: EnvState) -> bool:
-    """Whether a base is a disc, all of whose corners lie at its centroid."""
+    """Return whether a base is a disc, with all corners at its centroid."""
     return state.corners[0, 0] == 0.0 and state.corners[0, 1] == 0.0
 
 
 @inlined
 def misalignment(state: EnvState, theta: float) -> float:
-    """[rad] by which a base is turned from its sides lying along the line, within 45 deg.
+    """Return the angle [rad] between a base's sides and the line, within 45 deg.
 
-    A disc lies as it should whichever way it is turned.
+    A disc is always aligned.
     """
     if _is_disc(state):
         return 0.0
@@ -171,7 +172,7 @@ def misalignment(state: EnvState, theta: float) -> float:
 
 @inlined
 def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) -> bool:
-    """Whether a normal of the edges of `normals` keeps two bases a gap [m] apart."""
+    """Return whether an edge normal of `normals` separates two bases by a gap [m]."""
     cosine, sine = math.cos(normals.truth[THETA]), math.sin(normals.truth[THETA])
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     for k in range(normals.edges.shape[0]):
@@ -188,8 +189,9 @@ def _separates(one: EnvState, other: EnvState, normals: EnvState, gap: float) ->
 
 @inlined
 def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
-    """Whether two bases lie a gap [m] apart, by a line between them along an edge or across the
-    line of their centres.
+    """Return whether two bases are a gap [m] apart.
+
+    The separating line is along an edge, or perpendicular to the line of their centres.
     """
     dx, dy = other.truth[X] - one.truth[X], other.truth[Y] - one.truth[Y]
     apart = math.sqrt(dx * dx + dy * dy)
@@ -217,7 +219,7 @@ def changes_within(surface: fs.SurfaceView, time: float) -> bool:
 
 @inlined
 def rolling_time(distance: float, speed: float, acceleration: float) -> float:
-    """[s] until a parcel has gone a distance [m] that rolls from a speed [m/s]."""
+    """Return the time [s] of a rolling parcel for a distance [m] from a speed [m/s]."""
     start = max(0.0, speed)
     if acceleration <= 1e-6:
         return distance / max(start, 1e-3)
@@ -226,7 +228,7 @@ def rolling_time(distance: float, speed: float, acceleration: float) -> float:
 
 @inlined
 def nearest_mouth(mouths: Array, first: int, y: float) -> int:
-    """Find the mouth nearest to y [m], by its sides in the columns `first` and the next."""
+    """Return the mouth nearest to y [m]; its sides are in columns `first` and `first + 1`."""
     nearest, least = 0, math.inf
     for k in range(mouths.shape[0]):
         away = max(mouths[k, first] - y, y - mouths[k, first + 1])
@@ -237,7 +239,7 @@ def nearest_mouth(mouths: Array, first: int, y: float) -> int:
 
 @inlined
 def is_there(row: NDArray[np.float32]) -> bool:
-    """Whether a row (features,) of a table holds a parcel that is on the surface."""
+    """Return whether a row (features,) of a table holds a parcel on the surface."""
     return row[COLUMN.present.place] > 0.5 and row[COLUMN.waits.place] < 0.5
 
 
@@ -252,32 +254,32 @@ def narrowest(parcel: Parcel) -> float:
 
 @dataclass(frozen=True)
 class TakeAwayStatistics:
-    """Statistics of one episode; nan where nothing happened."""
+    """Statistics of one episode; NaN without events."""
 
-    delivered: int  # parcels that left the surface
-    parcels_per_hour: float  # [1/h] that left as they were to
-    right_gaps: float  # [-] share, of gaps on the take-away, that are at least as asked
-    gap_mean: float  # [m] between parcels on the take-away, one after the other
-    gap_5: float  # [m] their 5th percentile
-    gap_spread: float  # [m] their standard deviation
-    aligned: float  # [-] share, of those that left by a mouth, that lay as asked
-    beside: float  # [-] share, of those that left, beside the mouths or over the sides
-    touches_per_1000: float  # times that two began to touch, per 1000 parcels delivered
-    jams_per_1000: float  # jams per 1000 parcels delivered
-    impulse_most: float  # [N s] largest between two in a physics step
-    squeeze_most: float  # [N] largest force between two, as a mean over 0.1 s
-    time_mean: float  # [s] on the surface
-    time_95: float  # [s] its 95th percentile
-    waiting_mean: float  # [s] at the entry, of those that have entered
-    unfairness: float  # [s] largest mean wait of an inlet, less the smallest
-    order_errors: float  # [-] share, of those that left, that did before one of a lower place
-    turns_per_hour: float  # [1/h] of a module's axis, mean over those that obey: its wear
+    delivered: int  # number of departed parcels
+    parcels_per_hour: float  # [1/h] correct departures
+    right_gaps: float  # [-] share of sufficient gaps on the take-away
+    gap_mean: float  # [m] mean gap between successive parcels on the take-away
+    gap_5: float  # [m] 5th percentile of the gaps
+    gap_spread: float  # [m] standard deviation of the gaps
+    aligned: float  # [-] share of aligned parcels among departures by a mouth
+    beside: float  # [-] share of departures beside the mouths or over the sides
+    touches_per_1000: float  # touches begun per 1000 departed parcels
+    jams_per_1000: float  # jams per 1000 departed parcels
+    impulse_most: float  # [N s] largest impulse between two parcels in a physics step
+    squeeze_most: float  # [N] largest force between two parcels, averaged over 0.1 s
+    time_mean: float  # [s] mean time on the surface
+    time_95: float  # [s] 95th percentile of the time on the surface
+    waiting_mean: float  # [s] mean waiting time of entered parcels
+    unfairness: float  # [s] largest minus smallest mean wait of inlets
+    order_errors: float  # [-] share of departures before a parcel with a lower place
+    turns_per_hour: float  # [1/h] turns per obeying module, a measure of wear
 
 
 def compute_statistics(
     task: "TakeAwayTask", streams: fs.StreamState, surface: int, jammed: bool, obeying: int
 ) -> TakeAwayStatistics:
-    """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+    """Compute the statistics of a surface's episode so far, with `obeying` modules."""
     count = int(streams.arrivals[surface])
     time, entered, departed = (
         values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
@@ -318,7 +320,7 @@ def compute_statistics(
 
 
 def _is_early(order: Integers, departed: Array) -> Booleans:
-    """Return (parcels,) which of those that left did so before one of a lower place had."""
+    """Return (parcels,) whether a parcel departed before one with a lower place."""
     by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
@@ -328,30 +330,30 @@ def _is_early(order: Integers, departed: Array) -> Booleans:
 
 @dataclass(frozen=True)
 class TakeAwayTask(StreamTask):
-    """A task on a slope whose parcels leave by its end onto a take-away conveyor.
+    """Base class of tasks on a slope with a take-away conveyor at its end.
 
-    A parcel leaves as its centre passes the end of the rotors. The take-away then carries it at its
-    own speed; until it has that speed it slides, with a friction of 0.5. The gap to the parcel
-    before it is the one between their bases on the take-away.
+    A parcel departs when its centre passes the end of the rotors. The take-away then carries it at
+    its own speed; until then, the parcel slides with a friction coefficient of 0.5. The gap to the
+    previous parcel is measured between their bases on the take-away.
     """
 
     stream: Stream = bulk()
-    exits: Any = "end"  # "end", "mouth", "mouths", or `Exits` that all lie straight on
+    exits: Any = "end"  # "end", "mouth", "mouths", or `Exits` straight ahead
     tilt: float = math.radians(8.0)  # [rad] downhill towards +x
     max_parcels: int = 32
-    entry_gap: float = 0.0  # [m] that one that enters is clear of all others, in any direction
-    patience: float = 4.0  # [s] without motion, while the take-away runs, that make a jam
+    entry_gap: float = 0.0  # [m] clearance of an entering parcel to all others, in any direction
+    patience: float = 4.0  # [s] time without motion until a jam, while the take-away runs
     take_away: float = 2.0  # [m/s] speed of the conveyor after the surface
-    gap: float = 0.3  # [m] at least between parcels on it
-    alignment: float = EIGHTH  # [rad] a parcel's sides may be off the line's; 45 deg: anyhow
-    demand: Stops | None = None  # when the take-away stands; None: never
+    gap: float = 0.3  # [m] minimum gap between parcels on the take-away
+    alignment: float = EIGHTH  # [rad] allowed misalignment; 45 deg: any angle
+    demand: Stops | None = None  # stops of the take-away; None: none
 
     takes_away = True
     line = slope_line()
     features = FEATURES
     terms = (*PARCEL_TERMS, *SURFACE_TERMS)
     waiting_reward: ClassVar[float] = 0.0
-    # time is dear in learning, since a queue waits at the edge
+    # time has a high weight in learning, since a queue waits at the edge
     learning_weights = MappingProxyType({"wrong": 2.0, "touch": 5.0, "time": 5.0})
     goals = fs.GOALS + 7
     memories = 2
@@ -415,13 +417,13 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def begin(state: EnvState) -> None:
-        """Remember where the parcel enters."""
+        """Store the position of entry."""
         state.memory[BEFORE] = state.truth[X]
 
     @staticmethod
     @inlined
     def outside(state: EnvState, x: float, y: float) -> float:
-        """Return how far a point lies outside the base, as it is sensed: parcels lie any way."""
+        """Return the distance of a point outside the sensed base, since parcels have any angle."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
@@ -437,13 +439,13 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether the bases of one that enters and of another are `entry_gap` apart."""
+        """Return whether the bases of an entering and another parcel are `entry_gap` apart."""
         return is_clear_of(state, other, surface.params.entry_gap)
 
     @staticmethod
     @inlined
     def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
-        """Return whether the parcel's centre is past the rotors, or no rotor bears it."""
+        """Return whether the parcel's centre is past the rotors, or no rotor carries it."""
         if not state.on_rotors:
             return True
         if state.com[X] <= surface.params.rotors_end - state.body[RADIUS]:
@@ -454,7 +456,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Find the exit by which a parcel has left past the end, or BETWEEN them."""
+        """Return the exit of a parcel that departed at the end, or BETWEEN."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -492,7 +494,7 @@ class TakeAwayTask(StreamTask):
         take_away, passed = params.numbers[BELT_SPEED], surface.exits[taken]
         beyond = speed - take_away
         slip = beyond * abs(beyond) / (2.0 * GRIP * GRAVITY)
-        # The take-away had moved so far as the centre passed the end.
+        # Distance moved by the take-away when the centre passed the end.
         at_end = surface.memory[BELT] - take_away * (truth[X] - params.rotors_end) / speed
         front = slip + reach_along(state, theta, 1.0, 0.0)
         gap = math.nan if passed[ANY] == 0.0 else at_end + passed[REAR_END] - front
@@ -511,7 +513,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth, and where the last parcel that left by it is, into the goal."""
+        """Write the nearest mouth, and the position of its last departed parcel, to the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)
@@ -528,7 +530,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for delivery and progress, and charge for touches and time."""
+        """Reward delivery and progress, and penalise touches and time."""
         terms = state.terms
         terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
         terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
@@ -540,15 +542,15 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Show a parcel as it is sensed."""
+        """Write the sensed parcel."""
         sensed, goal = state.sensed, state.goal
         theta, offset = sensed[THETA], sensed[Y] - state.elements.line_y
         distance = goal[SLOPE_END] - sensed[X]
         left, right = reach_along(state, theta, 0.0, 1.0), reach_along(state, theta, 0.0, -1.0)
-        # How far it must move so that neither of its sides is beyond the mouth's, or both alike.
+        # Required motion so that no side is beyond the mouth, or both equally.
         below, above = goal[LOW] - (offset - right), goal[HIGH] - (offset + left)
         to_mouth = max(0.0, below) + min(0.0, above)
-        if below > above:  # it is wider than the mouth
+        if below > above:  # the parcel is wider than the mouth
             to_mouth = 0.5 * (below + above)
         acceleration = state.surface[st.GRAVITY_X] - 0.01 * state.surface[st.GRAVITY_NORMAL]
         see = state.observation
@@ -578,7 +580,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Show the next parcel ahead or behind, seen from this one."""
+        """Write the next parcel ahead or behind, relative to this one."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         theta = other.sensed[THETA]
         across = reach_along(other, theta, 0.0, 1.0) + reach_along(other, theta, 0.0, -1.0)
@@ -590,7 +592,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Show that there is no parcel that way."""
+        """Write that there is no parcel in this direction."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

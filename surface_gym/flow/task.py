@@ -25,8 +25,8 @@ from surface_gym.tasks.base import SIZE, WIDTH, show_on_line
 from surface_gym.tasks.features import Feature, columns, show, show_within
 from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 
-# Features of a row of Flow's table. The first are those of Sort, so that a policy that sorts one
-# parcel can sort each of a stream.
+# Features of a row of Flow's table. The first ones equal Sort's, so a policy for one parcel can
+# sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
     GAP, SPEED, replace(ASIDE, meaning="its y over the own, towards the asked side"),
     Feature("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
@@ -44,31 +44,32 @@ FEATURES: tuple[Feature, ...] = (
     *both_ways(NEIGHBOUR_FEATURES),
 )
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
-AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # where neighbours' numbers begin
+AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # first columns of the neighbours
 
-# Flow's reward, term by term; each parcel earns the first.
+# Flow's reward by term; parcels earn the first ones.
 PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "reach", "time")
 TERMS: tuple[str, ...] = (*PARCEL_TERMS, *SURFACE_TERMS)
-RIGHT_REWARD = 1.0  # once, as a parcel leaves by its exit
-WRONG_REWARD = -1.0  # once, as it leaves by another, or between exits
-TOUCH_REWARD = -0.5  # for each parcel that begins to touch another
+RIGHT_REWARD = 1.0  # once, at a departure by its exit
+WRONG_REWARD = -1.0  # once, at a departure by a wrong exit or between exits
+TOUCH_REWARD = -0.5  # per parcel that begins to touch another
 REACH_REWARD = 1.0  # per metre of reach gained
-ON_THE_WAY = 0.2  # [-] what a metre towards the exit's start, or the line's end, counts of it
-REACH_ENOUGH = 0.6  # [m] reach beyond this earns nothing more
-TIME_REWARD = -0.2  # per second of each parcel on the line
-REACH = fs.OWN_MEMORY  # place in a parcel's memory: [m] its reach at the last decision
+ON_THE_WAY = 0.2  # [-] share of the reward for a metre towards the exit's start or the line's end
+REACH_ENOUGH = 0.6  # [m] maximum rewarded reach
+TIME_REWARD = -0.2  # per second and parcel on the line
+REACH = fs.OWN_MEMORY  # index in a parcel's memory: [m] reach at the last decision
 
 
 @inlined
 def _mirror(state: EnvState) -> float:
-    """-1 where a parcel's row is mirrored, else 1."""
+    """Return -1 if a parcel's row is mirrored, else 1."""
     return -1.0 if state.goal[fs.SIDE] < 0.0 else 1.0
 
 
 @inlined
 def _exit_start(state: EnvState) -> float:
-    """[m] x that a parcel's rear must be past before it may be turned off: its exit's first, or the
-    zone's where that comes later or it goes straight on.
+    """Return x [m] that a parcel's rear must pass before it may be turned off.
+
+    It is the start of its exit, or of the zone if that is later or the exit is straight ahead.
     """
     start = zone_start(state)
     return start if state.goal[fs.SIDE] == 0.0 else max(start, state.goal[fs.FIRST])
@@ -76,8 +77,10 @@ def _exit_start(state: EnvState) -> float:
 
 @inlined
 def _reach(state: EnvState) -> float:
-    """[m] how far a parcel has come towards its exit: along the line, and from the exit's start on
-    in lateral reach to the asked side; straight on, how near the middle it has stayed.
+    """Return a parcel's progress [m] towards its exit.
+
+    It is measured along the line, and from the exit's start as lateral reach to the goal side. For
+    an exit straight ahead, the distance from the middle is subtracted.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]
@@ -95,96 +98,88 @@ def _reach(state: EnvState) -> float:
 
 @dataclass(frozen=True)
 class Flow(StreamTask):
-    """Sort a stream of parcels: each is to leave the line by its own exit.
+    """Sort a stream of parcels: each must leave the line by its own exit.
 
-    What the surface is for: material flow. Parcels come in one after the other, mixed in size and
-    destination, several are on the line at once, and each is to leave it by its exit: a chute on
-    one side, or straight on. The modules drive none of them: they brake along their axis and roll
-    across it, so that a parcel's own speed has to carry it out. Parcels that touch push each other.
+    This is the surface's application: material flow. Parcels of mixed size and destination arrive
+    one after the other, and several are on the line at once. Each must leave the line by its exit:
+    a chute on one side, or straight ahead. Modules brake along their axis and roll across it, but
+    never push, so a parcel's own speed must carry it out. Touching parcels push each other.
 
     ### Stream and entry
 
-    `stream` says when parcels come, which, how fast and where to: see `surface_gym.flow.stream`. A
-    parcel comes onto the line with its rear at the edge, x = 0, on the line's middle, when its time
-    has come and there is room: its base and `entry_gap` ahead of it are clear, and fewer than
-    `max_parcels` are on the line. Until then it waits, and so do those after it; waiting is
-    counted.
+    `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due
+    parcel enters with its rear at the edge (x = 0) on the line's middle as soon as there is room:
+    its base and `entry_gap` ahead of it are clear, and fewer than `max_parcels` are on the line.
+    Until then, it and all later parcels wait; waiting is counted.
 
     ### Exits
 
-    A parcel is delivered when no rotor bears it any more: straight on where its rear is past the
-    last column of rotors, else to the side its centre is on, by the chute whose span of x holds its
-    centre. It leaves by its own exit, by another, or between exits. `exits="chutes"`, the default,
-    are two chutes a side and straight on; "sides" one chute a side, as long as the line, and
-    straight on; `surface_gym.flow.exits.Exits` has others.
+    A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it
+    departs straight ahead. Otherwise it departs on the side of its centre, by the chute whose span
+    of x contains its centre. It departs by its own exit, by a wrong exit, or between exits.
+    `exits="chutes"` (default) has two chutes per side and an exit straight ahead; "sides" has one
+    chute per side, as long as the line, and an exit straight ahead; `surface_gym.flow.exits.Exits`
+    defines others.
 
     ### Actions
 
-    Choices count the `orientations`, by default 0, 45, -45 and 90 deg; with "any" they are angles.
-    The lead-in, by default 5 columns, stays at 90 deg.
+    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with "any" they are
+    angles. The lead-in (5 columns by default) stays at 90 deg.
 
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
     | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
 
-    With "parcels" a module obeys the parcel that it bears, or else the one that will bear on it
-    first, if within `ahead` seconds: by the parcels' boxes as they are sensed and move on; of two
-    that it bears at once, the one with the nearer centre. A module that no parcel claims stays as
-    it is.
+    With "parcels", a module obeys the parcel on it, or else the first parcel that reaches it within
+    `ahead` seconds, by the parcels' sensed boxes and velocities. Of two parcels on a module, the
+    one with the nearer centre wins. A module without a parcel keeps its axis.
 
-    With `gate` an action has one number more, the last: 0 keeps the gate shut for the control
-    period, k opens it for one parcel from the k-th physics step on.
+    With `gate`, the action has one more entry at the end: 0 keeps the gate closed for the control
+    period; k opens it for one parcel from the k-th physics step.
 
     ### Observation
 
-    A table, float32, (max_parcels, features): a row a parcel. A parcel keeps its row as long as it
-    is on the line; a free one is all 0. The row of a parcel that is to leave to y < 0 is mirrored,
-    so that a policy learned for one side serves both; choices are not mirrored.
+    A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
+    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored, so
+    that a policy for one side serves both. Choices are not mirrored.
 
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 14 | what Sort shows of a parcel, its zone beginning where the exit's span does |
-    | 15 | 1 for a parcel, 0 for a free row |
-    | 16 | half its width |
-    | 17 | how far it is to the exit's end |
-    | 18 | 1 for a parcel that waits at the gate |
-    | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
-    | 24 to 28 | the next one behind |
+    | feature | meaning | | --- | --- | | 0 to 14 | features of Sort, with a zone that begins at the
+    exit's span | | 15 | 1 for a parcel, 0 for a free row | | 16 | half width | | 17 | distance to
+    the exit's end | | 18 | 1 for a parcel waiting at the gate | | 19 to 23 | the next parcel ahead:
+    gap, speed, lateral offset, side of its exit, size | | 24 to 28 | the next parcel behind |
 
-    With `gate` there are `queue` rows more, by default one. They show parcels that wait, whose time
-    has come, as they will enter: row `max_parcels` the one that enters next, then those behind it
-    in order; the others are all 0.
+    With `gate`, there are `queue` more rows, one by default. They show due, waiting parcels at
+    their entry poses: row `max_parcels` is the next one, and later ones follow in order. Unused
+    rows are 0.
 
     ### Reward
 
-    | term | scale | meaning |
-    | --- | --- | --- |
-    | `right` | 1 | as a parcel leaves by its exit |
-    | `wrong` | -1 | as it leaves otherwise |
-    | `touch` | -0.5 | for each of two parcels that begin to touch |
-    | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
-    | `time` | -0.2 a second | of each parcel on the line |
-    | `waiting` | -0.1 a second | of each parcel that waits to enter |
-    | `jam` | -10 | once |
+    | term | scale | meaning | | --- | --- | --- | | `right` | 1 | per departure by the parcel's
+    exit | | `wrong` | -1 | per other departure | | `touch` | -0.5 | per parcel that begins to touch
+    another | | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line
+    up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of
+    the way, less the distance from the middle | | `time` | -0.2 a second | per parcel on the line |
+    | `waiting` | -0.1 a second | per waiting parcel | | `jam` | -10 | once |
 
     ### End
 
-    An episode is `duration` seconds of the line, then it is truncated. Parcels that touch do not
-    end it; a jam does, as `terminated`: parcels on the line, and none has moved for `patience`.
+    An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it as
+    `terminated`: there are parcels on the line, and none has moved for `patience`.
 
     ### Info
 
-    `outcome`, `time` [s], `parcels` (max_parcels,) the numbers of the parcels in each row in the
-    order they came, -1 for a free one; `entered`, `right`, `wrong`, `touches`, `turns` so far and
-    how many are `waiting`; the terms of the reward, each as `reward_` and its name. As an episode
-    ends its figures come, 0 before: the fields of `surface_gym.flow.state.FlowStatistics`, each as
-    `episode_` and its name: parcels an hour, share missorted, touches and jams per 1000 parcels,
-    gaps, times on the surface and at the entry, turns of a module an hour.
+    `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
+    for free rows; the numbers of `entered`, `right`, `wrong`, `touches` and `turns` so far, and of
+    `waiting` parcels; the terms of the reward, each as `reward_` and its name. At the end of an
+    episode (0 before), its figures: the fields of `surface_gym.flow.state.FlowStatistics`, each as
+    `episode_` and its name. These are parcels per hour, share of missorted parcels, touches and
+    jams per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and
+    hour.
 
-    `reset(options={"stream": ...})` gives an episode a stream of its own, and
-    `surface_gym.flow.parallel_env.FlowParallelEnv` makes each parcel an agent. Sensors and
-    randomisation are those of each parcel, but friction and stiffness, which are the surface's.
+    `reset(options={"stream": ...})` sets the stream of an episode. In
+    `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and
+    randomisation apply to each parcel, but friction and stiffness to the surface.
 
     ### Example
 
@@ -212,13 +207,13 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def begin(state: EnvState) -> None:
-        """Remember the reach of a parcel that enters, which earns nothing."""
+        """Store the reach of an entering parcel, which is not rewarded."""
         state.memory[REACH] = _reach(state)
 
     @staticmethod
     @inlined
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for delivery, reach and haste, and charge for touches."""
+        """Reward delivery, reach and a short time, and penalise touches."""
         reach = _reach(state)
         terms = state.terms
         terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
@@ -231,7 +226,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe(state: EnvState, waits: bool) -> None:
-        """Show a parcel as it is sensed, mirrored so that its side is y > 0."""
+        """Write the sensed parcel, mirrored so that its side is y > 0."""
         mirror, side = _mirror(state), state.goal[fs.SIDE]
         offset = show_on_line(state, COLUMN, mirror)
         x, theta, see = state.sensed[X], state.sensed[THETA], state.observation
@@ -251,7 +246,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Show the next parcel ahead or behind, seen from this one."""
+        """Write the next parcel ahead or behind, relative to this one."""
         mirror = _mirror(state)
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, min(FAR, max(-FAR, gap)))
@@ -263,7 +258,7 @@ class Flow(StreamTask):
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Show that there is no parcel that way."""
+        """Write that there is no parcel in this direction."""
         see = state.observation[AHEAD if ahead else BEHIND :]
         show(see, NEIGHBOUR.gap, FAR)
         for k in range(1, len(NEIGHBOUR)):

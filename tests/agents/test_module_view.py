@@ -31,7 +31,7 @@ def on_the_way(parcel: str, side: int, zone: tuple[int, int] | None = None):
     speed = rng.uniform(0.8, 2.5, NUM_ENVS)
     starts = [{"speed": float(v), "parcel": parcel, "side": side} for v in speed]
     observation, info = env.reset(seed=0, options=starts)
-    view = module_policy.ModuleView(env.config)
+    view = module_policy.SortModuleView(env.config)
     mirror = np.arange(4) if side > 0 else np.array([0, 2, 1, 3])
     rows, columns = env.config.action_kind.shape
     for _ in range(6):
@@ -91,7 +91,7 @@ def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
         rows = rng.choice(4, p=[0.1, 0.2, 0.2, 0.5], size=(len(bases), 4, 1))
         seen, _, _, _, info = env.step(np.tile(rows, 16).reshape(len(bases), -1))
     assert np.ptp(info["pose"][:, 2]) > 0.1
-    modules, total = module_policy.ModuleView(env.config)(seen), 0
+    modules, total = module_policy.SortModuleView(env.config)(seen), 0
     row, column = np.divmod(modules.index, 16)
     for i, base in enumerate(bases):
         of_env = (modules.env == i) & (modules.place[:, 4] == 1.0)
@@ -124,7 +124,7 @@ def test_a_module_sees_the_axes_of_its_quadrant(side) -> None:
     env = sg.SmartSurfaceVectorEnv(
         1, observe=groups, info=("axes",), actuators=Actuators(axis_speed=10.0)
     )
-    view = module_policy.ModuleView(env.config)
+    view = module_policy.SortModuleView(env.config)
     seen, info = env.reset(seed=0, options={"speed": 2.5, "parcel": "B", "side": side})
     rng = np.random.default_rng(1)
     for _ in range(6):
@@ -153,7 +153,7 @@ def test_modules_that_will_be_under_the_parcel_are_seen_and_others_stay_at_90_de
     env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
     starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
     observation, _ = env.reset(seed=0, options=starts)
-    view = module_policy.ModuleView(env.config)
+    view = module_policy.SortModuleView(env.config)
     before = view(observation)
     for _ in range(6):
         observation, *_ = env.step(np.full((NUM_ENVS, 64), 3))
@@ -187,9 +187,9 @@ def test_the_other_side_is_the_mirror_image(parcel) -> None:
 
 def test_other_configurations_are_refused() -> None:
     with pytest.raises(ValueError, match="task must be one of 'sort'"):
-        module_policy.ModuleView(EnvConfig(task="slow", actions="modules"))
+        module_policy.SortModuleView(EnvConfig(task="slow", actions="modules"))
     with pytest.raises(ValueError, match="actions must be one of 'modules'"):
-        module_policy.ModuleView(EnvConfig(actions="halves"))
+        module_policy.SortModuleView(EnvConfig(actions="halves"))
 
 
 SQUARES = tuple(Rectangle(side, side) for side in (0.15, 0.25, 0.4, 0.45, 0.55))
