@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 
 import surface_gym.extend as own
+from surface_gym import checks
+from surface_gym.agents.rules import rule
+from surface_gym.config import EnvConfig
 from surface_gym.extend import THETA, VX, VY, EnvState, SurfaceView, X, Y, kernel_function
 
 LINE = own.flow_line(3.0)
@@ -120,11 +123,15 @@ class Even(own.StreamTask):
             own.show(state.observation, COLUMN.gap_ahead, FAR)
 
 
+@rule("least loaded", "even", actions="parcels")
 class LeastLoaded:
     """Leads each parcel, from the foremost on, to the exit that is least loaded then."""
 
     # choices of the modules under a parcel, by exit: axes at -45 deg, 45 deg and 90 deg
     choices = np.array([2, 1, 3])
+
+    def __init__(self, config: EnvConfig) -> None:
+        checks.one_of("orientations", config.orientations, (None,))
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None,

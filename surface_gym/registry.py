@@ -64,6 +64,11 @@ class Registry(Mapping[str, Value]):
             )
         return value
 
+    def holds(self, name: str, same: Callable[[Value], bool]) -> bool:
+        """Return whether a registered value of this name satisfies `same`; nothing is imported."""
+        value = self._values.get(name)
+        return value is not None and same(value)
+
     def registered(self, name: str) -> Callable[[Value], Value]:
         """Decorate a class or a function to register it by a name."""
         return lambda value: self.register(name, value)

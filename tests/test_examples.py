@@ -19,6 +19,7 @@ from surface_gym.agents import library, train_cli
 from surface_gym.agents.learning import runs
 from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.library import find_task
+from surface_gym.agents.rules import find_rules
 from surface_gym.extend import GYRATION, MASS
 from surface_gym.tasks import Sort
 from tests.environments import played_out
@@ -86,11 +87,16 @@ class TestEven:
         assert env.render().ndim == 3
         assert env.unwrapped.config.task_name == "even"
 
+    def test_its_rule_is_compared_with_others(self):
+        find_task(f"{ROOT}/examples/even.py:Even")  # loads the file again
+        (rule,) = find_rules("even")
+        assert (rule.name, rule.task, rule.actions) == ("least loaded", "even", "parcels")
+
     def test_its_rule_loads_exits_evenly_and_rolling_on_does_not(self):
         even = run_example("even")
         envs = sg.SmartSurfaceVectorEnv(2, even["Even"](), actions="parcels")
         straight = np.full(envs.action_space.shape, 3)
-        for controller, correct in ((even["LeastLoaded"](), (8, 8)), (None, (2, 2))):
+        for controller, correct in ((even["LeastLoaded"](envs.config), (8, 8)), (None, (2, 2))):
             observations, _ = envs.reset(seed=0)
             ended = np.zeros(2, dtype=bool)
             while not ended.any():

@@ -77,10 +77,17 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
     def register(make: Maker) -> Maker:
         for task in tasks:
-            RULES.register(f"{task}: {name}", Rule(name, task, actions, make, **more))
+            key, made = f"{task}: {name}", Rule(name, task, actions, make, **more)
+            again = RULES.holds(key, lambda known: _name_of(known.make) == _name_of(make))
+            RULES.register(key, made, replace=again)
         return make
 
     return register
+
+
+def _name_of(make: Callable[..., Any]) -> str | None:
+    """Name a class or a function, as a file that is loaded again names it again."""
+    return getattr(make, "__qualname__", None)
 
 
 class BaseRule(BatchController):
