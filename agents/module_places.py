@@ -4,7 +4,7 @@ The parcel's outline, and the rows of its line, are inferred from the environmen
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,13 +46,11 @@ def find_shown(config: EnvConfig) -> Shown:
     """Find how an environment shows the outline of a base."""
     line, columns = config.chosen_line, config.columns
     names = ("clearance", "length", "width", "fill", "sine of phase x", "cosine of phase x")
-    return Shown(
-        int("parcel" in config.observe),
-        *(columns.get(name, ABSENT) for name in names),
-        least=LEAST_ROWS if isinstance(line, Line) else float(line.zone_rows),
-        most=float(line.zone_rows),
-        period=config.control_period,
-    )
+    shown: list[Any] = [int("parcel" in config.observe)]
+    shown += [columns.get(name, ABSENT) for name in names]
+    least = LEAST_ROWS if isinstance(line, Line) else float(line.zone_rows)
+    shown += [least, float(line.zone_rows), config.control_period]
+    return Shown(*shown)
 
 
 class Outline(NamedTuple):
