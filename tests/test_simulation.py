@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -294,3 +295,24 @@ GOOD: dict[str, object] = {"surface": sg.layouts.sorting(), "parcel": BOX, "pose
 def test_what_is_not_allowed_is_refused(changes, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         sg.simulate(**{**GOOD, **changes})
+
+
+def test_runs_in_threads_and_after_others_are_the_same():
+    """A thread's runs share their scratch, which holds what lay under the parcel of the last."""
+    rotor = np.ones((20, 30), dtype=bool)
+    surfaces = [sg.Surface(np.tile(axes, (20, 10)), rotor) for axes in ([1.4, 1.8, 1.5], [1.7] * 3)]
+    runs = [(surface, size) for size in ("B", "S") for surface in 2 * surfaces]
+
+    def end(run: tuple[Surface, str]) -> list[float]:
+        surface, size = run
+        start = (0.5, 1.0, 0.1)
+        found = sg.simulate(surface, sg.layouts.box(size), start, (1.0, 0.1, 0.2), 0.005)
+        return [*found.pose[-1], *found.velocity[-1]]
+
+    alone = []
+    for run in runs:
+        with ThreadPoolExecutor(1) as fresh:  # with a scratch of its own
+            alone.append(fresh.submit(end, run).result())
+    assert [end(run) for run in runs] == alone
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(end, 50 * runs)) == 50 * alone
