@@ -120,7 +120,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
     function that finds what the modules see.
     """
     config, tensors = source.config, source.weights
-    view = module_policy.ModuleView(config)
+    view = module_policy.SortModuleView(config)
     first = torch.cat([tensors["_alike.weight"], tensors["_apart.weight"]], dim=1)
     return {
         "kind": "modules",
