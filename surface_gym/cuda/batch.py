@@ -334,7 +334,7 @@ class CudaStreamBatch(BaseCudaBatch):
         ):
             for name in names:
                 values = getattr(source, name)
-                if len(values) == len(self._mask):
+                if len(values) == len(self._mask) and values.size:
                     getattr(state, name)[env_indices] = send(values[chosen], self._device)
         parcel_rows = (chosen[:, np.newaxis] * rows + np.arange(rows)).ravel()
         outcome = send(host.parcels.outcome[parcel_rows], self._device)
