@@ -378,7 +378,7 @@ class EnvConfig:
         """Make the space of an environment's action."""
         return self.action_kind.space()
 
-    # Of tasks on a stream of parcels alone.
+    # Only for tasks on a stream of parcels.
 
     @property
     def stream_task(self) -> "StreamTask":
@@ -414,7 +414,7 @@ class EnvConfig:
 
     @property
     def inlets(self) -> "Inlets":
-        """Where the stream's parcels come onto the surface."""
+        """Inlets of the stream's parcels."""
         return self.stream_task.inlets
 
     @cached_property

@@ -259,7 +259,7 @@ def _lie(
         roundness = _clip((1.0 - see["fill"]) / (1.0 - ELLIPSE), 0.0, 1.0)
         outline = _Outline((length, width), roundness, rows(width / line.pitch_y + EXACT))
         into_zone = see["distance into zone"] + outline.reach(*axes)
-        # The nearest place whose phase within a pitch is the one that is shown.
+        # The nearest place with the shown phase within a pitch.
         phase = _angle(see["sine of phase x"], see["cosine of phase x"])
         in_pitch = 0.5 + phase / (2.0 * math.pi)
         pitch = line.pitch_x

@@ -261,7 +261,7 @@ def _check_run(card: library.PolicyCard) -> None:
 def describe_each(rule: SortEach) -> Card:
     """Describe a policy of single parcels that acts for each parcel of a stream.
 
-    Its weights are those of its own task.
+    Its weights belong to its own task.
     """
     return {
         "kind": "each", "present": COLUMN.present.place, "waits": COLUMN.waits.place,

@@ -325,7 +325,7 @@ class _Beam:
         nodes = self._model.nodes(count)
         parcels = nodes.parcels
         there = (parcels.outcome == SUCCESS) & (parcels.clock <= self._limit)
-        # The best failure is the one that came farthest.
+        # The best failure is the run that came farthest.
         cost = np.where(there, self._cost.final(nodes), LOST + LOST / (1.0 + parcels.truth[:, X]))
         cost[parcels.outcome == RUNNING] = math.inf
         if cost.min() < self._best.cost:

@@ -324,7 +324,7 @@ def predict(
 
 @inlined
 def _choose_level(option: int, place: int, reached: int) -> int:
-    """Return the level of a column in an option of braking, of those that a parcel reaches.
+    """Return the level of a column, within a parcel's reach, in an option of braking.
 
     The front or the rear of them brakes, fully or half, and the others roll: a column that is about
     to come under the parcel or to leave it brakes for a part of the period. Option 0 rolls.

@@ -43,7 +43,7 @@ ALIGNMENT = math.radians(8.0)  # to which parcels are turned, as they are narrow
 
 
 class Parking(NamedTuple):
-    """Where parcels wait."""
+    """Places for waiting parcels."""
 
     beside: float = 0.47  # [m] from the middle to those that wait beside the passage
     passage: float = 0.22  # [m] half of the passage's width

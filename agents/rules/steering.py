@@ -166,7 +166,7 @@ def slide(
     observations: Singles, sight: Sight, directions: Numbers, options: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose, of the options (options, modules), the one that ends nearest to the surface."""
+    """Choose the option (options, modules) that ends nearest to the surface."""
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
         place_modules(path, sight, scratch)

@@ -282,7 +282,7 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Find, of the parcels over a group or about to be, the one that is farthest along; -1: none.
+    """Find the parcel farthest along, of all that are over a group or soon will be; -1: none.
 
     Lengths and ways ahead have single precision.
     """

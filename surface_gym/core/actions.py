@@ -229,8 +229,10 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the window's occupancy into the observation from `first` on: 1 for each module that
-    obeys and is sensed to lie under the parcel, rows reversed if `mirror` is negative.
+    """Write the window's occupancy into the observation from `first` on:
+
+    1 for each module that obeys and is sensed to lie under the parcel, rows reversed if `mirror` is
+    negative.
     """
     corner = window_corner(state, mirror)
     rows, columns = state.rotor.shape
@@ -369,7 +371,7 @@ def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
             see[place + 2] = bounded(see[place + 2] / count, -1.0, 1.0)
 
 
-# Groups of features of one parcel that `observe` shows, beside those of its sensor.
+# Groups of features of one parcel for `observe`, in addition to its sensor's features.
 MODULE_GROUPS = {
     # The parcel's outline, by a scale drawing or a picture; not where its load lies.
     "parcel": Group(PARCEL_FEATURES, show_parcel),

@@ -103,7 +103,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
 
 
 def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
-    """Choose how axes obey: at any angle or one of those on offer, at once or by turning."""
+    """Choose how axes obey: at any angle or only at given ones, at once or by turning."""
     if turning:
         aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
         return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)

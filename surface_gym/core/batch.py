@@ -357,7 +357,7 @@ class BaseBatch(ABC):
 
 
 class Batch(BaseBatch):
-    """Environments of a task of one parcel. Arguments and errors are those of `BaseBatch`."""
+    """Environments of a task of one parcel. Arguments and errors are as for `BaseBatch`."""
 
     def _make_memory(self) -> None:
         config, line = self.config, self.config.chosen_line

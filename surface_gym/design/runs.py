@@ -313,7 +313,7 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
 def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
     """Return the first and last column with a rotor under the parcel; first > last: there is none.
 
-    The columns are those of the contacts that the last step found.
+    The columns are the contacts found by the last step.
     """
     marks = scratch.marks
     lowest = rotor.shape[1]

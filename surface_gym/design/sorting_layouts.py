@@ -1,4 +1,4 @@
-"""The best fixed layouts for sorting, which are shipped with the package.
+"""The best fixed layouts for sorting, shipped with the package.
 
 `python -m surface_gym.design.sorting_layouts` repeats the search.
 """

@@ -330,7 +330,7 @@ class StreamTask(Task):
         return StreamActions("modules", config.choices, rows, columns, gates)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "StreamTask":
-        """Return the same task: its parcels are those of the stream."""
+        """Return the same task, since its parcels come from the stream."""
         del parcels
         return self
 

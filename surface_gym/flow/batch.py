@@ -140,7 +140,7 @@ COUNTS = ("entered", "right", "wrong", "touches", "turns")  # names of the tally
 class StreamBatch(BaseBatch):
     """Environments of a task on streams of parcels, one surface each.
 
-    Arguments and errors are those of `BaseBatch`.
+    Arguments and errors are as for `BaseBatch`.
     """
 
     task: StreamTask

@@ -54,7 +54,7 @@ def claiming(outside: Function) -> Any:
     def claim_modules(
         owner: Places, soonest: Array, state: EnvState, slot: int, ahead: float
     ) -> None:
-        """Let a slot's parcel claim the modules under it, and the ones that it reaches first.
+        """Let a slot's parcel claim the modules below it, and modules that it reaches first.
 
         The latter are reached within `ahead` seconds, by the parcel's sensed box and velocity.
         """

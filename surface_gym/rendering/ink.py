@@ -310,7 +310,7 @@ def inset(corners: Points, depth: float) -> Points:
 
 @lru_cache(maxsize=512)
 def _letters(text: str, size: int, colour: Colour, room: int | None) -> pygame.Surface:
-    # Cache pictures instead of fonts, which are lost when other code calls pygame.quit().
+    # Cache pictures instead of fonts, since pygame.quit() in other code deletes fonts.
     pygame.font.init()
     font = pygame.font.Font(None, _LETTER_SAMPLES * size)
     shown = text

@@ -35,8 +35,8 @@ class Camera(kalman.Observer):
     """A sensor of the pose in frames, each with noise and latency, with a Kalman filter behind.
 
     Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used
-    from the first step on that ends no sooner than `latency` after it. The angle is continuous:
-    a turn beyond pi does not jump.
+    from the first step on that ends no sooner than `latency` after it. The angle is continuous: a
+    turn beyond pi does not jump.
 
     The estimate is a Kalman filter's whose model is the physics itself: it moves on with the axes
     as they are, nominal friction and the load over the base's centroid, its uncertainty damped as
@@ -91,7 +91,7 @@ class Camera(kalman.Observer):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict over a physics step, take a frame if due, and correct by the one that arrives."""
+        """Predict over a physics step, take a frame if due, and correct with an arriving frame."""
         kalman.predict(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LAST)
         if place > 0:
@@ -100,8 +100,9 @@ class Camera(kalman.Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due. Return the place of the frame that arrives, the frames lying from
-    `first` on; 0 if none does.
+    """Take a frame if one is due.
+
+    Return the place of the frame that arrives, the frames lying from `first` on; 0 if none does.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -181,9 +182,9 @@ class AdaptiveCamera(Camera):
     """A `Camera` that also estimates the factor by which mu_max differs from its model, and the
     place of the centre of mass over the base.
 
-    Both are constant while a parcel is on the surface, and known at a start to the spreads given.
-    A parcel that is braked harder than predicted, or that turns where it should not, shows
-    them; see `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
+    Both are constant while a parcel is on the surface, and known at a start to the spreads given. A
+    parcel that is braked harder than predicted, or that turns where it should not, shows them; see
+    `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
     """
 
     acceleration_density: float = 0.0001  # [m^2/s^3] less than a Camera's: the load is known of

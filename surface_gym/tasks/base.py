@@ -28,8 +28,8 @@ class Task:
     """The base class of tasks: starts, observation, reward, and the end of an episode.
 
     A task is one class. Its fields are its parameters. The names below say what it deals in; its
-    static methods, each a `kernel_function`, are compiled into every batch of it. A subclass inherits
-    what it does not replace.
+    static methods, each a `kernel_function`, are compiled into every batch of it. A subclass
+    inherits what it does not replace.
 
     The compiled functions read and write a `EnvState`:
 
@@ -126,7 +126,7 @@ class Task:
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action in an environment; None: those of every task."""
+        """Return the task's own kind of action in an environment; None: the kinds of every task."""
         del config
 
     def check(self, config: Any) -> None:
@@ -177,7 +177,9 @@ class Task:
         del state
 
     def decode(self, seen: Observed) -> Any:
-        """Decode observations into SI units, for rules; by default those of a parcel on a line."""
+        """Decode observations into SI units, for rules; by default observations of a parcel on a
+        line.
+        """
         return decode_line(seen)
 
     def decode_start(self, seen: Observed) -> Start:
@@ -289,7 +291,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return the failure that has happened, of those every line task has; RUNNING if none."""
+    """Return the failure that has happened, among the failures of every line task; RUNNING if none."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:
