@@ -1,4 +1,4 @@
-"""PPO of modules on a slope: one shared network with local observations.
+"""Shared-policy PPO per module on a slope, which sees itself and what its neighbours pass on.
 
 It begins by imitating the rule of its task. A parcel's reward is that of each module below it, and
 each is a sample of its own. They choose alike, by a shared draw, so that what they do together is
@@ -20,15 +20,8 @@ from ..parcel_policy import to_halves
 from .algorithms import LocalConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .slopes import (
-    VALUE_COEF,
-    RolloutData,
-    SlopeLearner,
-    SlopeStep,
-    Surfaces,
-    shuffle,
-    training_configs,
-)
+from .shared import Decision, Evaluation, Outcome, gather, mean_entropy, shuffle
+from .slopes import StreamLearner, Surfaces, training_configs
 
 # Rounds of imitation: control periods, the share of environments in which the network acts while
 # the rule says what it would do, and passes over all that was seen so far.
@@ -39,11 +32,10 @@ BATCH = 6000  # modules of a step of imitation
 RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
-class LocalLearner(SlopeLearner[LocalNetwork]):
-    """Training of the modules' policy and the parcels' value."""
+class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
+    """Network of the modules' policy and of the parcels' value, and its training."""
 
     most_kl = 0.01
-    _config: LocalConfig
 
     def __init__(self, config: LocalConfig) -> None:
         configs = training_configs(config)
@@ -55,26 +47,17 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
 
     def begin(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._number = self._rng.random(self._rows, dtype=np.float32)
+        self._number = self._rng.random(self._slots, dtype=np.float32)
         if self.steps == 0:
             self._imitate()
         self._surfaces.begin(self._rng)
         self._seen = self._see()
 
-    @property
-    def _rows(self) -> int:
-        return self._surfaces.num_envs * self._surfaces.rows
-
     def _see(self) -> LocalInputs:
         return see_modules(self._view, self._surfaces.see().tables)
 
-    def _move(self, seen: LocalInputs, choice: Integers) -> SlopeStep:
-        surfaces = self._surfaces
-        actions = fill(seen, choice, surfaces.num_envs, self._view.modules, self._rest)
-        return surfaces.step(actions)
-
     def _imitate(self) -> None:
-        """Imitate the rule, first in the rule's states and then in the network's states."""
+        """Learn to choose as the rule does, where it leads and then where the network leads."""
         optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
@@ -92,7 +75,7 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
         self._surfaces.infos.clear()
 
     def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
-        """Collect observations of modules, with the rule's choices."""
+        """Collect what some modules saw, with what the rule chooses for each."""
         surfaces, rng = self._surfaces, self._rng
         surfaces.begin(rng)
         found: list[tuple[torch.Tensor, ...]] = []
@@ -110,14 +93,14 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
             if own > 0.0:
                 drawn = self._draw(seen, split=False)[0].numpy()
                 choice = np.where(acts[seen.env], drawn, choice)
-            self._move(seen, choice)
+            surfaces.step(fill(seen, choice, surfaces.num_envs, self._view.modules, self._rest))
         return found
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,); return them with their log probabilities."""
+        """Draw choices (modules,), and return them with the logarithm of each one's probability."""
         rng, parcels = self._rng, len(seen.row)
-        new = rng.random(self._rows) < 1.0 / HOLD
+        new = rng.random(self._slots) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
         number = rng.random(GROUPS * parcels, dtype=np.float32)
         number[::GROUPS] = self._number[seen.row]
@@ -126,70 +109,49 @@ class LocalLearner(SlopeLearner[LocalNetwork]):
         group = draw_groups(seen.parcel.numpy(), where, parcels, probability, rng)
         log_probability = self._learning(seen.passed[seen.parcel], seen.own)
         choice = draw_choices(log_probability, torch.from_numpy(group), torch.from_numpy(number))
-        return choice, log_probability.gather(1, choice[:, None])[:, 0]
+        return choice, gather(log_probability, choice)
+
+    def _decide(self) -> Decision:
+        seen = self._seen
+        value = self._compute_values(seen, self._slots)
+        choice, likely = self._draw(seen)
+        drawn = self._rng.random(len(choice)) < LEARNED
+        some = torch.from_numpy(np.flatnonzero(drawn))
+        parcel = seen.parcel[some]
+        return Decision(
+            fill(seen, choice.numpy(), self._surfaces.num_envs, self._view.modules, self._rest),
+            value,
+            (seen.passed[parcel], seen.own[some], choice[some]),
+            seen.row[parcel.numpy()],
+            torch.ones(len(some), dtype=torch.bool),
+            likely[some],
+        )
+
+    def _move(self, actions: Integers) -> Outcome:
+        period = self._surfaces.step(actions)
+        self._seen = self._see()
+        count = len(period.last)
+        last = np.zeros((count, self._surfaces.rows))
+        if count:
+            seen = see_modules(self._view, period.last)
+            last = self._compute_values(seen, last.size).reshape(last.shape)
+        return self._outcome(period, last)
+
+    def _value(self) -> Numbers:
+        return self._compute_values(self._seen, self._slots)
 
     @torch.no_grad()
-    def _value(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Compute the values (rows,) of parcels in all rows; 0 without a parcel."""
+    def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
+        """Compute expected returns (rows,) of the parcels in all rows, 0 where there is none."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value
 
-    def _roll_out(self) -> list[torch.Tensor]:
-        """Collect samples of modules.
-
-        They hold shared and own features, the choice with its log probability, and the parcel's
-        normalised advantage and return.
-        """
-        parts, rows = [], []
-        kept = RolloutData([], [], [], [])
-        for _ in range(self._config.n_steps):
-            seen = self._seen
-            value = self._value(seen, self._rows)
-            if kept.value:
-                kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
-            choice, likely = self._draw(seen)
-            drawn = self._rng.random(len(choice)) < LEARNED
-            some = torch.from_numpy(np.flatnonzero(drawn))
-            parcel = seen.parcel[some]
-            parts.append((seen.passed[parcel], seen.own[some], choice[some], likely[some]))
-            rows.append(seen.row[parcel.numpy()])
-            stepped = self._move(seen, choice.numpy())
-            self._seen = self._see()
-            kept.value.append(value)
-            kept.reward.append(stepped.reward.ravel())
-            over = stepped.left | (stepped.jammed | stepped.out_of_time)[:, np.newaxis]
-            kept.ended.append(over.ravel())
-            kept.following.append(self._after(stepped))
-        value = self._value(self._seen, self._rows)
-        kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
-        advantage, returns = (
-            np.concatenate([line[row] for line, row in zip(table, rows, strict=True)])
-            for table in self._compute_returns(kept)
-        )
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        samples = [torch.cat(each) for each in zip(*parts, strict=True)]
-        return samples + [
-            torch.from_numpy(each.astype(np.float32)) for each in (advantage, returns)
-        ]
-
-    def _after(self, stepped: SlopeStep) -> Numbers:
-        """Compute the values (rows,) after truncated episodes, which could have continued."""
-        after = np.zeros(stepped.left.shape)
-        count = len(stepped.last)
-        if count:
-            seen = see_modules(self._view, stepped.last)
-            value = self._value(seen, count * self._surfaces.rows)
-            after[stepped.out_of_time] = value.reshape(count, -1)
-        return np.where(stepped.left, 0.0, after).ravel()
-
-    def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
-        passed, own, *old = samples
+    def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
+        passed, own, choice = samples
+        log_probability = self._learning(passed, own)
         value = self._learning.value(passed)
-        if critic_only:
-            self._descend(VALUE_COEF * (value - old[-1]).square().mean(), critic_only)
-            return 0.0
-        return self._improve(self._learning(passed, own), value, tuple(old), critic_only)
+        return Evaluation(gather(log_probability, choice), value, mean_entropy(log_probability))
 
 
 def train_local(

@@ -1,20 +1,21 @@
-"""PPO of parcels on a slope: one shared network that corrects the task's rule."""
+"""Shared-policy PPO per parcel: one network for all, which corrects the rule of its task if any."""
 
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from ..base import Integers, Singles
+from ..base import Integers, Numbers
 from ..parcel_policy import ParcelNetwork, make_network, to_halves
 from .algorithms import ParcelsConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .slopes import RolloutData, SlopeLearner, SlopeObservations, Surfaces, training_configs
+from .shared import Decision, Evaluation, Outcome, gather, mean_entropy
+from .slopes import StreamLearner, Surfaces, SlopeObservations, training_configs
 
 
-class ParcelLearner(SlopeLearner[ParcelNetwork]):
-    """Training of the parcels' policy and value."""
+class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
+    """Network of the parcels' policy and value, and its training; a sample is a whole table."""
 
     most_kl = 0.03
 
@@ -29,74 +30,51 @@ class ParcelLearner(SlopeLearner[ParcelNetwork]):
         self._surfaces.begin(self._rng)
         self._seen = self._surfaces.see()
 
-    @torch.no_grad()
-    def _decide(self, seen: SlopeObservations) -> tuple[Integers, Integers, Singles, Singles]:
-        """Draw choices; return halves (num_envs, rows, 2), and data of all rows (num_envs x rows,).
-
-        The data are choice, log probability and value.
-        """
-        found = self._learning(*map(torch.from_numpy, seen))
+    def _decide(self) -> Decision:
+        tables, proposed = map(torch.from_numpy, self._seen)
+        found = self._learning(tables, proposed)
         log_probability = found.logits.log_softmax(dim=1)
         uniform = torch.from_numpy(self._rng.random((len(found.row), 1), dtype=np.float32))
         chosen = (uniform > log_probability.exp().cumsum(dim=1)[:, :-1]).sum(dim=1)
-        choice, likely, value = (
-            torch.zeros(seen.proposed.size, dtype=kind)
-            for kind in (torch.int64, torch.float32, torch.float32)
-        )
+        choice = torch.zeros(proposed.numel(), dtype=torch.int64)
+        likely, value = torch.zeros(proposed.numel()), torch.zeros(proposed.numel())
         choice[found.row] = chosen
-        likely[found.row] = log_probability.gather(1, chosen[:, None])[:, 0]
+        likely[found.row] = gather(log_probability, chosen)
         value[found.row] = found.value
-        halves = to_halves(choice.numpy().reshape(seen.proposed.shape), self._surfaces.orientations)
-        return halves, choice.numpy(), likely.numpy(), value.numpy()
+        choice = choice.reshape(proposed.shape)
+        return Decision(
+            to_halves(choice.numpy(), self._surfaces.orientations),
+            value.numpy(),
+            (tables, proposed, choice),
+            np.arange(proposed.numel()).reshape(proposed.shape),
+            self._learning.find_present(tables),
+            likely.reshape(proposed.shape),
+        )
 
-    @torch.no_grad()
-    def _roll_out(self) -> list[torch.Tensor]:
-        """Collect tables (samples, rows, features), and data of their rows (samples, rows).
+    def _move(self, actions: Integers) -> Outcome:
+        period = self._surfaces.step(actions)
+        timed = period.out_of_time
+        last = self._compute_values(SlopeObservations(period.last, self._seen.proposed[timed]))
+        self._seen = self._surfaces.see()
+        return self._outcome(period, last.reshape(-1, self._surfaces.rows))
 
-        The data are the rule's proposal, the choice, its log probability, the normalised advantage
-        and the return.
-        """
-        surfaces = self._surfaces
-        all_seen: list[SlopeObservations] = []
-        chosen: list[Integers] = []
-        likely: list[Singles] = []
-        kept = RolloutData([], [], [], [])
-        for _ in range(self._config.n_steps):
-            seen = self._seen
-            halves, choice, log_probability, value = self._decide(seen)
-            if kept.value:
-                kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
-            stepped = surfaces.step(halves)
-            self._seen = surfaces.see()
-            all_seen.append(seen)
-            chosen.append(choice)
-            likely.append(log_probability)
-            kept.value.append(value)
-            kept.reward.append(stepped.reward.ravel())
-            timed = stepped.out_of_time
-            kept.ended.append((stepped.left | (stepped.jammed | timed)[:, np.newaxis]).ravel())
-            after = np.zeros(stepped.left.shape, dtype=np.float32)
-            if timed.any():  # a truncated episode could have continued
-                last = SlopeObservations(stepped.last, seen.proposed[timed])
-                after[timed] = self._decide(last)[3].reshape(last.proposed.shape)
-            kept.following.append((after * ~stepped.left).ravel())
-        value = self._decide(self._seen)[3]
-        kept.following[-1] = np.where(kept.ended[-1], kept.following[-1], value)
-        advantage, returns = self._compute_returns(kept)
-        tables, proposed = map(np.concatenate, zip(*all_seen, strict=True))
-        shape = proposed.shape
-        returns, advantage = returns.reshape(shape), advantage.reshape(shape)
-        there = advantage[self._learning.find_present(torch.from_numpy(tables)).numpy()]
-        advantage = (advantage - there.mean()) / (there.std() + 1e-8)
-        of_rows = (np.concatenate(chosen), np.concatenate(likely), advantage, returns)
-        old = [torch.from_numpy(each.reshape(shape).astype(np.float32)) for each in of_rows]
-        return [torch.from_numpy(tables), torch.from_numpy(proposed), *old]
+    def _value(self) -> Numbers:
+        return self._compute_values(self._seen)
 
-    def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
-        tables, proposed, *old = samples
+    def _compute_values(self, seen: SlopeObservations) -> Numbers:
+        """Compute the expected returns of all rows; 0 where there is no parcel."""
+        value = np.zeros(seen.proposed.size)
+        if value.size:
+            found = self._learning(*map(torch.from_numpy, seen))
+            value[found.row.numpy()] = found.value.numpy()
+        return value
+
+    def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
+        tables, proposed, choice = samples
         found = self._learning(tables, proposed)
-        of_parcels = tuple(each.flatten()[found.row] for each in old)
-        return self._improve(found.logits.log_softmax(dim=1), found.value, of_parcels, critic_only)
+        log_probability = found.logits.log_softmax(dim=1)
+        log_prob = gather(log_probability, choice.flatten()[found.row])
+        return Evaluation(log_prob, found.value, mean_entropy(log_probability))
 
 
 def train_parcels(

@@ -1,19 +1,14 @@
-"""Learning on a slope: several surfaces, rewards per parcel, and PPO.
+"""What agents of streams learn from: surfaces side by side, and rewards of each parcel.
 
-Each parcel gets its own rewards, and a share of the others' rewards.
+Each parcel has rewards of its own, and a part of the others'.
 """
 
-import copy
-import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
-from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, JAM, WRONG
@@ -23,24 +18,18 @@ from surface_gym.state import OUT_OF_TIME
 from ..base import Booleans, Integers, Numbers, Singles
 from ..library import find_algorithm, find_task
 from ..parcel_policy import Proposer
-from ..tensors import check_like, load_optimizer
-from . import ppo
 from .algorithms import LocalConfig, ParcelsConfig
-from .learner import learning_rate
-from .runs import Curve
+from .shared import Config, Network, Outcome, SharedLearner
 
 DURATION = 60.0  # [s] of an episode
-SHAPES = 64  # shapes of the lab in each group of environments
-JAMMED = -1.0  # reward of every parcel in a jam
-STALLED = 15.0  # [s] time without departures that counts as a jam
-SHARED = 0.2  # share of the rewards of all others on the surface
-CRITIC_FIRST = 10  # initial rollouts in which only the critic learns
-VALUE_COEF = 0.5
-SMOOTH = 0.97  # [-] weight of earlier rollouts in the score
+SHAPES = 64  # of the lab, in each of its groups of environments
+JAMMED = -1.0  # reward of each parcel in a jam
+STALLED = 15.0  # [s] in which none of the parcels there leaves, that count as a jam
+SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """List the training environments: each task with exact sensors and in the lab."""
+    """List the environments to learn from: each task with exact sensors and in the lab."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -67,7 +56,7 @@ class SlopeStep(NamedTuple):
     """Result of a control period for all rows (num_envs, rows)."""
 
     reward: Numbers
-    left: Booleans  # whether the row's parcel has departed
+    departed: Booleans  # whether the row's parcel has departed
     # (num_envs,) detected by the environment, or by a long time without departures
     jammed: Booleans
     out_of_time: Booleans  # (num_envs,)
@@ -138,10 +127,10 @@ class Surfaces:
         streams = batch.streams
         terms = batch.parcels.terms.reshape(*there.shape, -1)[..., : len(self._weights)]
         reward = np.where(there, terms @ self._weights, 0.0)
-        left = there & ~(streams.present & (streams.number == number))
+        departed = there & ~(streams.present & (streams.number == number))
         timed = streams.outcome == OUT_OF_TIME
         quiet += batch.config.control_period
-        quiet[left.any(axis=1) | ~streams.present.any(axis=1)] = 0.0
+        quiet[departed.any(axis=1) | ~streams.present.any(axis=1)] = 0.0
         jammed = (streams.outcome == JAM) | ((quiet > STALLED) & ~timed)
         reward[jammed] += np.where(there[jammed], JAMMED, 0.0)
         reward += np.where(there, SHARED * (reward.sum(axis=1, keepdims=True) - reward), 0.0)
@@ -159,7 +148,7 @@ class Surfaces:
             )
         sums[ended] = quiet[ended] = 0.0
         self._reset(batch, ended)
-        return SlopeStep(reward, left, jammed, timed, last)
+        return SlopeStep(reward, departed, jammed, timed, last)
 
     def _reset(self, batch: StreamBatch, chosen: Integers) -> None:
         for i in chosen.tolist():
@@ -172,151 +161,33 @@ def _join(parts: list[SlopeStep]) -> SlopeStep:
     return SlopeStep(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-class RolloutData(NamedTuple):
-    """Data of a rollout for all rows (num_envs x rows,) in each control period."""
+class StreamLearner(SharedLearner[Network, Config]):
+    """A learner of agents of streams: a slot for each row of each environment's table."""
 
-    value: list[Any]
-    reward: list[Numbers]
-    ended: list[Booleans]
-    following: list[Any]  # value after the period
+    critic_first = 10
 
-
-Network = TypeVar("Network", bound=torch.nn.Module)
-
-
-class SlopeLearner(ABC, Generic[Network]):
-    """Training of a policy on slopes and of the parcels' values by PPO."""
-
-    most_kl: ClassVar[float]  # [nat] change of the policy after which no further pass follows
-    _rng: np.random.Generator
-
-    def __init__(
-        self, config: ParcelsConfig | LocalConfig, surfaces: "Surfaces", network: Network
-    ) -> None:
-        self._config = config
+    def __init__(self, config: Config, surfaces: Surfaces, network: Network) -> None:
+        super().__init__(config, network)
         self._surfaces = surfaces
-        self._learning = network
-        self.network = copy.deepcopy(network)  # best network so far
-        self._optimiser = torch.optim.Adam(network.parameters(), config.learning_rate)
-        self._score = self._best = -math.inf  # [1/s] smoothed rewards of an environment
-        self.steps = 0
+        self.infos = surfaces.infos
 
-    def learn(self, curve: Curve) -> None:
-        for group in self._optimiser.param_groups:
-            group["lr"] = learning_rate(self._config, self.steps)
-        samples = self._roll_out()
-        rollout = self._config.n_steps * self._config.num_envs
-        critic_only = self.steps < CRITIC_FIRST * rollout
-        if self._score > self._best and not critic_only:
-            self._best = self._score
-            self.network.load_state_dict(self._learning.state_dict())
-        for _ in range(self._config.n_epochs):
-            moved = [
-                self._step([each[chosen] for each in samples], critic_only)
-                for chosen in shuffle(self._rng, len(samples[0]), self._config.batch_size)
-            ]
-            if np.mean(moved) > self.most_kl:
-                break
-        self.steps += rollout
-        curve.add_episodes(self._surfaces.infos)
-        self._surfaces.infos.clear()
+    @property
+    def _slots(self) -> int:
+        return self._surfaces.num_envs * self._surfaces.rows
 
-    def state(self) -> dict[str, Any]:
-        return {
-            "network": self.network.state_dict(),
-            "learning": self._learning.state_dict(),
-            "score": self._score,
-            "best": self._best,
-            "optimiser": self._optimiser.state_dict(),
-            "steps": self.steps,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        weights = self.network.state_dict()
-        own = {"network": weights, "learning": weights, "steps": 0}
-        for name, values in own.items():
-            check_like(name, state[name], values)
-        for name in ("score", "best"):
-            checks.instance(name, state[name], float, "a number")
-        self._score, self._best = state["score"], state["best"]
-        self.network.load_state_dict(state["network"])
-        self._learning.load_state_dict(state["learning"])
-        load_optimizer(self._optimiser, state["optimiser"])
-        self.steps = state["steps"]
-
-    @abstractmethod
-    def begin(self, seed: int) -> None:
-        """Begin to learn, with random numbers from a seed."""
-
-    @abstractmethod
-    def _roll_out(self) -> list[torch.Tensor]:
-        """Collect samples, one row per sample in all tensors."""
-
-    @abstractmethod
-    def _step(self, samples: list[torch.Tensor], critic_only: bool) -> float:
-        """Do a gradient step; return the change [nat] of the policy."""
-
-    def _compute_returns(self, kept: RolloutData) -> tuple[Numbers, Numbers]:
-        """Compute advantages and returns (periods, num_envs x rows), and rate the policy."""
-        rewards, value = np.stack(kept.reward), np.stack(kept.value).astype(np.float64)
-        self._rate(rewards)
-        advantage = ppo.compute_advantages(
-            torch.from_numpy(rewards),
-            torch.from_numpy(np.stack(kept.ended)),
-            torch.from_numpy(value),
-            torch.from_numpy(np.stack(kept.following).astype(np.float64)),
-            self._config.gamma,
-            self._config.gae_lambda,
-        ).numpy()
-        return advantage, advantage + value
-
-    def _rate(self, rewards: Numbers) -> None:
-        """Rate the policy by the rewards (periods, num_envs x rows) of a rollout."""
-        seconds = len(rewards) * self._surfaces.num_envs * self._config.control_period
-        score = float(rewards.sum()) / seconds
-        before = self._score if math.isfinite(self._score) else score
-        self._score = SMOOTH * before + (1.0 - SMOOTH) * score
-
-    def _improve(
-        self,
-        log_probability: torch.Tensor,
-        value: torch.Tensor,
-        old: tuple[torch.Tensor, ...],
-        critic_only: bool,
-    ) -> float:
-        """Do a step of PPO; return the change [nat] of the policy.
+    def _outcome(self, period: SlopeStep, last: Numbers) -> Outcome:
+        """Return the outcome of a control period.
 
         Args:
-            log_probability: (samples, choices).
-            value: (samples,) expected returns.
-            old: choice, log probability, normalised advantage and return of the samples.
-            critic_only: whether the actor does not change.
+            period: of the surfaces.
+            last: (out of time, rows) expected returns at the end of episodes that are out of time,
+                which could have gone on.
         """
-        choice, old_log_prob, advantage, returns = old
-        log_prob = log_probability.gather(1, choice.long()[:, None])[:, 0]
-        entropy = -(log_probability.exp() * log_probability).sum(dim=1).mean()
-        loss = ppo.ppo_loss(
-            log_prob, old_log_prob, advantage, value, returns, entropy,
-            self._config.ent_coef, VALUE_COEF,
-        )  # fmt: skip
-        self._descend(loss, critic_only)
-        ratio = (log_prob - old_log_prob).detach()
-        return float((ratio.exp() - 1.0 - ratio).mean())
-
-    def _descend(self, loss: torch.Tensor, critic_only: bool) -> None:
-        """Do a gradient step on a loss, initially without the actor's gradient."""
-        self._optimiser.zero_grad()
-        torch.autograd.backward(loss)
-        if critic_only:
-            for name, parameter in self._learning.named_parameters():
-                if not name.startswith("critic"):
-                    parameter.grad = None
-        torch.nn.utils.clip_grad_norm_(self._learning.parameters(), ppo.MAX_GRAD_NORM)
-        self._optimiser.step()
-
-
-def shuffle(rng: np.random.Generator, count: int, size: int) -> Iterator[torch.Tensor]:
-    """Yield batches of indices of all samples in random order."""
-    order = rng.permutation(count)
-    for first in range(0, count, size):
-        yield torch.from_numpy(order[first : first + size])
+        after = np.zeros(period.departed.shape)
+        after[period.out_of_time] = last
+        over = (period.jammed | period.out_of_time)[:, np.newaxis]
+        return Outcome(
+            period.reward.ravel(),
+            (period.departed | over).ravel(),
+            np.where(period.departed, 0.0, after).ravel(),
+        )

@@ -53,17 +53,17 @@ def test_every_module_has_the_return_of_its_parcel() -> None:
     with torch.no_grad():
         learner._learning.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
     learner._rng = np.random.default_rng(0)
-    learner._number = learner._rng.random(learner._rows, dtype=np.float32)
+    learner._number = learner._rng.random(learner._slots, dtype=np.float32)
     made = learner._surfaces
     made.begin(learner._rng)
     learner._seen = learner._see()
-    rewards, left, rows = [], [], [set(learner._seen.row.tolist())]
+    rewards, departed, rows = [], [], [set(learner._seen.row.tolist())]
     step, see = made.step, learner._see
 
     def stepped(actions):
         found = step(actions)
         rewards.append(found.reward.ravel())
-        left.append(found.left.ravel())
+        departed.append(found.departed.ravel())
         return found
 
     def seen():
@@ -72,11 +72,11 @@ def test_every_module_has_the_return_of_its_parcel() -> None:
         return found
 
     made.step, learner._see = stepped, seen
-    *_, returns = learner._roll_out()
-    assert np.any(left)
-    wanted, ahead = [], np.zeros(learner._rows)
+    *_, returns = learner.roll_out()
+    assert np.any(departed)
+    wanted, ahead = [], np.zeros(learner._slots)
     for period in reversed(range(64)):
-        ahead = np.where(left[period], 0.0, ahead) + rewards[period]
+        ahead = np.where(departed[period], 0.0, ahead) + rewards[period]
         wanted += ahead[sorted(rows[period])].tolist()
     found = returns.numpy()
     assert np.abs(found[:, np.newaxis] - np.array(wanted)).min(axis=1).max() < 1e-5
@@ -89,7 +89,7 @@ def test_defaults_are_of_each_task(task) -> None:
 
 @pytest.mark.parametrize(
     "given",
-    [{"task": "sort"}, {"actions": "parcels"}, {"zones": (8,)}, {"split_probability": 2.0}],
+    [{"task": "sort"}, {"actions": "parcels"}, {"split_probability": 2.0}],
 )
 def test_what_is_not_of_modules_on_a_slope_is_refused(given) -> None:
     (name,) = given

@@ -43,19 +43,19 @@ def test_returns_of_a_parcel_end_as_it_leaves() -> None:
         learner._learning.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
     learner.begin(0)
     made = learner._surfaces
-    rewards, left, step = [], [], made.step
+    rewards, departed, step = [], [], made.step
 
     def watched(halves):
         stepped = step(halves)
         rewards.append(stepped.reward)
-        left.append(stepped.left)
+        departed.append(stepped.departed)
         return stepped
 
     made.step = watched
-    tables, *_, returns = learner._roll_out()
+    tables, *_, returns = learner.roll_out()
     returns = returns.reshape(96, 6, made.rows).numpy()
     present = (tables[..., ta.COLUMN.present.place] > 0.5).reshape(96, 6, made.rows).numpy()
-    gone = np.stack(left)
+    gone = np.stack(departed)
     assert gone.any()
     wanted, ahead = np.zeros_like(returns), np.zeros_like(returns[0])
     for period in reversed(range(96)):
@@ -69,7 +69,7 @@ def test_defaults_are_of_each_task(task) -> None:
     assert defaults(task, "parcels").task == task
 
 
-@pytest.mark.parametrize("given", [{"task": "sort"}, {"actions": "modules"}, {"zones": (8,)}])
+@pytest.mark.parametrize("given", [{"task": "sort"}, {"actions": "modules"}])
 def test_what_is_not_of_parcels_is_refused(given) -> None:
     (name,) = given
     with pytest.raises(ValueError, match=f"{name} must be"):

@@ -28,6 +28,7 @@ from surface_gym.agents.learning import (
 )
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
+from surface_gym.agents.learning.shared import SharedLearner
 from surface_gym.agents.library import WEIGHTS
 from surface_gym.flow.merge import Merge
 from surface_gym.tasks.sort import TERMS
@@ -81,7 +82,7 @@ train(read_config(folder / "config.yaml"), folder)
 """
 
 
-def count_as_best(learner: slopes.SlopeLearner[Any], _: Any) -> None:
+def count_as_best(learner: SharedLearner[Any, Any], _: Any) -> None:
     """Rate the last network best, so that each rollout changes what is left."""
     learner._score = float(learner.steps)
 
@@ -91,8 +92,8 @@ def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines of training that take no time to make."""
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
     monkeypatch.setattr(slopes, "DURATION", 0.6)
-    monkeypatch.setattr(slopes, "CRITIC_FIRST", 1)
-    monkeypatch.setattr(slopes.SlopeLearner, "_rate", count_as_best)
+    monkeypatch.setattr(slopes.StreamLearner, "critic_first", 1)
+    monkeypatch.setattr(SharedLearner, "_rate", count_as_best)
     monkeypatch.setattr(local, "ROUNDS", ((20, 0.0, 1),))
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from surface_gym.agents.evaluation.stream_scenario import NEVER_SEEN, SHAPES_SEED
-from surface_gym.agents.learning import local, slopes
+from surface_gym.agents.evaluation.material_flow import NEVER_SEEN, SHAPES_SEED
+from surface_gym.agents.learning import local, shared, slopes
 from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
 from surface_gym.agents.learning.local import LocalLearner
 from surface_gym.agents.learning.parcels import ParcelLearner
@@ -45,8 +45,8 @@ def test_a_parcel_earns_its_own_reward_and_a_share_of_the_others() -> None:
     batch = made.batches[0]
     there = batch.streams.present[0]
     terms = batch.parcels.terms.reshape(2, made.rows, -1)[0, :, : len(ta.PARCEL_TERMS)]
-    own = np.where(there, terms @ list(slopes.WEIGHTS.values()), 0.0)
-    assert not stepped.left[0].any()
+    own = np.where(there, terms @ [1.0, 2.0, 5.0, 1.0, 5.0], 0.0)  # right, wrong, touch, way, time
+    assert not stepped.departed[0].any()
     assert there.sum() > 1
     wanted = np.where(there, own + slopes.SHARED * (own.sum() - own), 0.0)
     np.testing.assert_allclose(stepped.reward[0], wanted, rtol=1e-12)
@@ -58,7 +58,7 @@ def test_rewards_of_rows_and_episodes_are_those_of_the_environment() -> None:
     left = np.zeros(6, dtype=np.int64)
     for _ in range(100):  # 4 s: one episode each
         stepped = made.step(np.full((6, made.rows, 2), 3))
-        left += stepped.left.sum(axis=1)
+        left += stepped.departed.sum(axis=1)
     assert stepped.out_of_time.all()
     assert len(stepped.last) == 6
     assert len(made.infos) == 6
@@ -82,35 +82,32 @@ def test_where_nothing_leaves_for_long_an_episode_ends_as_a_jam(monkeypatch) -> 
     steps = [made.step(brake) for _ in range(periods)]
     assert not any(each.jammed.any() for each in steps[:-1])
     assert steps[-1].jammed.all()
-    assert not steps[-1].left.any()
+    assert not steps[-1].departed.any()
     assert len(made.infos) == 6
     assert all(batch.streams.clock.max() == 0.0 for batch in made.batches)
 
 
-@pytest.mark.parametrize(
-    ("learner", "config", "still"),
-    [(ParcelLearner, TINY, pytest.approx(0.0, abs=1e-6)), (LocalLearner, LOCAL, 0.0)],
-)
-def test_only_the_critic_learns_at_first(learner, config, still, monkeypatch) -> None:
+@pytest.mark.parametrize(("learner", "config"), [(ParcelLearner, TINY), (LocalLearner, LOCAL)])
+def test_only_the_critic_learns_at_first(learner, config, monkeypatch) -> None:
     monkeypatch.setattr(local, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
     made = learner(replace(config, task="merge"))
     made.begin(0)
-    samples = made._roll_out()
+    samples = made.roll_out()
     before = {name: each.clone() for name, each in made._learning.named_parameters()}
-    assert made._step(samples, critic_only=True) == still
+    assert made.step(samples, critic_only=True) == pytest.approx(0.0, abs=1e-6)
     for name, each in made._learning.named_parameters():
         assert torch.equal(each, before[name]) == (not name.startswith("critic"))
-    made._step(samples, critic_only=False)
-    assert made._step(samples, critic_only=False) > 0.0
+    made.step(samples, critic_only=False)
+    assert made.step(samples, critic_only=False) > 0.0
 
 
 @pytest.mark.parametrize(("learner", "config"), [(ParcelLearner, TINY), (LocalLearner, LOCAL)])
 def test_the_best_network_so_far_is_kept(learner, config, monkeypatch) -> None:
-    monkeypatch.setattr(slopes, "SMOOTH", 1.0)  # a rollout changes no score
+    monkeypatch.setattr(shared, "SMOOTH", 1.0)  # a rollout changes no score
     made = learner(replace(config, task="merge"))
     weights = made._learning.critic[0].weight
     kept = []
-    for steps, score in ((0, 1.0), (slopes.CRITIC_FIRST * 96, 1.0), (10**6, 0.5), (10**6, 2.0)):
+    for steps, score in ((0, 1.0), (learner.critic_first * 96, 1.0), (10**6, 0.5), (10**6, 2.0)):
         made.steps, made._score = max(1, steps), score  # 0: it would imitate the rule first
         with torch.no_grad():
             weights += 1.0

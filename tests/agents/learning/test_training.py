@@ -1,5 +1,5 @@
 """What networks learn from: environments with exact sensors, cameras and other zones; targets of
-double Q; samples of modules; and decisions of a schedule, each with what it cost.
+double Q; choices of modules; and decisions of a schedule, each with what it cost.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from surface_gym import agents
 from surface_gym.agents.learning import algorithms, sb3, schedules
 from surface_gym.agents.learning.algorithms import DQNConfig, ModulesConfig, PPOConfig
 from surface_gym.agents.learning.config import defaults
-from surface_gym.agents.learning.modules import ModuleSamples
+from surface_gym.agents.learning.modules import ModuleLearner
 from surface_gym.agents.learning.ppo import compute_advantages
 from surface_gym.agents.learning.runs import train
 from surface_gym.agents.scheduling.bounds import entrance_bound
@@ -100,19 +100,22 @@ def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths
     assert len({line.columns - line.zone_columns for line in lines}) == 1
 
 
-def samples(counts: list[int], first: int) -> ModuleSamples:
-    """Samples numbered from `first`; each module carries its sample's number."""
-    number = torch.arange(first, first + len(counts))
-    modules = number.repeat_interleave(torch.tensor(counts))
-    return ModuleSamples(number, number, number, torch.tensor(counts), modules, modules, modules)
-
-
-def test_selected_samples_keep_their_modules() -> None:
-    whole = ModuleSamples.concatenate([samples([2, 0, 3], 0), samples([1, 4, 0], 3)])
-    some = whole.select(np.array([4, 1, 2, 4]))
-    assert (some.observations.tolist(), some.count.tolist()) == ([4, 1, 2, 4], [4, 0, 3, 4])
-    assert some.place.tolist() == [4, 4, 4, 4, 2, 2, 2, 4, 4, 4, 4]
-    assert some.sample.tolist() == [0, 0, 0, 0, 2, 2, 2, 3, 3, 3, 3]
+def test_samples_keep_their_modules() -> None:
+    """Whichever are chosen, the network finds their choices as likely as it did."""
+    config = ModulesConfig(num_envs=8, n_steps=12, batch_size=96, hidden=(8,))
+    learner = ModuleLearner(config)
+    with torch.no_grad():
+        torch.nn.init.normal_(learner._learning.actor._apart.weight)  # modules differ
+        learner.begin(0)
+        *samples, present, log_prob, _, _ = learner.roll_out()
+        chosen = torch.from_numpy(np.random.default_rng(0).integers(0, 96, 40))
+        found = learner._evaluate([each[chosen] for each in samples])
+        torch.testing.assert_close(found.log_prob, log_prob[chosen], atol=1e-5, rtol=1e-5)
+        value = learner._learning.critic(samples[0][chosen])
+        torch.testing.assert_close(found.value, value)
+    assert present.all()
+    assert len(log_prob.unique()) > 40
+    assert (samples[3][chosen] == 0).any()  # some have no modules yet
 
 
 def test_modules_learn_for_the_lab_from_more_features(tmp_path) -> None:
