@@ -65,7 +65,7 @@ class Algorithm:
         """Raise a ValueError unless it supports a task with a kind of action."""
         if not self.serves(task):
             raise ValueError(f"task must be {self.served} for {self.label}, got {task.name!r}")
-        checks.one_of(f"actions for {self.label}", actions, self.actions)
+        checks.one_of("actions", actions, self.actions)
 
 
 ALGORITHMS: Registry[Algorithm] = Registry("algo", "surface_gym.agents.learning.algorithms")
