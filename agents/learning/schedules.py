@@ -114,8 +114,8 @@ def _draw_exits(rng: np.random.Generator, length: float) -> Exits:
 class Recorder(NetworkScheduler):
     """Scheduler that explores and records its decisions."""
 
-    def begin(self, batch: StreamBatch, rng: np.random.Generator) -> None:
-        """Begin to record the decisions in a batch."""
+    def record(self, batch: StreamBatch, rng: np.random.Generator) -> None:
+        """Record the decisions in a batch from now on."""
         self._batch, self._rng = batch, rng
         self._prices = np.exp(rng.uniform(math.log(PRICES[0]), math.log(PRICES[1]), batch.num_envs))
         self.kept: list[tuple[Decisions, Integers, Integers, Integers]] = []
@@ -214,7 +214,7 @@ class ScheduleLearner:
         for i in range(count):
             batch.seed(i, np.random.default_rng(self._rng.integers(2**63)))
         batch.reset(np.arange(count))
-        recorder.begin(batch, self._rng)
+        recorder.record(batch, self._rng)
         blame = np.zeros(batch.streams.touches.shape)
         state = None
         while (batch.outcome == RUNNING).any():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from surface_gym.agents.evaluation.material_flow import NEVER_SEEN, SHAPES_SEED
+from surface_gym.agents.evaluation.stream_scenario import NEVER_SEEN, SHAPES_SEED
 from surface_gym.agents.learning import local, shared, slopes
 from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
 from surface_gym.agents.learning.local import LocalLearner
