@@ -11,7 +11,7 @@ from .algorithms import ParcelsConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
 from .shared import Decision, Evaluation, Outcome, gather, mean_entropy
-from .slopes import StreamLearner, Surfaces, SlopeObservations, training_configs
+from .slopes import SlopeObservations, StreamLearner, Surfaces, training_configs
 
 
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
