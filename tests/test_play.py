@@ -63,7 +63,10 @@ class TestInABrowser:
         ("arguments", "said"),
         [
             (["--task", "juggle"], "task must be one of sort, .*, got 'juggle'"),
-            (["--task", "examples/reach.py:Nothing"], "task must be a class of .*, got 'Nothing'"),
+            (
+                ["--task", "examples/reach.py:Nothing"],
+                "task must be a class that .*, got 'Nothing'",
+            ),
         ],
     )
     def test_a_task_that_there_is_not_is_refused(self, arguments, said, opened):

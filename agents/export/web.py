@@ -83,12 +83,12 @@ class Weights:
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add the layers of a part of a network, by the names of its tensors."""
-        layers = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
+        """Add the layers of a part of a network, in the order of their numbers."""
+        found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
+        layers = [each for each in found if each.partition(".")[0] == name]
         return [
             self.add_layer(tensors[f"{each}.weight"], tensors[f"{each}.bias"])
-            for each in layers
-            if each.partition(".")[0] == name
+            for each in sorted(layers, key=lambda each: int(each.partition(".")[2] or 0))
         ]
 
     def to_bytes(self) -> bytes:
