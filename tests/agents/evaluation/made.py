@@ -85,11 +85,15 @@ def sweep_rows(
     shapes = {"shape": [SHAPES[k % 3] for k in range(starts)]} if factor == LAB else {}
     return [
         rows(
-            (task, scenario_name(factor, level), "exact", name), seed, kind,
+            (task, scenario_name(factor, level), _preset(factor, level), name), seed, kind,
             success=[k < count for k in range(starts)], **shapes,
         )
         for level, count in zip(chosen, counts.tolist(), strict=True)
     ]  # fmt: skip
+
+
+def _preset(factor: str, level: Level) -> str:
+    return FACTORS[factor].change(level).preset.name
 
 
 def whole_sweep(task: str, shares: dict[str, float], seeds: int = 1) -> list[pd.DataFrame]:
