@@ -30,6 +30,8 @@ UNCHANGED: tuple[str, ...] = (
     "agents/base.py",
     "agents/export/web.py",
     "agents/learning/local.py",
+    "agents/learning/modules.py",
+    "agents/learning/shared.py",
     "agents/rules/base.py",
     "agents/rules/braking.py",
     "agents/rules/decoding.py",
