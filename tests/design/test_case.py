@@ -132,7 +132,7 @@ def test_what_is_not_allowed_is_named():
         (lambda: Case(BOX, tilt=1.0), r"tilt must be from 0 to below pi/4 \(45 deg\), got 1.0"),
         (lambda: Case(BOX, draws=0), "draws must be a whole number of at least 1, got 0"),
         (lambda: Case(BOX, step=1.0), "step must be between 1e-05 and 0.02, got 1.0"),
-        (lambda: Unknown(size=0.1), r"size must be 0, got 0.1: a map goes over sizes"),
+        (lambda: Unknown(size=0.1), r"size must be 0, got 0.1: the parcel is given"),
         (lambda: SortPurpose(0), "side must be one of -1, 1, got 0"),
         (lambda: SlowPurpose(1.0), "ratio must be between 0 and 1, got 1.0"),
         (lambda: SlowPurpose(tolerance=0.0), "tolerance must be greater than 0"),
