@@ -162,7 +162,7 @@ class EnvState(NamedTuple):
     com: Array  # (STATE_SIZE,) state of the centre of mass, with acceleration at AX and AY
     truth: Array  # (6,) pose and velocity of the base's centroid; in `is_done` see `read_truth`
     sensed: Array  # (6,) pose and velocity reported by the sensor
-    clock: float  # [s] since the start
+    clock: float  # [s] since the start; of a stream, since the parcel entered
     period: float  # [s] since the last decision
     steps: int  # physics steps since the start
     on_rotors: bool  # whether a rotor supports the parcel

@@ -248,11 +248,11 @@ def stream_player(method: Method, scenario: StreamScenario, rate: float | None =
 
 
 def stream_picture(player: Player) -> np.ndarray:
-    """Draw a stream in mid-course."""
+    """Draw a stream in mid-course, or where a jam ends it before."""
     at = round(
         min(SHOWN_AT, 0.5 * player.config.stream_task.duration) / player.config.control_period
     )
-    picture, _ = next(islice(play(player, every=at), at, None))
+    *_, (picture, _) = islice(play(player, every=at), at + 1)
     return picture
 
 

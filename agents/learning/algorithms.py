@@ -175,7 +175,8 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    If the task has a rule, the policy corrects it. Then compare it with the rule.
+    The policy corrects the task's rule in `agents.rules.slopes.PRIORS`, if it has one. Then compare
+    the policy with the rule.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """

@@ -14,7 +14,7 @@ import torch
 from gymnasium import spaces
 
 from surface_gym.config import REWARD, EnvConfig
-from surface_gym.registration import DEFAULT_TASK, env_id
+from surface_gym.registration import DEFAULT_TASK, TASKS, env_id
 
 from ..base import SIDE, ActionMirror, mirrored_orientations
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
@@ -42,7 +42,8 @@ def make_device_envs(config: PPOConfig, num_envs: int) -> "CudaVectorEnv":
     task = training_task(config.task)
     try:
         made: Any = gym.make_vec(
-            env_id(DEFAULT_TASK),  # the task is given
+            # your own task has no id; the task is given in any case
+            env_id(config.task if config.task in TASKS else DEFAULT_TASK),
             num_envs=num_envs,
             device=config.device,
             task=task,

@@ -101,7 +101,7 @@ class SurfaceView(NamedTuple):
     params: StreamParams
     memory: Array  # (surface_memories,) what the task keeps of the surface
     exits: Array  # (exits, exit_memories) what the task keeps of each exit
-    clock: float  # [s]
+    clock: float  # [s] since the start of the surface
     next_place: int  # the least place in the order whose parcel has not departed
 
 

@@ -14,7 +14,8 @@ import pytest
 import yaml
 
 from surface_gym import agents
-from surface_gym.agents.evaluation import cli, report
+from surface_gym.agents.evaluation import report
+from surface_gym.agents.evaluation.method import Method
 from surface_gym.agents.library import card_env_id, find_task, task_kind, task_label
 from surface_gym.tasks import TASKS
 
@@ -146,11 +147,11 @@ def test_a_users_own_is_found() -> None:
 @pytest.mark.parametrize(
     ("name", "named"),
     [
-        ("juggle", "task must be one of sort, slow, stop, track, orient, or your own"),
+        ("juggle", "task must be one of sort, slow, .*, sequence, or your own"),
         ("nowhere.py:Reach", "task must be in a file that exists"),
         (REACH[:-6], "task must be one of"),
-        (REACH + "er", "task must be a class of .* that inherits from Task, got 'Reacher'"),
-        (REACH.replace(":Reach", ":math"), "task must be a class of"),
+        (REACH + "er", "task must be a class that inherits from Task in .*, got 'Reacher'"),
+        (REACH.replace(":Reach", ":math"), "task must be a class that inherits from Task"),
         ("broken.py:Reach", "task must be in a file that runs, got broken.py: ZeroDivision"),
     ],
 )
@@ -164,11 +165,13 @@ def test_others_are_named(name, named, tmp_path, monkeypatch) -> None:
 @pytest.fixture(scope="class")
 def own_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A run of a user's own task, too short to learn anything, and compared in two presets."""
-    folder, chosen = tmp_path_factory.mktemp("own"), cli.chosen_methods
+    folder, chosen = tmp_path_factory.mktemp("own"), report.Selection.methods
+
+    def methods(selection: report.Selection, task: str) -> list[Method]:
+        return [each.under("exact") for each in chosen(selection, task)]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            cli, "chosen_methods", lambda given: [each.under("exact") for each in chosen(given)]
-        )
+        patch.setattr(report.Selection, "methods", methods)
         done = run_in_process("train.py", "--task", REACH, *SHORT.split(), folder=folder)
         assert done.returncode == 0, done.stderr
         yield folder / "runs" / "a"

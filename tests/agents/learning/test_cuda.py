@@ -199,7 +199,7 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
 
 
 def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path) -> None:
-    curve = cuda.TotalsCurve(tmp_path, ("reach",), 8, 0, [])
+    curve = cuda.TotalsCurve(tmp_path, ("reach",), 0, [], 8)
     curve.add_totals(totals(0, 0))  # a rollout in which none ended
     assert np.isnan(curve.success)
     curve.add_totals(totals(300, 0))
@@ -212,7 +212,7 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
     each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
     assert first == {"steps": 100, "success": pytest.approx(1 / 3), **each}
     assert second["success"] == pytest.approx(800 / 1100)
-    again = cuda.TotalsCurve(tmp_path, ("reach",), 8, 200, list(curve.recent))
+    again = cuda.TotalsCurve(tmp_path, ("reach",), 200, list(curve.recent), 8)
     assert again.success == curve.success
     again.close()
 
@@ -225,7 +225,7 @@ def totals(episodes: int, successes: int) -> dict[str, float]:
 
 
 def test_a_row_holds_an_episode_of_every_environment(tmp_path) -> None:
-    curve = cuda.TotalsCurve(tmp_path, ("reach",), 3000, 0, [])
+    curve = cuda.TotalsCurve(tmp_path, ("reach",), 0, [], 3000)
     for successes in (0, 0, 0, 1500):
         curve.add_totals(totals(1500, successes))
     assert curve.success == 0.5
