@@ -174,7 +174,7 @@ def test_it_learns_how_many_touches_to_expect() -> None:
     count = 512
     option = torch.randn(count, 1, OPTION)
     touches = ((option[:, 0, 0] > 0.0) & (torch.rand(count) < 1.0 / 3.0)).float()
-    samples = schedules.Samples(
+    samples = schedules.DecisionSamples(
         option, torch.zeros(count, 2, TOKEN), torch.ones(count, 2, dtype=torch.bool),
         torch.zeros(count, ABOUT), torch.randint(len(LEVELS), (count,)), touches,
     )  # fmt: skip
