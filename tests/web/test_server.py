@@ -58,6 +58,7 @@ def test_a_file_has_its_type_and_is_of_the_first_folder(server, name, kind):
     answer, content = ask(server, f"/{name}")
     assert (answer.status, answer.headers["Content-Type"]) == (200, kind)
     assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     assert int(answer.headers["Content-Length"]) == len(content) > 0
     if name.startswith("playground"):
         assert content == (PAGE / name).read_bytes()
