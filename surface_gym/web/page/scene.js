@@ -355,9 +355,9 @@ function sceneScript(scene) {
   return [
     '"""A run of the playground: parcels come in, or the table changes, on the way."""',
     "",
-    "from surface_gym.web.scene import Scene",
+    "from surface_gym.web.scene import TableScene",
     "",
-    `scene = Scene.from_json(r"""${JSON.stringify(scene)}""")`,
+    `scene = TableScene.from_json(r"""${JSON.stringify(scene)}""")`,
     "trajectories = scene.run().trajectories",
     "for trajectory in trajectories:",
     "    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)",
