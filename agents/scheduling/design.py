@@ -179,14 +179,14 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         right = found.delivered * (1.0 - found.missort_rate) if found.delivered else 0.0
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
         each.append(HOUR * right / counted)
-    delivered = streams.tally[:, [CORRECT, WRONG]].sum()
+    departed = streams.tally[:, [CORRECT, WRONG]].sum()
     return LineMeasurement(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
         share_right=sum(each) * counted / HOUR / max(1, delivered),
         touches_per_1000=1000.0 * touches / max(1, delivered),
         jams=int((streams.outcome == JAM).sum()),
-        turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, delivered)),
+        turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, departed)),
         turns_per_hour=float(np.nanmean(turns)),
         share_at=tuple((at / at.sum()).tolist()),
     )

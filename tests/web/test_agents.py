@@ -22,7 +22,7 @@ from surface_gym.agents.rules.sorting import BestSorting
 from surface_gym.agents.rules.streams import SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
-from surface_gym.registration import env_id
+from surface_gym.registration import TASKS, env_id
 from surface_gym.sensors import Camera
 from surface_gym.web.scene import TaskScene
 from tests.environments import ON_SLOPES
@@ -281,7 +281,7 @@ def test_a_policy_of_sort_s_modules_chooses_as_in_python_for_both_parcels_and_si
         page.evaluate(f"playground.reopen({{ seed: {seed}, agent: 'sort-modules' }})")
         tables, chosen = zip(*watch(page, "run.wanted"), strict=True)
         seen = np.array(tables, dtype=np.float32)
-        actions, _ = policy.predict(seen)
+        actions, _ = policy.predict(seen[:, : len(TASKS["sort"]().features)])
         starts.add((seen[0, SIZE], seen[0, SIDE]))
         decided += int((actions != 3).sum())
         apart += int((actions != np.array(chosen)).sum())
