@@ -95,7 +95,8 @@ def test_a_program_accepts_the_command(command, page, stopping):
         run = runpy.run_module if is_module else runpy.run_path
         begin = partial(run, program, run_name="__main__")
     if program in ("train.py", "train") and "--resume" in arguments:
-        assert arguments in [["--resume", folder] for folder in RESUMED]
+        assert arguments[:2] in [["--resume", folder] for folder in RESUMED]
+        assert arguments[2:] in ([], ["--algo", "examples/reinforce.py:REINFORCE"])
         return
     if "--search" in arguments:
         assert read_sweep(Path(arguments[1])).trials > 0

@@ -8,6 +8,7 @@ from pkgutil import resolve_name
 import numpy as np
 import pytest
 
+from surface_gym.registry import GROUP
 from tests.docs.reading import DOCS, PAGES, ROOT, prose
 
 LINK = re.compile(r"\]\(([^()\s]+)\)")
@@ -55,7 +56,7 @@ def test_each_link_leads_somewhere_and_each_name_of_the_package_exists(page):
         if anchor and target.suffix == ".md":
             assert anchor in find_anchors(target), link
     for name in DOTTED.findall((ROOT / page).read_text()):
-        assert resolve_name(name) is not None
+        assert name == GROUP or resolve_name(name) is not None  # a group of entry points
 
 
 @pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
