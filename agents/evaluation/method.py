@@ -20,7 +20,7 @@ from surface_gym.tasks.benchmark import Benchmark, StreamBenchmark
 from .. import library
 from ..base import Controller, find_axes
 from ..learning.config import NOMINAL
-from ..learning.runs import CONFIG, read_config, task_name
+from ..learning.runs import CONFIG, preset_name, task_name
 from ..planning.receding_horizon import RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
 
@@ -180,8 +180,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 def of_run(run: Path, task: str | None = None) -> Method:
     """Return the policies of a run, named by the preset of their training."""
     agent = trained(policy_folders(run), task)
-    config = run / CONFIG
-    preset = read_config(config, task_name(config)).preset if config.is_file() else NOMINAL
+    preset = preset_name(run / CONFIG) or NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 

@@ -164,9 +164,19 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
 
 
 def task_name(file: Path) -> str | None:
-    """Return the task's name in a run's configuration without executing code; None if damaged."""
+    """Read the task's name from a run's configuration; None if it is damaged. Executes no code."""
+    return _read_field(file, "task")
+
+
+def preset_name(file: Path) -> str | None:
+    """Read the preset of training, in the same way."""
+    return _read_field(file, "preset")
+
+
+def _read_field(file: Path, name: str) -> str | None:
     try:
-        return str(read_yaml(file)["task"])
+        plain = read_yaml(file)
+        return str({configs.RENAMED.get(key, key): value for key, value in plain.items()}[name])
     except (OSError, ValueError, KeyError):
         return None
 
