@@ -50,8 +50,10 @@ class Merge(TakeAwayTask):
 
     ### Observation
 
-    | feature | meaning | | --- | --- | | 0 to 28 | features of Singulate | | 29 | line of the
-    parcel / 8 |
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 28 | features of Singulate |
+    | 29 | line of the parcel / 8 |
 
     ### Info
 

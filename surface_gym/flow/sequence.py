@@ -61,8 +61,10 @@ class Sequence(TakeAwayTask):
 
     ### Observation
 
-    | feature | meaning | | --- | --- | | 0 to 28 | features of Singulate | | 29 | number of
-    remaining parcels that must depart before it / 8 |
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 28 | features of Singulate |
+    | 29 | number of remaining parcels that must depart before it / 8 |
 
     ### Example
 

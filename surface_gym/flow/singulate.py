@@ -67,20 +67,29 @@ class Singulate(TakeAwayTask):
     A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
     it is on the surface; free rows are 0.
 
-    | feature | meaning | | --- | --- | | 0 to 6 | position, angle and velocity | | 7 to 12 | half
-    length and half width, and extents ahead, back, left and right at its angle | | 13, 14 |
-    required motion in y to the nearest mouth, and required turn to be aligned | | 15 | time until
-    departure if it rolls | | 16 | distance of the last departed parcel of this mouth past the
-    required gap | | 17 | 1 if the take-away runs and continues | | 18 to 20 | time since its entry;
-    1 for a parcel, 0 for a free row; 1 for a parcel at the gate | | 21 to 24 | the next parcel
-    ahead along x: gap, speed, lateral offset, extent | | 25 to 28 | the next parcel behind |
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 6 | position, angle and velocity |
+    | 7 to 12 | half length and half width, and extents ahead, back, left and right at its angle |
+    | 13, 14 | required motion in y to the nearest mouth, and required turn to be aligned |
+    | 15 | time until departure if it rolls |
+    | 16 | distance of the last departed parcel of this mouth past the required gap |
+    | 17 | 1 if the take-away runs and continues |
+    | 18 to 20 | time since its entry; 1 for a parcel, 0 for a free row; 1 for a parcel at the gate |
+    | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
+    | 25 to 28 | the next parcel behind |
 
     ### Reward
 
-    | term | scale | meaning | | --- | --- | --- | | `right` | 1 | per correct departure | | `wrong`
-    | -1 | per wrong departure | | `touch` | -0.02 | per parcel that begins to touch another | |
-    `progress` | 0.05 a metre | towards the end | | `time` | -0.02 a second | per parcel on the
-    surface | | `waiting` | 0 | per waiting parcel | | `jam` | -10 | once |
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `right` | 1 | per correct departure |
+    | `wrong` | -1 | per wrong departure |
+    | `touch` | -0.02 | per parcel that begins to touch another |
+    | `progress` | 0.05 a metre | towards the end |
+    | `time` | -0.02 a second | per parcel on the surface |
+    | `waiting` | 0 | per waiting parcel |
+    | `jam` | -10 | once |
 
     ### End
 

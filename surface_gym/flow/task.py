@@ -144,10 +144,15 @@ class Flow(StreamTask):
     it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored, so
     that a policy for one side serves both. Choices are not mirrored.
 
-    | feature | meaning | | --- | --- | | 0 to 14 | features of Sort, with a zone that begins at the
-    exit's span | | 15 | 1 for a parcel, 0 for a free row | | 16 | half width | | 17 | distance to
-    the exit's end | | 18 | 1 for a parcel waiting at the gate | | 19 to 23 | the next parcel ahead:
-    gap, speed, lateral offset, side of its exit, size | | 24 to 28 | the next parcel behind |
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 14 | features of Sort, with a zone that begins at the exit's span |
+    | 15 | 1 for a parcel, 0 for a free row |
+    | 16 | half width |
+    | 17 | distance to the exit's end |
+    | 18 | 1 for a parcel waiting at the gate |
+    | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
+    | 24 to 28 | the next parcel behind |
 
     With `gate`, there are `queue` more rows, one by default. They show due, waiting parcels at
     their entry poses: row `max_parcels` is the next one, and later ones follow in order. Unused
@@ -155,12 +160,15 @@ class Flow(StreamTask):
 
     ### Reward
 
-    | term | scale | meaning | | --- | --- | --- | | `right` | 1 | per departure by the parcel's
-    exit | | `wrong` | -1 | per other departure | | `touch` | -0.5 | per parcel that begins to touch
-    another | | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line
-    up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of
-    the way, less the distance from the middle | | `time` | -0.2 a second | per parcel on the line |
-    | `waiting` | -0.1 a second | per waiting parcel | | `jam` | -10 | once |
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `right` | 1 | per departure by the parcel's exit |
+    | `wrong` | -1 | per other departure |
+    | `touch` | -0.5 | per parcel that begins to touch another |
+    | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
+    | `time` | -0.2 a second | per parcel on the line |
+    | `waiting` | -0.1 a second | per waiting parcel |
+    | `jam` | -10 | once |
 
     ### End
 

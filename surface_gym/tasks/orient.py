@@ -75,9 +75,12 @@ class Orient(base.Task):
 
     ### Reward
 
-    | term | scale | meaning | | --- | --- | --- | | `turn` | 1 a radian | decrease of the angle to
-    the goal | | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) | | `success`
-    | 1 | once, at success | | `failure` | -1 | once, at any failure |
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `turn` | 1 a radian | decrease of the angle to the goal |
+    | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
 
     ### Info
 

@@ -75,9 +75,12 @@ class Stop(base.Task):
 
     ### Reward
 
-    | term | scale | meaning | | --- | --- | --- | | `approach` | 1 a metre | decrease of the
-    distance to the goal x | | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) | |
-    `success` | 1 | once, at success | | `failure` | -1 | once, at any failure |
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `approach` | 1 a metre | decrease of the distance to the goal x |
+    | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
 
     ### Info
 
