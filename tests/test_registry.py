@@ -74,7 +74,7 @@ class TestPlugins:
         monkeypatch.delitem(gym.registry, "Tests/Cross-v0")
         assert EnvConfig("cross", far=1.5).task == own.Cross(far=1.5)
         assert gym.spec("Tests/Cross-v0").max_episode_steps == own.Cross.periods
-        with pytest.raises(ValueError, match="'sequence'.* 'cross'.* got 'across'"):
+        with pytest.raises(ValueError, match=r"'sequence'.* 'cross'.* got 'across'"):
             EnvConfig("across")
 
     def test_one_that_fails_is_left_out_with_a_warning(self, plugins):
