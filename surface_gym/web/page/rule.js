@@ -21,7 +21,8 @@ export class CompiledRule {
   begin(run) {
     this.machine.reset();
     if (!run.noise) return;
-    for (const [name, value] of Object.entries(this.card.camera ?? {})) this.machine.set(name, value);
+    for (const [name, value] of Object.entries(this.card.camera ?? {}))
+      this.machine.set(name, value);
   }
 
   /** Call the function on what is observed; return what it writes, and what it returns. */
