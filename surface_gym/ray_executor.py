@@ -88,6 +88,8 @@ class RayExecutor:
     def _last_message(self, reference: Any) -> parallel.Message:
         try:
             last: parallel.Message = self._ray.get(reference)
+        except self._ray.exceptions.TaskCancelledError as loss:  # also before the job began
+            return parallel.LOST, type(loss).__name__
         except self._ray.exceptions.RayTaskError:  # raised outside the job: no loss
             raise
         except self._ray.exceptions.RayError as loss:
