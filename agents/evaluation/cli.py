@@ -2,8 +2,9 @@
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -111,7 +112,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
     title = "sweeping" if config.robustness else "comparing"
     with show_progress(console, title) as advance:
         table = compute(jobs, workers, config.folder / FILE, advance)
-        show: Callable[[str], None] = lambda part: advance(len(jobs), len(jobs), part)  # noqa: E731
+        show = partial(advance, len(jobs), len(jobs))
         if config.robustness:
             write_sweep(selection, table, config.folder, console, note)
         else:
