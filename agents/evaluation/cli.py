@@ -110,7 +110,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
     _prepare(config, jobs)
     note = QUICK_NOTE if config.quick else ""
     title = "sweeping" if config.robustness else "comparing"
-    with show_progress(console, title) as advance:
+    with show_progress(console, title, len(jobs)) as advance:
         table = compute(jobs, workers, config.folder / FILE, advance)
         show = partial(advance, len(jobs), len(jobs))
         if config.robustness:
@@ -140,8 +140,8 @@ def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
 
     settings = {"quick": config.quick, "starts": config.starts}
     file = config.folder / SETTINGS
-    if file.is_file() and (config.folder / FILE).is_file():
-        if json.loads(file.read_text()) != settings:
+    if (config.folder / FILE).is_file():
+        if file.is_file() and json.loads(file.read_text()) != settings:
             raise ValueError(
                 f"out must be a folder with results of the same --quick and --starts, "
                 f"got {config.folder} with {file.read_text().strip()}"

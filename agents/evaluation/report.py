@@ -317,7 +317,7 @@ def _compare_start_run(
 ) -> dict[str, dict[str, Any]]:
     both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
     jobs = make_jobs(start_scenarios(agent.task), both)
-    with show_progress(console, "comparing with the fixed layout") as advance:
+    with show_progress(console, "comparing with the fixed layout", len(jobs)) as advance:
         results = Results(compute(jobs, workers, advance=advance))
         advance(len(jobs), len(jobs), "drawing and filming")
         write_trajectories(both, folder / "trajectories.png")
@@ -359,7 +359,7 @@ def _compare_stream_run(
         if isinstance(each, StreamScenario) and AGENT in each.offer.kinds
     ]
     jobs = make_jobs(scenarios, several)
-    with show_progress(console, f"comparing on {task}") as advance:
+    with show_progress(console, f"comparing on {task}", len(jobs)) as advance:
         results = Results(compute(jobs, workers, advance=advance))
     tables = stream_views.stream_tables(task, results)
     write_markdown(tables, folder / TABLE)

@@ -1,8 +1,10 @@
 """The runner of the comparison: parallel jobs with stored results, so that runs resume."""
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 
 import pandas as pd
@@ -11,12 +13,14 @@ from rich.console import Console
 
 from surface_gym.parallel import Workers, map_jobs, without_report
 
-from .method import PLANNER
+from .method import PLANNER, Method
 from .results import KEY, Key, make_rows, read_results, write_results
 from .robustness import FEWER
-from .scenario import ScenarioJob
+from .scenario import Row, ScenarioJob
 
 GRACE = 1.0  # [s] short, since rows of interrupted jobs are lost
+EVERY = 5.0  # [s] between lines of progress where there is no terminal
+SLOW_BY = 0.75  # [-] share of the jobs after which no slow job begins
 Advance = Callable[[int, int, str], None]  # called with finished jobs, all jobs, and the latest job
 
 
@@ -33,27 +37,49 @@ def compute(
     """
     known = {job.key: job for job in jobs}
     tables = {} if file is None else _read_whole(file, known)
-    remaining = sorted((job for key, job in known.items() if key not in tables), key=_place)
-    if remaining:
-        advance(len(known) - len(remaining), len(known), "compiling")
-    work = [partial(without_report, job) for job in remaining]
+    remaining = order_jobs([job for key, job in known.items() if key not in tables])
     columns: list[str] = [] if file is None else _columns(file, tables)
-    played = map_jobs(work, workers, grace=GRACE)
-    for done, (place, rows) in enumerate(played, len(known) - len(remaining) + 1):
-        key = remaining[place].key
-        tables[key] = make_rows(rows)
+    done, compiled = len(known) - len(remaining), set[str]()
+
+    def begin() -> Iterator[partial[list[Row]]]:
+        for job in remaining:
+            phase = "running" if job.scenario.task in compiled else "compiling"
+            advance(done, len(known), f"{phase} {_describe(job)}")
+            yield partial(without_report, job)
+
+    for place, rows in map_jobs(begin(), workers, grace=GRACE):
+        job = remaining[place]
+        tables[job.key] = make_rows(rows)
         if file is not None:
-            columns = _keep(tables, key, columns, file)
-        advance(done, len(known), ", ".join(map(str, (key[0], key[3], key[2], key[1]))))
+            columns = _keep(tables, job.key, columns, file)
+        done += 1
+        compiled.add(job.scenario.task)
+        advance(done, len(known), f"finished {_describe(job)}")
     if not known:
         return pd.DataFrame(columns=list(KEY))
     return pd.concat([tables[key] for key in known], ignore_index=True)
 
 
-def _place(job: ScenarioJob) -> tuple[bool, bool, bool]:
-    """Sort key of jobs: the slowest first, to use all cores."""
-    slow = job.method.kind == PLANNER or job.method.most is not None
-    return not slow, job.method.name not in FEWER, "gate" in job.method.arguments
+def order_jobs(jobs: Sequence[ScenarioJob]) -> list[ScenarioJob]:
+    """Spread slow jobs among the others, so that results come from the beginning.
+
+    Slow jobs do not come last, where a single one would keep the other processes waiting.
+    """
+    slow = [job for job in jobs if _is_slow(job.method)]
+    quick = [job for job in jobs if not _is_slow(job.method)]
+    places = [(SLOW_BY * (k + 1) / (len(slow) + 1), job) for k, job in enumerate(slow)]
+    places += [(k / len(quick), job) for k, job in enumerate(quick)]
+    return [job for _, job in sorted(places, key=itemgetter(0))]
+
+
+def _is_slow(method: Method) -> bool:
+    several = method.kind == PLANNER or method.most is not None
+    return several or method.name in FEWER or "gate" in method.arguments
+
+
+def _describe(job: ScenarioJob) -> str:
+    task, scenario, preset, method, _ = job.key
+    return ", ".join((task, method, preset, scenario))
 
 
 def _read_whole(file: Path, known: dict[Key, ScenarioJob]) -> dict[Key, pd.DataFrame]:
@@ -87,8 +113,14 @@ def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: P
 
 
 @contextmanager
-def show_progress(console: Console, title: str) -> Iterator[Advance]:
-    """Show a progress bar; yield a function that updates it with the latest part."""
+def show_progress(console: Console, title: str, total: int) -> Iterator[Advance]:
+    """Show progress; yield a function that updates it with the latest part.
+
+    A terminal has a bar. Files and pipes get a line from time to time.
+    """
+    if not console.is_terminal:
+        yield _show_lines(console, title, total)
+        return
     columns = (
         bars.TextColumn("{task.description}"),
         bars.BarColumn(),
@@ -97,7 +129,20 @@ def show_progress(console: Console, title: str) -> Iterator[Advance]:
         bars.TimeRemainingColumn(),
     )
     with bars.Progress(*columns, console=console) as shown:
-        bar = shown.add_task(title, total=None)
+        bar = shown.add_task(title, total=total)
         yield lambda done, total, latest: shown.update(
             bar, completed=done, total=total, description=latest
         )
+
+
+def _show_lines(console: Console, title: str, total: int) -> Advance:
+    latest = -EVERY
+    console.print(f"{title}: 0/{total}")
+
+    def advance(done: int, total: int, part: str) -> None:
+        nonlocal latest
+        if (now := time.monotonic()) - latest >= EVERY or done == total:
+            latest = now
+            console.print(f"{title}: {done}/{total}, {part}", soft_wrap=True)
+
+    return advance

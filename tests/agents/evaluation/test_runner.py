@@ -1,14 +1,16 @@
 """The runner: each job once, in any number of processes, and a broken-off run goes on."""
 
+import io
 import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from surface_gym.agents.evaluation import runner
-from surface_gym.agents.evaluation.method import Method, rules
+from surface_gym.agents.evaluation.method import Method, all_methods, rules
 from surface_gym.agents.evaluation.results import FILE, read_results
 from surface_gym.agents.evaluation.runner import compute
 from surface_gym.agents.evaluation.scenario import (
@@ -65,10 +67,12 @@ def test_what_is_kept_is_not_computed_again(tmp_path) -> None:
     first = compute(counted_jobs(played, "a"), 1, file)
     with file.open("a") as kept:
         kept.write("slow,counted,exact,b,0,rule,0,1.0")  # a line broken off
-    seen: list[tuple[int, int]] = []
+    seen: list[tuple[int, int, str]] = []
     jobs = counted_jobs(played, "abc")
-    whole = compute(jobs, 1, file, lambda *given: seen.append(given[:2]))
-    assert seen == [(2, 6), *((k, 6) for k in range(3, 7))]
+    whole = compute(jobs, 1, file, lambda *given: seen.append(given))
+    assert [each[:2] for each in seen] == [(k, 6) for k in (2, 3, 3, 4, 4, 5, 5, 6)]
+    phases = [each[2].split()[0] for each in seen]
+    assert phases == ["compiling", "finished", *["running", "finished"] * 3]
     assert played.read_text().split() == [*"aa", *"bb", *"cc"]
     pd.testing.assert_frame_equal(whole[:4][list(first)], first)
     # A job that was broken off in its midst is computed anew, and no other.
@@ -89,10 +93,28 @@ def test_a_job_is_sent_to_other_processes() -> None:
     assert (again.key, again.episodes) == (job.key, 2)
 
 
-def test_the_slowest_go_first() -> None:
-    jobs = make_jobs(start_scenarios("slow"), rules("slow"))
-    first = [job.method.most is not None for job in sorted(jobs, key=runner._place)]
-    assert first == sorted(first, reverse=True)
+def test_slow_jobs_come_neither_first_nor_last() -> None:
+    """Quick results show that it works; a slow job at the end would keep processes waiting."""
+    jobs = make_jobs(start_scenarios("slow"), all_methods("slow"))
+    ordered = runner.order_jobs(jobs)
+    slow = [k for k, job in enumerate(ordered) if runner._is_slow(job.method)]
+    assert {job.key for job in ordered} == {job.key for job in jobs}
+    assert slow
+    assert slow[0] > 1
+    assert slow[-1] < len(jobs) - 2
+    assert runner.order_jobs(ordered[:1]) == ordered[:1]
+    assert runner.order_jobs([ordered[slow[0]]]) == [ordered[slow[0]]]
+
+
+def test_lines_of_progress_have_a_total_from_the_beginning(tmp_path) -> None:
+    screen = io.StringIO()
+    jobs = counted_jobs(tmp_path / "played", "ab")
+    with runner.show_progress(Console(file=screen, width=60), "comparing", len(jobs)) as advance:
+        assert screen.getvalue() == "comparing: 0/4\n"
+        compute(jobs, 1, advance=advance)
+    lines = screen.getvalue().splitlines()
+    assert lines[1] == "comparing: 0/4, compiling slow, a, exact, counted"
+    assert lines[-1] == "comparing: 4/4, finished slow, b, exact, counted"
 
 
 def test_an_interrupt_leaves_what_is_done(tmp_path) -> None:
