@@ -85,7 +85,7 @@ def is_fresh(num_envs: int, state: Any, episode_start: Any) -> Booleans:
 
 
 def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
-    """Compute the difference (0 to pi / 2) of axis angles [rad], which have period pi."""
+    """Compute the difference (0 to pi / 2) of axis angles [rad] modulo pi."""
     turned = np.exp(2j * (np.asarray(one) - np.asarray(other)))
     return np.abs(np.angle(turned)) / 2.0
 

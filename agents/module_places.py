@@ -80,7 +80,12 @@ def find_reach(length: float, width: float, roundness: float, theta: float) -> f
 
 @linked
 def find_outline(
-    row: Singles, seen: decoding.Line, sight: Sight, shown: Shown, theta: float, offset: float
+    row: Singles,
+    seen: decoding.LineReading,
+    sight: Sight,
+    shown: Shown,
+    theta: float,
+    offset: float,
 ) -> Outline:
     """Read or infer the outline of a base; `theta` and `offset` with the asked side at y > 0."""
     if shown.is_observed != 0:

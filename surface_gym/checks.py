@@ -44,20 +44,20 @@ DURATION = (1e-9, 1e6)  # [s] of a simulation: up to eleven days
 CONTROL_PERIOD = (1e-6, 10.0)  # [s]: in more than 10 s nobody controls anything
 EPISODE = 86_400.0  # [s] of a flow: a day
 PATIENCE = (1e-6, EPISODE)  # [s]
-AHEAD = 100.0  # [s] in which a parcel has long left
+AHEAD = 100.0  # [s] longer than any parcel stays
 RATE = (1e-6, 1e5)  # [parcels/h]: up to 28 parcels a second
-ODDS = (1e-9, 1e9)  # [-] of one thing against another
-AXIS_SPEED = (1e-6, 1e9)  # [rad/s] at which an axis turns, if it is not infinite
+ODDS = (1e-9, 1e9)  # [-]
+AXIS_SPEED = (1e-6, 1e9)  # [rad/s] turning speed of an axis, unless infinite
 FRAME_RATE = (1e-3, 1e6)  # [Hz] of a sensor
-POSITION_ERROR = 10.0  # [m] standard deviation of what a sensor says: many parcels
-ANGLE_ERROR = TURN  # [rad] a whole turn, of which nothing is known then
+POSITION_ERROR = 10.0  # [m] standard deviation of a sensor: many parcels
+ANGLE_ERROR = TURN  # [rad] a whole turn: the angle is unknown
 TOLERANCE = (1e-6, 1.0)  # [m] within which a switch switches
-# [m^2/s^3] and [rad^2/s^3]: from a physics that never errs to one that says nothing
+# [m^2/s^3] and [rad^2/s^3] process noise: from a perfect model to a useless one
 DENSITY = (1e-12, 1e9)
-# [-] of a friction's factor and [m] of a load's place: from known to wholly unknown
+# [-] of the friction factor and [m] of the load's position: from known to unknown
 LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
-ELEMENTS = 1_000_000  # of a line, whose state arrays are as large
+ELEMENTS = 1_000_000  # maximum number of elements of a line
 ORIENTATIONS = 1000  # on offer: a fifth of a degree apart; "any" is finer
 PER_CORE = 32  # processes or threads at most: more only wait for each other
 

@@ -22,7 +22,7 @@ from surface_gym.sensors.base import Group
 from surface_gym.state import Timing
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.features import Column, Feature, find_columns
-from surface_gym.tasks.planning import Observed
+from surface_gym.tasks.planning import ObservationTable
 from surface_gym.tasks.start import Start
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Preset:
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
 LATENCY = 0.08  # [s] two control periods
 
-# Of the assortment that the lab draws its parcels from.
+# Size and seed of the lab preset's parcel assortment.
 LAB_PARCELS, LAB_SEED = 128, 20_261_122
 QUARTER_TURN = 0.05  # [s] that an axis of the lab takes to turn by 90 deg
 
@@ -140,8 +140,7 @@ class EnvConfig:
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
     info: tuple[str, ...] = ()  # what `info` carries on request: "axes", "normal_forces"
-    # groups of features that the observation shows besides: "parcel", "rotors", "load", and those
-    # of the sensors
+    # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
     observe: tuple[str, ...] = ()
 
     def __init__(
@@ -357,9 +356,9 @@ class EnvConfig:
         """Decode an observation (features,) into the start that it shows, as the task does."""
         return self.task.decode_start(self.observed(observation))
 
-    def observed(self, observations: ArrayLike) -> Observed:
+    def observed(self, observations: ArrayLike) -> ObservationTable:
         """Return observations (num_envs, features) that are read by name, in SI units."""
-        return Observed(
+        return ObservationTable(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
             self.columns,
             self.chosen_line,
@@ -389,7 +388,7 @@ class EnvConfig:
 
     @cached_property
     def site(self) -> Site:
-        """Rotors and zone, which are the same for every parcel of a stream."""
+        """Rotors and zone for every parcel of a stream."""
         return self.chosen_line.site(self.stream_task.parcels[0].base, self.zone)
 
     @property

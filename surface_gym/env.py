@@ -215,10 +215,10 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle, which are equal for axes that differ by 180 deg. Otherwise, slowly turning axes
-    are hidden. `observe` adds groups of features: "parcel" (length, width and shape), "rotors"
-    (number and axes of the rotors under each quadrant of the parcel), and "load" (friction and load
-    estimated by an `AdaptiveCamera`).
+    its axis angle. Axes that differ by 180 deg are the same. Without it, the observation does not
+    show slowly turning axes. `observe` adds groups of features: "parcel" (length, width and shape),
+    "rotors" (number and axes of the rotors under each quadrant of the parcel), and "load" (friction
+    and load estimated by an `AdaptiveCamera`).
 
     ## Info
 

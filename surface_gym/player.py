@@ -72,7 +72,7 @@ def replay(*runs: Any, **named: Any) -> Replay:
 
     Args:
         runs: `Recording`, `Trajectory`, or environment in `RecordReplay`.
-        named: the same with names, which are shown as titles.
+        named: the same, by title.
 
     >>> import surface_gym as sg
     >>> box = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)

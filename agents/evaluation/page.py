@@ -9,7 +9,7 @@ from string import Template
 
 from surface_gym.config import PRESETS
 from surface_gym.player import frame_page
-from surface_gym.tasks.benchmark import Column
+from surface_gym.tasks.benchmark import ResultColumn
 
 from .tables import Table
 
@@ -22,7 +22,7 @@ class Section:
 
     table: Table
     pictures: Pictures
-    columns: tuple[Column, ...] = ()
+    columns: tuple[ResultColumn, ...] = ()
 
 
 _PAGE = Template("""<!DOCTYPE html>

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym.config import PRESETS
-from surface_gym.tasks.benchmark import PARCELS, Column
+from surface_gym.tasks.benchmark import PARCELS, ResultColumn
 
 from ..base import Booleans
 from ..library import task_label
@@ -48,7 +48,7 @@ def task_table(task: str, results: Results) -> Table:
     return Table(task_label(task), benchmark.description, header, tuple(rows))
 
 
-def column_value(column: Column, sample: Sample, fixed: Sample) -> float:
+def column_value(column: ResultColumn, sample: Sample, fixed: Sample) -> float:
     """Compute a column's unscaled number, relative to the fixed layout's results.
 
     NaN if it is undefined: some columns need every start of both boxes.
@@ -65,11 +65,11 @@ def _with_interval(sample: Sample) -> str:
     return f"{sample.rate:.3f} ({low:.3f}-{high:.3f})"
 
 
-def _text(column: Column, sample: Sample, fixed: Sample) -> str:
+def _text(column: ResultColumn, sample: Sample, fixed: Sample) -> str:
     return format_value(column, column_value(column, sample, fixed))
 
 
-def format_value(column: Column, value: float) -> str:
+def format_value(column: ResultColumn, value: float) -> str:
     """Return a column's number as text in its unit."""
     if math.isnan(value):
         return NOTHING

@@ -20,7 +20,7 @@ from surface_gym.sensors import Camera
 from surface_gym.web.starts import SEEDS
 
 from ..rules import Rule, find_rules
-from ..rules.base import Compiled, FixedRule
+from ..rules.base import CompiledController, FixedRule
 
 Card = dict[str, Any]  # as `page/rule.js` reads it
 Runs = list[list[int]]  # a choice, and how many modules in a row have it
@@ -33,7 +33,7 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
     for rule in find_rules(task):
         config = configure(rule)
         made = rule.make(config)
-        if isinstance(made, Compiled):
+        if isinstance(made, CompiledController):
             found[rule.name] = write_rule(rule, folder)
     return found
 
@@ -74,7 +74,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
-        if isinstance(made, Compiled)
+        if isinstance(made, CompiledController)
     )
     return {name: camera[name] for name in exact if np.any(exact[name] != camera[name])}
 

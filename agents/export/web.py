@@ -1,11 +1,13 @@
 """Agents for the playground: `python -m surface_gym.agents.export.web FOLDER`.
 
-Beside the pages of `surface-gym web FOLDER` it writes `agents.bin`, the weights of those policies
-of single parcels that see what the page shows, and `agents.json`: their networks, the layouts that
-rules choose for the page's starts, and what agents of streams are made of. Those need files of
-their own, which a page loads when one is chosen: `agent-time-slots.wasm` is the rule's compiled
-function, `agent-merge-time-slots.bin` its memory, and `agent-merge-parcels.bin` a network's
-weights. It also writes what the page `home.html` shows.
+It adds files to the pages of `surface-gym web FOLDER`:
+
+- `agents.bin`: weights of all policies for single parcels;
+- `agents.json`: their networks, the layouts of rules for the page's starts, and the parts of
+  stream agents;
+- files of each stream agent, loaded when it is chosen: `agent-time-slots.wasm` (a rule's compiled
+  function), `agent-merge-time-slots.bin` (its memory), `agent-merge-parcels.bin` (weights);
+- data of the page `home.html`.
 """
 
 import argparse
@@ -271,8 +273,9 @@ def describe_each(rule: SortEach) -> Card:
 
 
 def write_obeying(task: str, folder: Path) -> Card:
-    """Write the function that finds the parcel that each module of a stream obeys; its arguments
-    are those of the task's own module, so that it runs on a copy of that memory.
+    """Write the function that assigns parcels to a stream's modules.
+
+    It has the arguments of the task's WebAssembly module, so it runs on a copy of its memory.
     """
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"

@@ -1,8 +1,8 @@
-"""Shared-policy PPO per module on a slope, which sees itself and what its neighbours pass on.
+"""Shared-policy PPO per module on a slope; a module sees itself and its neighbours' messages.
 
-It begins by imitating the rule of its task. A parcel's reward is that of each module below it, and
-each is a sample of its own. They choose alike, by a shared draw, so that what they do together is
-seen to pay.
+Training begins with imitation of the task's rule. Every module under a parcel gets the parcel's
+reward, and is a sample of its own. Modules under a parcel share one random draw, so they make the
+same choice, and PPO can credit their joint action.
 """
 
 from pathlib import Path
@@ -20,14 +20,14 @@ from ..parcel_policy import to_halves
 from .algorithms import LocalConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .shared import Decision, Evaluation, Outcome, gather, mean_entropy, shuffle
+from .shared import Decision, Evaluation, SlotOutcome, gather, mean_entropy, shuffle
 from .slopes import StreamLearner, Surfaces, training_configs
 
-# Rounds of imitation: control periods, the share of environments in which the network acts while
-# the rule says what it would do, and passes over all that was seen so far.
+# Rounds of imitation (DAgger): control periods, share of environments in which the network acts
+# while the rule labels, and passes over all samples so far.
 ROUNDS = ((600, 0.0, 6), *(((500, 0.9, 4),) * 5), (500, 0.9, 12))
-LEARNED = 0.25  # [-] of the modules in a rollout that PPO learns from: those of a parcel are alike
-KEPT = 0.15  # [-] of the modules that are seen every other control period, to be imitated
+LEARNED = 0.25  # [-] share of a rollout's modules that PPO uses: modules of a parcel are alike
+KEPT = 0.15  # [-] share of modules kept for imitation, every other control period
 BATCH = 6000  # modules of a step of imitation
 RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
@@ -127,7 +127,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
             likely[some],
         )
 
-    def _move(self, actions: Integers) -> Outcome:
+    def _move(self, actions: Integers) -> SlotOutcome:
         period = self._surfaces.step(actions)
         self._seen = self._see()
         count = len(period.last)

@@ -15,7 +15,7 @@ from .config import make_card
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
 from .sb3 import make_training_envs
-from .shared import Decision, Evaluation, Outcome, SharedLearner, mean_entropy
+from .shared import Decision, Evaluation, SharedLearner, SlotOutcome, mean_entropy
 
 
 class ModulesNetwork(torch.nn.Module):
@@ -43,7 +43,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
         torch.manual_seed(config.seed)
         super().__init__(config, ModulesNetwork(len(env_config.chosen_orientations), config))
         self._seen: Singles = np.empty((0, 0), dtype=np.float32)
-        # Of the modules of all samples in a row: place, group and choice.
+        # Place, group and choice of the modules of all samples.
         self._modules: list[torch.Tensor] = []
 
     @property
@@ -84,7 +84,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
             module_policy.log_likelihood(log_probability, choice, group, GROUPS * num_envs),
         )
 
-    def _move(self, actions: Integers) -> Outcome:
+    def _move(self, actions: Integers) -> SlotOutcome:
         observations, rewards, ended, infos = self._envs.step(actions)
         self._seen = np.asarray(observations)
         self.infos += infos
@@ -94,7 +94,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
             after[timed] = self._compute_values(
                 np.stack([infos[i]["terminal_observation"] for i in timed])
             )
-        return Outcome(rewards.astype(np.float64), ended, after)
+        return SlotOutcome(rewards.astype(np.float64), ended, after)
 
     def _value(self) -> Numbers:
         return self._compute_values(self._seen)

@@ -10,7 +10,7 @@ from ..parcel_policy import ParcelNetwork, make_network, to_halves
 from .algorithms import ParcelsConfig
 from .learner import train_learner
 from .runs import OnProgress, TrainResult
-from .shared import Decision, Evaluation, Outcome, gather, mean_entropy
+from .shared import Decision, Evaluation, SlotOutcome, gather, mean_entropy
 from .slopes import SlopeObservations, StreamLearner, Surfaces, training_configs
 
 
@@ -51,7 +51,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
             likely.reshape(proposed.shape),
         )
 
-    def _move(self, actions: Integers) -> Outcome:
+    def _move(self, actions: Integers) -> SlotOutcome:
         period = self._surfaces.step(actions)
         timed = period.out_of_time
         last = self._compute_values(SlopeObservations(period.last, self._seen.proposed[timed]))

@@ -30,22 +30,22 @@ class Decision(NamedTuple):
 
     actions: Integers
     value: Numbers  # (slots,) expected return of every agent slot
-    samples: tuple[torch.Tensor, ...]  # that are learned from, (samples, ...) each
+    samples: tuple[torch.Tensor, ...]  # (samples, ...) inputs of the network
     slot: Integers  # (samples, ...) agent slot whose return counts for a choice
     present: torch.Tensor  # (samples, ...) whether an agent is in the slot
     log_prob: torch.Tensor  # (samples, ...) of the choice
 
 
-class Outcome(NamedTuple):
-    """Outcome of a control period, of every agent slot (slots,)."""
+class SlotOutcome(NamedTuple):
+    """Outcome of a control period for every agent slot (slots,)."""
 
     reward: Numbers
-    ended: Booleans  # whether the agent, or its episode, is at its end
+    ended: Booleans  # whether the agent or its episode has ended
     after: Numbers  # expected return of an agent whose episode is only out of time; else 0
 
 
 class Evaluation(NamedTuple):
-    """What a network says now of samples' choices, of those that are present, in a row."""
+    """The current network's evaluation of the choices of present agents."""
 
     log_prob: torch.Tensor  # (choices,)
     value: torch.Tensor  # (choices,)
@@ -139,7 +139,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         """Decide for all environments as they are seen."""
 
     @abstractmethod
-    def _move(self, actions: Integers) -> Outcome:
+    def _move(self, actions: Integers) -> SlotOutcome:
         """Step all environments by a control period, and see them."""
 
     @abstractmethod
@@ -157,7 +157,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         advantages, and returns.
         """
         decisions: list[Decision] = []
-        outcomes: list[Outcome] = []
+        outcomes: list[SlotOutcome] = []
         for _ in range(self._config.n_steps):
             decisions.append(self._decide())
             outcomes.append(self._move(decisions[-1].actions))

@@ -19,7 +19,7 @@ from ..base import Booleans, Integers, Numbers, Singles
 from ..library import find_algorithm, find_task
 from ..parcel_policy import Proposer
 from .algorithms import LocalConfig, ParcelsConfig
-from .shared import Config, Network, Outcome, SharedLearner
+from .shared import Config, Network, SharedLearner, SlotOutcome
 
 DURATION = 60.0  # [s] of an episode
 SHAPES = 64  # of the lab, in each of its groups of environments
@@ -175,7 +175,7 @@ class StreamLearner(SharedLearner[Network, Config]):
     def _slots(self) -> int:
         return self._surfaces.num_envs * self._surfaces.rows
 
-    def _outcome(self, period: SlopeStep, last: Numbers) -> Outcome:
+    def _outcome(self, period: SlopeStep, last: Numbers) -> SlotOutcome:
         """Return the outcome of a control period.
 
         Args:
@@ -186,7 +186,7 @@ class StreamLearner(SharedLearner[Network, Config]):
         after = np.zeros(period.departed.shape)
         after[period.out_of_time] = last
         over = (period.jammed | period.out_of_time)[:, np.newaxis]
-        return Outcome(
+        return SlotOutcome(
             period.reward.ravel(),
             (period.departed | over).ravel(),
             np.where(period.departed, 0.0, after).ravel(),

@@ -20,7 +20,7 @@ from surface_gym.physics.types import OMEGA, THETA, VX, VY, X, Y
 from surface_gym.state import OUT_OF_TIME, PATH_POINTS, RUNNING, SUCCESS, EnvState
 from surface_gym.tasks import Task, track
 from surface_gym.tasks.features import Feature, columns, show
-from surface_gym.tasks.planning import Nodes, Observed, square_reach
+from surface_gym.tasks.planning import Nodes, ObservationTable, square_reach
 from surface_gym.tasks.start import Start
 from surface_gym.tasks.track import Track
 
@@ -189,7 +189,7 @@ class ShownPath(Track):
         """Make the same Track with its whole path shown."""
         return cls(**{each.name: getattr(task, each.name) for each in fields(task)})
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: ObservationTable) -> Start:
         """Decode the start of an episode from its first observation."""
         names = ("x", "y", "path's first x", "path's step")
         x, y, first_x, step = (float(seen[name][0]) for name in names)

@@ -39,7 +39,7 @@ class Rule:
     observe: tuple[str, ...] = ()  # optional groups of features that it uses
     # whether it searches a layout for each start, so it is tested on fewer starts
     searches: bool = False
-    orientations: str | None = None  # "any": axes at any angle; None: those of the line
+    orientations: str | None = None  # "any": axes at any angle; None: the line's orientations
     # the task with a richer observation that the rule needs; None: the task itself
     observed_task: Callable[[Task], Task] | None = None
 
@@ -49,7 +49,7 @@ class Rule:
         return self.orientations is not None or self.observed_task is not None
 
 
-# By task and name, as "sort: event rule"; in the order in which tables list them.
+# Keys are task and name, e.g. "sort: event rule", in the order of the tables.
 RULES: Registry[Rule] = Registry(
     "rule",
     *(
@@ -134,11 +134,11 @@ class UniformRule(BaseRule):
         return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
 
-class Compiled(ABC):
-    """A controller whose decision is a compiled function, which a page calls as well.
+class CompiledController(ABC):
+    """A controller whose decision is a compiled function, called by Python and by the page.
 
-    Of one parcel the function reads `observations` and writes `commands`; of a stream it reads
-    `tables` and writes `halves`, each of which stands for one of `choices`.
+    For one parcel the function reads `observations` and writes `commands`. For a stream it reads
+    `tables` and writes `halves`: indices into `choices`.
     """
 
     kernel: Any  # the compiled function
@@ -148,7 +148,7 @@ class Compiled(ABC):
         """List what the function takes in an environment that begins an episode."""
 
 
-class CompiledRule(BaseRule, Compiled):
+class CompiledRule(BaseRule, CompiledController):
     """A rule of one parcel that is a compiled function."""
 
     def __init__(
@@ -196,8 +196,8 @@ class UniformLayout(UniformRule):
         return np.full(len(observations), self._choice)
 
 
-# On a field every axis at 90 deg: a parcel rolls straight downhill. A field arranged along a path
-# would have to know the path, of which observations show the next 0.35 m.
+# Every axis of a field at 90 deg: a parcel rolls straight downhill. A layout along the path is
+# impossible, since observations show only the next 0.35 m of the path.
 ROLLING = rule("fixed layout", "track", actions="window")(
     partial(UniformLayout, angle=math.pi / 2.0, tasks=("track",))
 )

@@ -14,7 +14,7 @@ from surface_gym.tasks.base import BRAKING, ROLLING_LOSS
 from ..base import Booleans, Integers, Numbers, Singles
 from . import base
 from .base import ColumnAxes, Commands, CompiledRule, Observations, rule
-from .decoding import Line, Sight, add, look_at_line, see_line
+from .decoding import LineReading, Sight, add, look_at_line, see_line
 
 # Groups of features: how wide a base is, how round; what sensors learn of friction and of the load.
 SHOWN = ("parcel", "load")
@@ -37,7 +37,7 @@ SHORT = 3.0  # [-] cost of a missing m/s relative to an excess m/s
 CAUTION = 3.0  # [-] margin for rolling losses in standard deviations
 TRIM_TIME = 1.2  # [s] remaining time at the goal speed when half braking should end
 
-# Of an estimate: friction along axes and across them, their variances and covariance.
+# Places in an estimate: friction along axes and across them, their variances and covariance.
 ALONG, ACROSS, VAR_ALONG, VAR_ACROSS, BOTH = range(5)
 UNSURE = 0.12  # [-] initial standard deviation of braking and of rolling
 LEAST, MOST = 0.4, 1.7  # [-] limits of an estimate
@@ -75,7 +75,7 @@ def make_model(config: EnvConfig, then: float) -> Model:
     )  # fmt: skip
 
 
-class Span(NamedTuple):
+class Footprint(NamedTuple):
     """Elements under a parcel, each row as far as the base covers it."""
 
     place: float  # [m] x of the base's centroid past the zone's first edge
@@ -104,7 +104,7 @@ class Result(NamedTuple):
     rolling: float  # [m/s] speed lost by nominal friction across the axes and on supports
 
 
-class Scratch(NamedTuple):
+class BrakingScratch(NamedTuple):
     """Arrays that are written before they are read."""
 
     reach: Numbers  # (rows + 2,) [m] covered of a row to either side of the middle; -1: none
@@ -121,11 +121,11 @@ class Scratch(NamedTuple):
     terms: Numbers  # (near,) of sums
 
 
-def make_scratch(model: Model) -> Scratch:
+def make_scratch(model: Model) -> BrakingScratch:
     """Make room for the columns that a parcel may cover."""
     rows, near = np.zeros((2, model.rows + 2)), np.zeros((9, NEAR))
     arrays: list[Any] = [*rows, np.zeros(model.columns), *near]
-    return Scratch(*arrays)
+    return BrakingScratch(*arrays)
 
 
 @linked
@@ -144,7 +144,7 @@ def find_power(fill: float) -> float:
 
 
 @linked
-def find_span(seen: Line, sight: Sight, model: Model, scratch: Scratch) -> Span:
+def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
     """Estimate the elements under a parcel; a base that is no rectangle is taken for an oval that
     fills as much.
     """
@@ -171,7 +171,7 @@ def find_span(seen: Line, sight: Sight, model: Model, scratch: Scratch) -> Span:
         if abs(row - (rows - 1) / 2.0) >= half_rows:
             scratch.covered[row] = 0.0
     middle = 0.5 * (rear + seen.front_in_zone) - place
-    return Span(
+    return Footprint(
         place,
         middle,
         seen.load_ahead,
@@ -219,7 +219,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 
 @inlined
-def _bear(span: Span, model: Model, arm: float, scratch: Scratch, k: int) -> None:
+def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
     """Count the elements and the rotors of a near column that bear; `arm` [m] from the centroid."""
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
@@ -233,7 +233,7 @@ def _bear(span: Span, model: Model, arm: float, scratch: Scratch, k: int) -> Non
 
 
 @inlined
-def _share_load(scratch: Scratch, near: int, before: float) -> None:
+def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
     """Share the weight among the elements of each column [-], as Eq. (1) does, cut off at nothing.
 
     Args:
@@ -258,7 +258,9 @@ def _share_load(scratch: Scratch, near: int, before: float) -> None:
 
 
 @inlined
-def _set_out(span: Span, model: Model, lean: Numbers, scratch: Scratch, near: int) -> None:
+def _set_out(
+    span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
+) -> None:
     """Write where the axes of the near columns stand, and by how much they are to turn."""
     for k in range(near):
         column = span.first + k
@@ -272,8 +274,8 @@ def _set_out(span: Span, model: Model, lean: Numbers, scratch: Scratch, near: in
 
 @linked
 def predict(
-    span: Span, model: Model, pitch: float, speed: float, frictions: Frictions, lean: Numbers,
-    scratch: Scratch,
+    span: Footprint, model: Model, pitch: float, speed: float, frictions: Frictions, lean: Numbers,
+    scratch: BrakingScratch,
 ) -> Result:  # fmt: skip
     """Predict the state a control period on: the weight is shared by what is under the parcel.
 
@@ -359,8 +361,8 @@ def _soften(level: int, lean: float, model: Model) -> int:
 
 @inlined
 def _set_target(
-    option: int, reached: int, span: Span, model: Model, lean: Numbers, levels: Integers,
-    scratch: Scratch,
+    option: int, reached: int, span: Footprint, model: Model, lean: Numbers, levels: Integers,
+    scratch: BrakingScratch,
 ) -> None:  # fmt: skip
     """Write the level of each of the zone's columns in an option, and its angle."""
     for column in range(model.columns):
@@ -389,7 +391,9 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 
 
 @inlined
-def regret_speed(seen: Line, span: Span, frictions: Frictions, after: Result, rolls: bool) -> float:
+def regret_speed(
+    seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
+) -> float:
     """Compute how far from the asked ratio an option leads; the option that rolls is the best where
     there is time to trim the speed.
     """
@@ -408,7 +412,7 @@ def regret_speed(seen: Line, span: Span, frictions: Frictions, after: Result, ro
 
 @inlined
 def regret_place(
-    seen: Line, span: Span, frictions: Frictions, after: Result, _rolls: bool
+    seen: LineReading, span: Footprint, frictions: Frictions, after: Result, _rolls: bool
 ) -> float:
     """Compute how far from the asked x an option leads."""
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
@@ -428,8 +432,8 @@ class BrakingMemory(NamedTuple):
 def _make_kernel(regret: Any) -> Any:
     def choose_braking(
         observations: Singles, sight: Sight, model: Model, choices: Integers, lean: Numbers,
-        estimate: Numbers, taken: Numbers, begins: Booleans, levels: Integers, scratch: Scratch,
-        commands: Integers,
+        estimate: Numbers, taken: Numbers, begins: Booleans, levels: Integers,
+        scratch: BrakingScratch, commands: Integers,
     ) -> None:  # fmt: skip
         """Choose the option of braking with the least regret.
 

@@ -20,7 +20,7 @@ from ..base import Integers, Numbers, Singles
 
 ABSENT = Column(-1, 0.0, 0.0, 0.0, 0.0)  # of a quantity that is not shown
 MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
-# Quantities of a line, in the order of `LINE`; then the quantities of a path, in that of `PATH`.
+# Quantities of a line in the order of `LINE`, and of a path in the order of `PATH`.
 (SIDE, SINE, COSINE, SIZE, INTO_ZONE, FRONT, REAR, OFFSET, FORWARD, LATERAL, TURNING, RATIO, ENTRY,
  TO_GO, ANGLE, WIDTH, FILL, FRICTION, LOAD_X, LOAD_Y) = range(20)  # fmt: skip
 LINE = (
@@ -104,7 +104,7 @@ def _read(row: Singles, sight: Sight, quantity: int) -> float:
     return read(row, Column(place, sight.offset[quantity], sight.scale[quantity], 0.0, 0.0))
 
 
-class Line(NamedTuple):
+class LineReading(NamedTuple):
     """A parcel on a line; see `tasks.planning.LineObservation`."""
 
     x: float  # [m] of its centre past the zone's first edge
@@ -132,7 +132,7 @@ class Line(NamedTuple):
 
 
 @inlined
-def see_line(row: Singles, sight: Sight) -> Line:
+def see_line(row: Singles, sight: Sight) -> LineReading:
     """Decode an observation (features,) of a parcel on a line."""
     side = _read(row, sight, SIDE)
     mirror = -1.0 if side < 0.0 else 1.0  # a parcel that is to go to y < 0 is shown in a mirror
@@ -152,7 +152,7 @@ def see_line(row: Singles, sight: Sight) -> Line:
     load_x, load_y = _read(row, sight, LOAD_X), _read(row, sight, LOAD_Y)
     ahead = math.cos(shown) * load_x - math.sin(shown) * load_y
     is_shown = sight.place[WIDTH] >= 0
-    return Line(
+    return LineReading(
         x,
         mirror * _read(row, sight, OFFSET),
         theta,
@@ -178,7 +178,7 @@ def see_line(row: Singles, sight: Sight) -> Line:
     )
 
 
-class Path(NamedTuple):
+class PathReading(NamedTuple):
     """A parcel beside its path; see `tasks.track.PathObservation`."""
 
     x: float  # [m] of its centre past the middle module of the window
@@ -199,7 +199,7 @@ class Path(NamedTuple):
 
 
 @inlined
-def see_path(row: Singles, sight: Sight) -> Path:
+def see_path(row: Singles, sight: Sight) -> PathReading:
     """Decode an observation (features,) of a parcel beside its path."""
     theta = math.atan2(_read(row, sight, P_SINE), _read(row, sight, P_COSINE))
     slope = _read(row, sight, SLOPE)
@@ -209,7 +209,7 @@ def see_path(row: Singles, sight: Sight) -> Path:
     sine = slope * cosine
     phase_x = math.atan2(_read(row, sight, SINE_X), _read(row, sight, COSINE_X))
     phase_y = math.atan2(_read(row, sight, SINE_Y), _read(row, sight, COSINE_Y))
-    return Path(
+    return PathReading(
         _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
         _past(sight.pitch_y * phase_y / (2.0 * math.pi), sight.pitch_y),
         theta,
@@ -243,7 +243,7 @@ class Motion(NamedTuple):
 
 
 @inlined
-def is_under(seen: Line | Path, x: float, y: float) -> bool:
+def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
     """Return whether a module x, y [m] from a parcel's centre is under it, taken as a square."""
     along, across = seen.cosine * x + seen.sine * y, seen.cosine * y - seen.sine * x
     return max(abs(along), abs(across)) <= seen.half_length

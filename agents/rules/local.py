@@ -22,9 +22,9 @@ from surface_gym.tasks import base
 from ..base import Booleans, Integers, Numbers, Singles, find_axes
 from .base import Commands, CompiledRule, Observations, rule
 from .decoding import (
-    Line,
+    LineReading,
     Motion,
-    Path,
+    PathReading,
     Sight,
     find_directions,
     is_under,
@@ -48,7 +48,7 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 
 
 @inlined
-def _off_the_line(seen: Line) -> Motion:
+def _off_the_line(seen: LineReading) -> Motion:
     """Return the wanted motion: straight until wholly in the zone, then to the goal's side."""
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
@@ -56,7 +56,7 @@ def _off_the_line(seen: Line) -> Motion:
 
 
 @inlined
-def _turned(seen: Line) -> Motion:
+def _turned(seen: LineReading) -> Motion:
     """Return the wanted motion: straight until wholly in the zone, then a turn to the goal angle.
 
     There is no wanted lateral speed, since modules at 90 deg prevent drift.
@@ -71,7 +71,7 @@ def _turned(seen: Line) -> Motion:
 
 
 @inlined
-def _along_path(path: Path) -> Motion:
+def _along_path(path: PathReading) -> Motion:
     """Return the wanted motion: along the path at the goal speed, towards the path, not turning."""
     # The slope 0.1 m ahead, which the parcel reaches while its velocity is being turned.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)

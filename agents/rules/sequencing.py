@@ -20,9 +20,9 @@ from .slopes import (
     NOBODY,
     PRIORS,
     Brakes,
-    Parcels,
     Slope,
     SlopeMemory,
+    SlopeParcels,
     SlopeRule,
     Slots,
     Tuning,
@@ -73,14 +73,14 @@ def sort_by_place(table: Singles, order: Integers) -> int:
 
 
 @inlined
-def _overlap(parcels: Parcels, j: int, k: int) -> bool:
+def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
     """Whether one is ahead of or behind another, so that they would meet."""
     across = parcels.across[j] + parcels.across[k]
     return abs(parcels.y[j] - parcels.y[k]) < across - 0.005
 
 
 @inlined
-def _must_wait(parcels: Parcels, order: Integers, ready: int, place: int) -> bool:
+def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
     """Whether one that is to leave before a parcel has not come, or is behind it."""
     if place >= ready:
         return True
@@ -94,7 +94,7 @@ def _must_wait(parcels: Parcels, order: Integers, ready: int, place: int) -> boo
 
 @linked
 def find_parking(
-    slope: Slope, parking: Parking, parcels: Parcels, order: Integers, count: int, place: int
+    slope: Slope, parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> tuple[float, float]:
     """Find where a parcel is to wait: [m] its y, and the x of its front at most.
 
@@ -132,7 +132,13 @@ def find_parking(
 
 @linked
 def limit_in_order(
-    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int, free: bool
+    slope: Slope,
+    tuning: Tuning,
+    parcels: SlopeParcels,
+    order: Integers,
+    count: int,
+    k: int,
+    free: bool,
 ) -> float:
     """[m/s] at most, so that a parcel keeps off those ahead of it.
 
@@ -159,7 +165,7 @@ def limit_in_order(
 
 
 @linked
-def is_free(parcels: Parcels, order: Integers, count: int, k: int) -> bool:
+def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
     """Return whether no other is beside a parcel where it is to be led, or will be by then.
 
     Those that it would meet as it is are none of these: it follows them, or they follow it.
@@ -180,7 +186,7 @@ def is_free(parcels: Parcels, order: Integers, count: int, k: int) -> bool:
 
 @compiled
 def choose_in_order(
-    tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: Parcels,
+    tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that let parcels leave in their order."""
@@ -233,7 +239,9 @@ def choose_in_order(
 
 
 @inlined
-def _lead_out(parking: Parking, parcels: Parcels, order: Integers, count: int, place: int) -> None:
+def _lead_out(
+    parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
+) -> None:
     """Let a parcel that goes be led into the passage if one that waits is ahead of it."""
     k = order[place]
     for after in range(place + 1, count):

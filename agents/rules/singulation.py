@@ -19,9 +19,9 @@ from .slopes import (
     NOBODY,
     PRIORS,
     Brakes,
-    Parcels,
     Slope,
     SlopeMemory,
+    SlopeParcels,
     SlopeRule,
     Slots,
     Tuning,
@@ -46,7 +46,12 @@ HOLD = 0.5  # [m] before the end, where parcels are held to be released
 
 @linked
 def sort_by_progress(
-    table: Singles, parcels: Parcels, order: Integers, came: Numbers, stood: Integers, swap: float
+    table: Singles,
+    parcels: SlopeParcels,
+    order: Integers,
+    came: Numbers,
+    stood: Integers,
+    swap: float,
 ) -> int:
     """Keep the order (rows,) in which parcels are to leave; return how many there are.
 
@@ -92,13 +97,13 @@ def sort_by_progress(
 
 @linked
 def limit_speed(
-    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, place: int
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> float:
-    """[m/s] at most for the parcel at a place of the order.
+    """Compute the speed limit [m/s] of the parcel at a place of the order.
 
-    It keeps off the ones ahead of it, follows the one that goes before it into the same mouth more
-    closely the farther it has come, waits where it could no longer be led aside, and stays on the
-    surface while the take-away stands.
+    The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth, and the
+    closer the farther down it is. It waits before the point where it can no longer be led aside,
+    and stays on the surface while the take-away stands.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -136,7 +141,9 @@ def limit_speed(
 
 
 @inlined
-def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, k: int) -> bool:
+def is_way_clear(
+    tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, k: int
+) -> bool:
     """Whether no other is beside a parcel, or where it would be led to."""
     shift = parcels.shift[k]
     for place in range(count):
@@ -160,7 +167,7 @@ def is_way_clear(tuning: Tuning, parcels: Parcels, order: Integers, count: int, 
 
 @inlined
 def move(
-    slope: Slope, tuning: Tuning, parcels: Parcels, order: Integers, count: int, place: int,
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     speed: float, brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose the halves of the parcel at a place of the order, that is to have a speed [m/s] if
@@ -177,14 +184,13 @@ def move(
 
 @compiled
 def choose_by_slots(
-    tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
+    tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
     order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that bring each parcel to the end at its time slot.
 
-    A slot begins as soon as a parcel can be there, and after that of the one before it as the asked
-    gap wants. Who would be early is braked, so much that it then rolls in on time at the
-    take-away's speed.
+    A slot begins as soon as the parcel can arrive, but at least the asked gap after the previous
+    slot. An early parcel is braked, so that it arrives on time at the take-away's speed.
     """
     for i in range(tables.shape[0]):
         read_parcels(tables[i], slope, tuning, parcels)
@@ -212,7 +218,7 @@ def choose_by_slots(
 
 @compiled
 def choose_by_release(
-    tables: Singles, slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots,
+    tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
     order: Integers, came: Numbers, brakes: Brakes, halves: Integers, stop: float,
 ) -> None:  # fmt: skip
     """Choose halves (num_envs, rows, 2) that stop parcels a distance [m] before the end, and let

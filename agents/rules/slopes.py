@@ -22,7 +22,7 @@ from surface_gym.sensors import Exact
 from surface_gym.tasks.features import read
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
-from .base import Compiled
+from .base import CompiledController
 
 # Rules by `actions="parcels"` that learned policies of parcels start from, by the task's name.
 PRIORS: Registry[Callable[[EnvConfig], BatchController]] = Registry(
@@ -90,7 +90,7 @@ def find_tuning(config: EnvConfig) -> Tuning:
     return tuning._replace(shift_room=LATE_ROOM)
 
 
-class Parcels(NamedTuple):
+class SlopeParcels(NamedTuple):
     """Parcels of a surface, decoded from their rows; an array (rows,) each."""
 
     x: Numbers  # [m] along the line from the surface's start, of the middle of its extent
@@ -109,16 +109,16 @@ class Parcels(NamedTuple):
     runs: Booleans  # whether the take-away runs
 
 
-def make_parcels(rows: int) -> Parcels:
+def make_parcels(rows: int) -> SlopeParcels:
     """Make room for the parcels of a surface."""
-    kinds = Parcels.__annotations__
+    kinds = SlopeParcels.__annotations__
     types = {"mouth": np.int64, "runs": np.bool_}
     arrays: dict[str, Any] = {name: np.zeros(rows, types.get(name, np.float64)) for name in kinds}
-    return Parcels(**arrays)
+    return SlopeParcels(**arrays)
 
 
 @linked
-def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: Parcels) -> None:
+def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels) -> None:
     """Decode the rows of a table (rows, features) that hold a parcel."""
     for k in range(table.shape[0]):
         row = table[k]
@@ -163,13 +163,13 @@ def forget_slots(slots: Slots) -> None:
 
 
 @inlined
-def find_distance(slope: Slope, parcels: Parcels, k: int) -> float:
+def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
     """Find how far [m] a parcel's centre is from the end."""
     return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
 
 
 @inlined
-def find_slot(slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots, k: int) -> float:
+def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
     """Find how soon [s] a parcel's centre may pass the end, for the gap to those before it."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
@@ -180,7 +180,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: Parcels, slots: Slots, k: i
 
 
 @inlined
-def find_lag(slope: Slope, parcels: Parcels, k: int) -> float:
+def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
     """Find how far [m] a parcel falls back on the take-away until it has its speed."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
@@ -189,7 +189,7 @@ def find_lag(slope: Slope, parcels: Parcels, k: int) -> float:
 
 
 @inlined
-def give_slot(slope: Slope, parcels: Parcels, slots: Slots, k: int, slot: float) -> None:
+def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
     """Give a parcel a slot [s] from now."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
@@ -265,7 +265,7 @@ def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> i
 
 @linked
 def choose_halves(
-    slope: Slope, tuning: Tuning, parcels: Parcels, k: int, speed: float, clear: bool,
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, k: int, speed: float, clear: bool,
     brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
     """Choose (2,) for the modules ahead of a parcel's centre and behind it.
@@ -307,7 +307,7 @@ def choose_halves(
 
 
 @inlined
-def hold(parcels: Parcels, k: int, speed: float, halves: Integers) -> None:
+def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
     """Let all modules hold a parcel that is to stand, so that it does not creep."""
     if speed < 0.2 * HELD and parcels.vx[k] < HELD:
         halves[0] = halves[1] = BRAKE
@@ -315,9 +315,9 @@ def hold(parcels: Parcels, k: int, speed: float, halves: Integers) -> None:
 
 @inlined
 def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
-    """Turn a parcel anti-clockwise or clockwise, by both halves or by one, which brakes less.
+    """Turn a parcel anti-clockwise (`left`) or clockwise, by both halves or by one.
 
-    Where it is to be led aside, too, the half turns it that leads it there.
+    One half brakes less. A parcel with a `shift` is turned by the half that also leads it aside.
     """
     ahead, behind = (TO_LEFT, TO_RIGHT) if left else (TO_RIGHT, TO_LEFT)
     leads_aside = shift == 0.0 or (shift > 0.0) == left
@@ -348,7 +348,7 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
     memory.brakes.halves[fresh] = memory.brakes.since[fresh] = memory.brakes.stood[fresh] = 0
 
 
-class SlopeRule(BatchController, Compiled):
+class SlopeRule(BatchController, CompiledController):
     """A rule for tasks on a slope with a take-away, by `actions="parcels"`.
 
     Its function leaves the halves of free rows as they are.

@@ -100,8 +100,8 @@ class BestSorting(FixedRule):
 class EventRule(FixedLayout):
     """90 deg until the parcel is wholly in the zone, then 45 deg everywhere.
 
-    A lead-in module under the rear pins it while those of the zone push the front aside: the fixed
-    layout loses to that. For the exit straight ahead, the axes stay at 90 deg.
+    A lead-in module under the rear holds it while the zone pushes the front aside, which limits the
+    fixed layout. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     waits = 1

@@ -13,9 +13,9 @@ from surface_gym.tasks import base, track
 from ..base import Integers, Numbers, Singles, find_axes
 from .base import Commands, CompiledRule, Observations, rule
 from .decoding import (
-    Line,
+    LineReading,
     Motion,
-    Path,
+    PathReading,
     Sight,
     add,
     find_directions,
@@ -31,8 +31,8 @@ PARTS = 6  # parts into which modules are divided
 # A lattice that spreads any share of modules evenly (powers of the inverse plastic number).
 SPREAD = (0.7548776662466927, 0.5698402909980532)
 
-# All weights were tuned on other starts than the reported ones. Of the sliding mode, so steep that
-# most of a distance to the surface is the error across the path a period on:
+# All weights were tuned on other starts than the reported ones.
+# Parameters of the sliding mode; at this slope the error across the path dominates:
 SLOPE = 60.0  # [1/s] slope of the surface: speed across the path per error across it
 # [-] weight of the squared speed error relative to the squared distance to the surface
 SPEED_WEIGHT = 24.0
@@ -70,7 +70,7 @@ def make_modules(size: int) -> Modules:
 
 
 @linked
-def place_modules(seen: Line | Path, sight: Sight, scratch: Modules) -> None:
+def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
     """Locate the modules from the centre of a parcel, and share its braking among them."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
@@ -144,7 +144,7 @@ def leading_options(config: EnvConfig) -> Commands:
 
 
 @inlined
-def _slide_regret(path: Path, after: Motion, period: float) -> float:
+def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
     """Sum squared speeds off the surface and the asked speed."""
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
@@ -209,7 +209,7 @@ class SlidingMode(CompiledRule):
 
 
 @inlined
-def choose_turn(option: int, seen: Line, axes: Integers, scratch: Modules) -> None:
+def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
     """Write the choices of an option: all roll, or modules ahead or behind turn the parcel."""
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
@@ -226,7 +226,7 @@ def choose_turn(option: int, seen: Line, axes: Integers, scratch: Modules) -> No
 
 
 @inlined
-def _turn_regret(seen: Line, after: Motion, period: float) -> float:
+def _turn_regret(seen: LineReading, after: Motion, period: float) -> float:
     """Compute how far [rad] off the asked angle a parcel comes to rest, or what is as bad."""
     turn = 0.5 * period * (seen.omega + after.omega)
     end = after.omega * abs(after.omega) * seen.half_length

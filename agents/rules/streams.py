@@ -15,7 +15,7 @@ from surface_gym.tasks.features import read
 
 from .. import library
 from ..base import BatchController, find_axes
-from .base import Compiled, rule
+from .base import CompiledController, rule
 from .slopes import ROLL, TO_LEFT, TO_RIGHT
 
 Rows = NDArray[np.float32]
@@ -69,7 +69,7 @@ def choose_by_exits(tables: Rows, halves: Halves) -> None:
 
 
 @rule("event rule", "flow", actions="parcels")
-class StreamEventRule(ParcelRule, Compiled):
+class StreamEventRule(ParcelRule, CompiledController):
     """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
 
     kernel = staticmethod(choose_by_exits)

@@ -72,8 +72,8 @@ class FixedLayouts:
     def arrange(self, observation: Observation) -> Command | None:
         """Return the command for a newly entered parcel from the policy's observation.
 
-        Only the task's own features are used, which come first in every observation. Returns None
-        if the rule finds the observation impossible.
+        Uses only the task's own features, the first of every observation. Returns None if the rule
+        finds the observation impossible.
         """
         shown = np.zeros(self._features, dtype=np.float32)
         shown[: self._own] = observation[: self._own]

@@ -20,7 +20,7 @@ from surface_gym.sensors import Exact
 
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh
 from .bounds import entrance_bound
-from .features import LEVELS, USUAL, Candidates, Features, Watched
+from .features import LEVELS, USUAL, Candidates, Features, ParcelHistory
 from .leading import (
     DEPTH,
     NOBODY,
@@ -50,7 +50,7 @@ class Decisions(NamedTuple):
     about: Singles  # (decisions, ABOUT) of the line
 
 
-class Chosen(NamedTuple):
+class Choice(NamedTuple):
     """Decision for the parcel at the gate, per environment."""
 
     maneuver: Integers  # (num_envs,) NOBODY: undecided
@@ -62,7 +62,10 @@ def find_entries(
     tight: Numbers, wide: Numbers, levels: Numbers, options: Integers, booked: Integers,
     entered: Numbers, now: float, entry: Numbers, binding: Integers,
 ) -> None:  # fmt: skip
-    """Write the earliest entry of each option and level, and the booked parcel that limits it."""
+    """Write `entry` (options, levels), the earliest entry time [s], and `binding`.
+
+    `binding` holds the index of the booked parcel to wait for; -1: none.
+    """
     for o in range(options.shape[0]):
         for level in range(levels.shape[0]):
             entry[o, level], binding[o, level] = now, -1
@@ -126,13 +129,13 @@ class DecidingScheduler(Scheduler):
     ) -> tuple[Integers, Any]:
         num_envs = len(batch)
         book, watched = self._start(num_envs), self._features.start(num_envs)
-        chosen = Chosen(np.full(num_envs, NOBODY), np.zeros(num_envs))
+        chosen = Choice(np.full(num_envs, NOBODY), np.zeros(num_envs))
         if state is not None:
             fresh = is_fresh(num_envs, state, episode_start)
             checks.alike("state", state, (book, watched, chosen))
             book = Book(*renew(book, state[0], fresh))
-            watched = Watched(*renew(watched, state[1], fresh))
-            chosen = Chosen(*renew(chosen, state[2], fresh))
+            watched = ParcelHistory(*renew(watched, state[1], fresh))
+            chosen = Choice(*renew(chosen, state[2], fresh))
         follow(batch, self._orders, book)
         watched = self._features.watch(batch, book, watched)
         chosen = self._decide(batch, book, watched, chosen)
@@ -143,7 +146,9 @@ class DecidingScheduler(Scheduler):
         book.clock[:] += self._orders.period
         return actions, (book, watched, chosen)
 
-    def _decide(self, tables: Singles, book: Book, watched: Watched, chosen: Chosen) -> Chosen:
+    def _decide(
+        self, tables: Singles, book: Book, watched: ParcelHistory, chosen: Choice
+    ) -> Choice:
         """Decide for undecided parcels at the gate that may enter now."""
         waits = COLUMN.present.of(tables[:, self._parcels]) > 0.5
         maneuver, entry = np.where(waits, chosen.maneuver, NOBODY), chosen.entry.copy()
@@ -153,9 +158,9 @@ class DecidingScheduler(Scheduler):
             each = np.arange(len(option))
             maneuver[found.env] = self.library.options[found.queue[:, 0], option]
             entry[found.env] = found.entry[each, option, level]
-        return Chosen(maneuver, entry)
+        return Choice(maneuver, entry)
 
-    def _let_in(self, tables: Singles, book: Book, chosen: Chosen) -> tuple[Integers, Chosen]:
+    def _let_in(self, tables: Singles, book: Book, chosen: Choice) -> tuple[Integers, Choice]:
         """Open the gate (num_envs,) for due parcels, and book them."""
         opens = np.full(len(tables), SHUT)
         late = (chosen.entry - book.clock) / self._orders.dt - 1e-6
@@ -194,7 +199,7 @@ class DecidingScheduler(Scheduler):
         return Candidates(*map(np.array, zip(*found, strict=True))) if found else None
 
     def _describe(
-        self, tables: Singles, book: Book, watched: Watched, found: Candidates
+        self, tables: Singles, book: Book, watched: ParcelHistory, found: Candidates
     ) -> Decisions:
         later = found.entry - found.entry[..., USUAL, np.newaxis]
         spent = (found.cost[..., np.newaxis] + later) / self._mean_gap

@@ -58,7 +58,7 @@ class Candidates(NamedTuple):
     cost: Numbers  # (decisions, options) [s] delay of later parcels relative to the best option
 
 
-class Watched(NamedTuple):
+class ParcelHistory(NamedTuple):
     """Memory of parcels on the line, and of the last departed parcels."""
 
     held: Integers  # (num_envs, parcels) maneuver of the parcel in each row
@@ -121,15 +121,15 @@ class Features:
         ]
         self.about = np.array(about, dtype=np.float32)
 
-    def start(self, num_envs: int) -> Watched:
+    def start(self, num_envs: int) -> ParcelHistory:
         """Return the memory at the start of an episode."""
         rows, gone = (num_envs, self._parcels), (num_envs, GONE)
-        return Watched(
+        return ParcelHistory(
             np.full(rows, NOBODY), np.zeros((*rows, SEEN)),
             np.full(gone, NOBODY), np.zeros(gone), np.zeros((*gone, SEEN)),
         )  # fmt: skip
 
-    def watch(self, tables: Singles, book: Book, before: Watched) -> Watched:
+    def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
         """Update the memory: deviations from trajectories, and departed parcels."""
         seen, gone = before.seen.copy(), before.gone.copy()
         left, last = before.left.copy(), before.last.copy()
@@ -149,9 +149,11 @@ class Features:
         deviation = ((now - path) / DEVIATION).clip(-3.0, 3.0)
         seen[i, row] = np.where(known[:, np.newaxis], deviation, seen[i, row])
         seen[book.rows == NOBODY] = 0.0
-        return Watched(book.rows, seen, gone, left, last)
+        return ParcelHistory(book.rows, seen, gone, left, last)
 
-    def options(self, tables: Singles, book: Book, watched: Watched, given: Candidates) -> Singles:
+    def options(
+        self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
+    ) -> Singles:
         """Return features (decisions, options, OPTION) of each candidate.
 
         They include the booked parcel that it would wait for.
@@ -190,7 +192,7 @@ class Features:
         return found
 
     def tokens(
-        self, tables: Singles, book: Book, watched: Watched, given: Candidates
+        self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
     ) -> tuple[Singles, Booleans]:
         """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
 

@@ -56,24 +56,24 @@ class Orders(NamedTuple):
 
 
 class Book(NamedTuple):
-    """What a scheduler remembers, per environment."""
+    """Memory of a scheduler, per environment."""
 
     clock: Numbers  # (num_envs,) [s] since the episode began
     booked: Integers  # (num_envs, BOOKED) maneuvers of the latest entries, the last first
     entered: Numbers  # (num_envs, BOOKED) [s]
-    due: Numbers  # (num_envs,) [s] when the one that was let in last had come
-    pending: Booleans  # (num_envs,) whether that one has yet to be seen to have entered
+    due: Numbers  # (num_envs,) [s] arrival of the last parcel let in
+    pending: Booleans  # (num_envs,) whether that parcel's entry has yet to be observed
     rows: Integers  # (num_envs, parcels) maneuver of the parcel in each row, or NOBODY
     stands: Integers  # (num_envs, groups) orientation of each group
 
 
 class Workspace(NamedTuple):
-    """Sequences of maneuvers that a search keeps, by how many parcels they are for, best first."""
+    """Sequences of maneuvers in a search, by number of parcels, best first."""
 
     maneuver: Integers  # (DEPTH, WIDTH) of the last parcel
     time: Numbers  # (DEPTH, WIDTH) [s] when it enters
     before: Integers  # (DEPTH, WIDTH) the sequence that is one parcel shorter
-    cost: Numbers  # (DEPTH, WIDTH) [s] when one more behind it is to enter, in the mean
+    cost: Numbers  # (DEPTH, WIDTH) [s] expected entry of one more parcel
 
 
 def make_workspace() -> Workspace:

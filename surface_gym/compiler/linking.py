@@ -1,9 +1,9 @@
 """Numba's compiler for functions called by compiled code only.
 
-By default, Numba generates machine code for every function with all its callees, and again within
-each caller. It also optimises twice, with a pass for reference counts in between. Here a function
-is optimised once and kept as LLVM code, which its callers link. Only the kernel at the end of the
-chain becomes machine code. Compilation takes two thirds of the time.
+Numba generates machine code for every function with all its callees, and again within each caller.
+It also optimises twice, with a pass for reference counts in between. Here a function is optimised
+once and kept as LLVM code, which its callers link. Only the kernel at the end of the chain becomes
+machine code. Compilation takes two thirds of the time.
 
 An inlined function is linked into its callers' code before that code is optimised. Other functions
 are optimised separately, and linked into the kernel together with their callees.

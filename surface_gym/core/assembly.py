@@ -31,7 +31,7 @@ class Workers:
         self._most = max(1, LOOK // steps)  # environments in a row
         self._pool: ThreadPoolExecutor | None = None
         self._process = os.getpid()
-        # Of the physics, and of the sensor.
+        # Scratches of the physics and of the sensor, per thread.
         self._scratches = [(make(), make_scratch()) for _ in range(threads)]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -22,20 +22,20 @@ Function = Callable[..., Any]
 
 
 class Actuation(NamedTuple):
-    """Functions by which axes obey."""
+    """Compiled functions of the axes."""
 
-    obey: Function  # what a part of the command does to an axis
-    turn: Function  # what all axes do in a physics step
-    straighten: Function  # how all become the conveyor's
+    obey: Function  # applies a part of the command to an axis
+    turn: Function  # turns all axes in a physics step
+    straighten: Function  # sets all axes to the conveyor's
     turns: bool  # whether axes take time
 
 
 class ShownGroup(NamedTuple):
-    """A group of features as a kernel is built from it."""
+    """An optional group of features."""
 
     show: Function
     size: int  # numbers it writes
-    by_sensor: bool  # the sensor's numbers are its parameters; else those of the actions
+    by_sensor: bool  # its parameters are the sensor's numbers; else the actions' numbers
 
 
 class KernelFunctions(NamedTuple):
@@ -236,8 +236,8 @@ def _ending(functions: KernelFunctions) -> Any:
 def make_kernel(functions: KernelFunctions) -> Any:
     """Build `step_envs(params, surfaces, parcels, bodies, scratch, sensor's scratch, chosen)`.
 
-    Of the chosen environments (count,) those placed begin, those that run are stepped by one
-    control period, and those that have ended stay. It returns how many have a fault.
+    The kernel begins placed environments and steps running environments by one control period.
+    `chosen` (count,) holds the environments' indices. It returns the number of faults.
     """
     task_begin, task_observe, task_mirror = functions.begin, functions.observe, functions.mirror
     sensor_begin, sensor_read = functions.begin_sensor, functions.read_sensor

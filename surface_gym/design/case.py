@@ -296,7 +296,7 @@ WORST = 0.05  # allowed share of failing draws
 SURE = f"{1.0 - WORST:.0%}"  # required share of successful draws
 MOST_DRAWS = 1_000_000  # maximum number of draws, with one run each
 
-# Fields of `Unknown` in reported groups, which are varied one at a time.
+# Fields of `Unknown` by reported group. Groups are varied one at a time.
 GROUPS = {
     "friction": ("friction", "rolling"),
     "load": ("com_offset", "mass"),

@@ -44,7 +44,7 @@ MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 class Question:
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
-    Defaults are those of `Unknown`, `STEP` and `Effort`, written down here too: so help is quick.
+    Repeats the defaults of `Unknown`, `STEP` and `Effort`, so that `--help` is fast.
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None

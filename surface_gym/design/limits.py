@@ -461,9 +461,9 @@ def success_shares(
     workers: parallel.Workers = 1,
     on_progress: runs.OnProgress = lambda *_: None,
 ) -> Array:
-    """Return the share (points,) of the draws that succeed, with the same draws at every point.
+    """Return the share (points,) of successful draws, with the same draws at every point.
 
-    Of the points, speed, tilt and friction count.
+    Only the points' speed, tilt and friction are used.
     """
     speed, tilt, factors = (
         values[:, np.newaxis] for values in (points.speed, points.tilt, points.friction)

@@ -1,9 +1,9 @@
 """The search for a layout: differential evolution, then a descent column by column.
 
-The axes are dozens of whole numbers, and the cost jumps where a parcel just gets off the line, so
-there are no derivatives. SciPy's differential evolution takes whole numbers, evaluates a population
-at a time, which `run_all` shares among threads, and begins with given layouts. Where few members
-still differ, the descent tries all axes of one column after another.
+The axes are dozens of integers. The cost jumps where a parcel only just leaves the line, so there
+are no derivatives. SciPy's differential evolution accepts integers and initial layouts. `run_all`
+evaluates each population in parallel. When few members still differ, the descent tries all axes of
+one column after another.
 """
 
 import itertools
@@ -21,12 +21,12 @@ from surface_gym.physics.types import Array
 
 Score = Callable[[Array], Array]  # costs (layouts,) of axes (layouts, rows, columns) [rad]
 
-RECOMBINATION = 0.3  # [-] of a layout's modules that a trial changes: more would undo the rest
-CHANGES = (0.1, 0.3, 0.6)  # [-] of the modules in which first members differ from the given layouts
+RECOMBINATION = 0.3  # [-] share of a layout's modules that a trial changes
+CHANGES = (0.1, 0.3, 0.6)  # [-] share of modules changed in copies of the initial layouts
 
 QUARTER = math.pi / 2.0
 DECIMALS = 2  # of degrees, where any angle is allowed
-ALL_AT_ONCE = 256  # arrangements of a column that are tried together; of more, module by module
+ALL_AT_ONCE = 256  # maximum arrangements of a column tried together; above, module by module
 SHIFTS = np.radians([-22.5, -5.0, -1.0, 1.0, 5.0, 22.5])  # tried where any angle is allowed
 
 

@@ -95,11 +95,11 @@ class StreamTask(Task):
     """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
 
     Parcels enter, move, touch each other and depart without code of the task; touches, waiting and
-    jams are counted. A task is one class that says what is observed, what is paid, and which
-    parcels departed correctly. Its class variables are those of `Task`: `features` are of a parcel,
-    and `terms` end in `SURFACE_TERMS`, the costs of waiting and of jams, at the rates
-    `waiting_reward` and `jam_reward`. Its fields are its parameters. Compiled functions read them
-    from `surface.params.numbers`, as `numbers()` returns them.
+    jams are counted. A task is one class that defines the observation, the reward and the correct
+    departures. It has the class variables of `Task`. Its `features` describe one parcel. Its
+    `terms` end in `SURFACE_TERMS`, the costs of waiting and of jams, at the rates `waiting_reward`
+    and `jam_reward`. Its fields are its parameters. Compiled functions read the result of
+    `numbers()` from `surface.params.numbers`.
 
     The compiled functions read and write the `EnvState` of one parcel. All have a default but
     `reward` and `observe`:
@@ -136,7 +136,7 @@ class StreamTask(Task):
     the exit's span. INLET, by which it came, and ORDER, its place in the order of leaving, follow.
     """
 
-    parcels: Any = field(default=(), init=False, repr=False)  # those of the stream
+    parcels: Any = field(default=(), init=False, repr=False)  # the stream's parcels
     stream: Stream = Stream()  # when parcels come, which, how fast, where to
     exits: Any = "chutes"  # a preset, or `Exits`
     inlets: Any = EDGE  # where parcels come onto the surface: `Inlets`
@@ -295,7 +295,7 @@ class StreamTask(Task):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> Any:
-        """Compute the statistics of a surface's episode so far, of which `obeying` modules obey."""
+        """Compute the statistics of a surface's episode so far, with `obeying` modules."""
         return fs.compute_statistics(streams, surface, jammed, obeying)
 
     @property

@@ -17,8 +17,8 @@ from surface_gym.tasks.benchmark import (
     KINDS,
     STAY,
     TOUCHES,
-    Column,
     Offer,
+    ResultColumn,
     StreamBenchmark,
     share_column,
 )
@@ -123,12 +123,12 @@ ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] at which all are compared, by wi
 ALIGNMENT = math.radians(10.0)
 PLANNED = (*KINDS, "planner")
 TAKE_AWAY_PRESETS = ("exact", "camera", "lab")
-TAKE_AWAY_COLUMNS: tuple[Column, ...] = (
+TAKE_AWAY_COLUMNS: tuple[ResultColumn, ...] = (
     share_column("right_gaps", "gaps", "of at least the asked gap on the take-away"),
     share_column("aligned", "aligned", "of the parcels that left by a mouth"),
     share_column("beside", "beside", "that left beside the mouths or over the sides"),
     TOUCHES,
-    Column(
+    ResultColumn(
         "squeeze_most", "squeeze [N]", "largest force between two",
         lambda runs, _: runs.most("squeeze_most"), ".0f",
     ),

@@ -56,8 +56,8 @@ class Sequence(TakeAwayTask):
     ### Order
 
     `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
-    random. A departure is correct only if all parcels with lower numbers have departed. By default,
-    2000 parcels per hour arrive one by one in the middle, with a window of 4.
+    random. A departure is correct only if all parcels with lower numbers have departed. The default
+    is 2000 parcels per hour arrive one by one in the middle, with a window of 4.
 
     ### Observation
 

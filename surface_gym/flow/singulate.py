@@ -27,9 +27,9 @@ class Singulate(TakeAwayTask):
 
     ### Bulk
 
-    `stream` sets the arrivals: see `surface_gym.flow.stream`. By default, random boxes of 0.2 to
-    0.45 m x 0.2 to 0.4 m arrive at 9000 parcels per hour and 0.8 m/s, anywhere across the surface
-    and at any angle. A due parcel enters with its rear at the upper edge when its base is
+    `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
+    0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
+    any angle. A due parcel enters with its rear at the upper edge when its base is
     `entry_gap` clear of all others, at most one per physics step. Until then, it and all later
     parcels wait. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
 
@@ -59,8 +59,8 @@ class Singulate(TakeAwayTask):
     Modules at 0 deg brake a parcel, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45
     deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels", a module obeys
     the parcel on it, or else the first parcel that reaches it within `ahead` seconds, by the
-    parcels' sensed boxes and velocities. Of two parcels on a module, the one with the nearer centre
-    wins. A module without a parcel keeps its axis.
+    parcels' sensed boxes and velocities. If two parcels are on a module, it obeys the parcel with
+    the nearer centre. A module without a parcel keeps its axis.
 
     ### Observation
 

@@ -219,7 +219,7 @@ class FlowStatistics:
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
-    missort_rate: float  # [-] of those that left, otherwise than they were to
+    missort_rate: float  # [-] share of departures that were wrong
     touches_per_1000: float  # touches begun per 1000 departed parcels
     jams_per_1000: float  # jams per 1000 departed parcels
     gap_mean: float  # [s] mean gap between successive departures by the same exit

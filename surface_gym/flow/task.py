@@ -132,8 +132,8 @@ class Flow(StreamTask):
     | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
 
     With "parcels", a module obeys the parcel on it, or else the first parcel that reaches it within
-    `ahead` seconds, by the parcels' sensed boxes and velocities. Of two parcels on a module, the
-    one with the nearer centre wins. A module without a parcel keeps its axis.
+    `ahead` seconds, by the parcels' sensed boxes and velocities. If two parcels are on a module, it
+    obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the action has one more entry at the end: 0 keeps the gate closed for the control
     period; k opens it for one parcel from the k-th physics step.

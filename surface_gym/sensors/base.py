@@ -64,8 +64,8 @@ class Sensor:
     - `show(numbers, state, see, mirror)`: write the group's features into `see`. `mirror` is -1
       where the task shows a mirror image of y, else 1.
 
-    Before each, `state.truth` holds the true pose and velocity of the base's centroid. Noise comes
-    from `state.noise`, a row at a time, of which `state.noise_row[0]` is the next.
+    At every call, `state.truth` holds the true pose and velocity of the base's centroid. Noise
+    comes from rows of `state.noise`; `state.noise_row[0]` is the index of the next row.
     """
 
     sensor_size: ClassVar[int] = 0  # numbers of `state.sensor_state`

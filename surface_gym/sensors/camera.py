@@ -174,7 +174,7 @@ def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> t
     return state.sensor_state[place + SURPRISE + k] * per_surprise, per_surprise
 
 
-SPREADS = ENTRY + 4  # columns of the params, after those of a Camera
+SPREADS = ENTRY + 4  # first column of its own parameters, after the Camera's
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY
 from surface_gym.state import EnvState
 from surface_gym.tasks.benchmark import Benchmark, default_benchmark
 from surface_gym.tasks.features import Feature, columns, show, show_within
-from surface_gym.tasks.planning import Observed, PlanCost, decode_line, line_start
+from surface_gym.tasks.planning import ObservationTable, PlanCost, decode_line, line_start
 from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_draw
 
 
@@ -35,7 +35,7 @@ class Task:
 
     - `begin(state)`, at a start: set `state.memory` and `state.metrics`.
     - `is_done(state) -> bool`, after every physics step: whether the episode ends in the middle of a
-      control period. By default where no rotor bears the parcel.
+      control period; by default, when no rotor bears the parcel.
     - `outcome(state) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. Writes
       `state.metrics`.
     - `reward(state, outcome)`, then: write every one of `state.terms`.
@@ -44,10 +44,10 @@ class Task:
     - `mirror(state) -> float`: -1 where the observation is mirrored in y, so that what shows the
       modules is mirrored with it; else 1.
 
-    They know nothing of the task's fields: what they need of these goes into the goal.
+    They cannot read the task's fields. Parameters that they need go into the goal.
 
-    Three ordinary methods serve rules and planners: `decode` and `decode_start` turn observations
-    back into SI units and starts, `cost` says what a planner minimises.
+    Three ordinary methods serve rules and planners. `decode` turns observations into SI units,
+    `decode_start` turns one into a start, and `cost` returns a planner's cost.
     """
 
     parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from
@@ -122,7 +122,7 @@ class Task:
         return self.periods
 
     def noise_rows(self, used: int) -> int:
-        """Return the rows of noise for a parcel, of which a control period uses so many at most."""
+        """Return the number of noise rows per parcel; a control period uses at most `used`."""
         return used
 
     def action_kind(self, config: Any) -> Any:
@@ -176,13 +176,13 @@ class Task:
         """Return what drawing shows of the goal, one of `surface_gym.rendering`'s; or None."""
         del state
 
-    def decode(self, seen: Observed) -> Any:
+    def decode(self, seen: ObservationTable) -> Any:
         """Decode observations into SI units, for rules; by default observations of a parcel on a
         line.
         """
         return decode_line(seen)
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: ObservationTable) -> Start:
         """Decode the first observation into its start; by default on a line, without a goal."""
         if self.goals > 0:
             raise ValueError(

@@ -46,7 +46,7 @@ class Runs(Protocol):
 
 
 @dataclass(frozen=True)
-class Column:
+class ResultColumn:
     """A column of a task's table beside the success rates."""
 
     name: str
@@ -124,7 +124,7 @@ class Benchmark:
     """The starts that methods are compared on, and the columns of the task's table."""
 
     task: "Task"
-    columns: tuple[Column, ...]
+    columns: tuple[ResultColumn, ...]
     starts: tuple[dict[str, Any], ...] = ({},) * DRAWN  # options; what they leave open is drawn
     description: str = f"{DRAWN} starts drawn by the task's own law"
     example: dict[str, Any] = field(default_factory=dict)  # options of the start that is filmed
@@ -135,16 +135,16 @@ class Benchmark:
 
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
-) -> Column:
+) -> ResultColumn:
     """Compute the median size of a metric over starts."""
-    return Column(
+    return ResultColumn(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
-def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> Column:
+def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> ResultColumn:
     """Compute the size of a metric that nine in ten starts stay below."""
-    return Column(
+    return ResultColumn(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,
     )  # fmt: skip
@@ -159,7 +159,7 @@ def default_benchmark(task: "Task") -> Benchmark:
             median_column(name, f"{label} median", "its size, median over starts"),
             high_column(name, f"{label} 90"),
         ]
-    time = Column(
+    time = ResultColumn(
         "time", "time [s]", "of an episode, median over starts",
         lambda runs, _: float(np.median(runs.time)),
     )  # fmt: skip
@@ -204,7 +204,7 @@ class StreamBenchmark:
 
     task: Any  # a `StreamTask`
     offers: tuple[Offer, ...]
-    columns: tuple[Column, ...]  # beside the rate and the share of right parcels
+    columns: tuple[ResultColumn, ...]  # beside the rate and the share of right parcels
     description: str  # of the offers
     presets: tuple[str, ...] = ("exact", "camera")  # of streams
     replications: int = 10
@@ -215,12 +215,12 @@ class StreamBenchmark:
 
 def mean_column(
     name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
-) -> Column:
+) -> ResultColumn:
     """Compute the mean of a statistic of streams, by the parcels delivered."""
-    return Column(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
+    return ResultColumn(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
 
 
-def share_column(name: str, label: str, meaning: str) -> Column:
+def share_column(name: str, label: str, meaning: str) -> ResultColumn:
     """Compute a share [%] that is a statistic of streams."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 

@@ -133,7 +133,7 @@ class Orient(base.Task):
     def check_goal(self, goal: planning.Numbers) -> None:
         checks.within("goal", goal[ANGLE], -math.pi, math.pi)
 
-    def decode_start(self, seen: planning.Observed) -> Start:
+    def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the start from the first observation; the goal is the goal angle."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.angle[0]),))

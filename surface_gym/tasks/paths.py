@@ -16,7 +16,7 @@ Numbers = NDArray[np.float64]
 START, END = 0.4, 5.6  # [m] default start and end of a path
 
 
-class Path(Protocol):
+class BasePath(Protocol):
     """A curve y(x) for x in [start, end]."""
 
     @property
@@ -156,7 +156,7 @@ def _random_spline(numbers: Numbers) -> Spline:
     return Spline(tuple(zip(np.linspace(START, END, 6).tolist(), y.tolist(), strict=True)))
 
 
-_RANDOM: dict[str, Callable[[Numbers], Path]] = {
+_RANDOM: dict[str, Callable[[Numbers], BasePath]] = {
     "sine": _random_sine,
     "lane change": _random_lane_change,
     "polyline": _random_polyline,
@@ -166,7 +166,7 @@ KINDS = tuple(_RANDOM)
 DRAWS = 12  # random numbers per path
 
 
-def random_path(kind: str, numbers: Numbers) -> Path:
+def random_path(kind: str, numbers: Numbers) -> BasePath:
     """Draw a path of a kind from `DRAWS` numbers, uniform in [0, 1).
 
     - "sine": amplitude 0.1 to 0.2 m, wavelength 1.8 to 3.2 m, starting upwards or downwards.
@@ -181,7 +181,7 @@ def random_path(kind: str, numbers: Numbers) -> Path:
 _CLASSES = (Sine, LaneChange, Polyline, Spline)
 
 
-def path_option(value: Any) -> Path:
+def path_option(value: Any) -> BasePath:
     """Return the path of an option: a path of this module, or points (n, 2) [m] of a polyline."""
     if isinstance(value, _CLASSES):
         return value

@@ -23,7 +23,7 @@ def square_reach(half_length: Numbers | float, theta: Numbers) -> Numbers:
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ObservationTable:
     """Observations of some environments, read by feature name, in SI units."""
 
     shown: Numbers  # (num_envs, features)
@@ -83,7 +83,7 @@ class LineObservation:
         return self.into_zone - self.reach > -self.pitch[0] / 2.0
 
 
-def decode_line(seen: Observed) -> LineObservation:
+def decode_line(seen: ObservationTable) -> LineObservation:
     """Decode observations with the features of `tasks.base` or of Sort."""
     side = seen.get("side")
     # The observation of a parcel with goal y < 0 is mirrored.
@@ -119,7 +119,10 @@ def nearest_parcel(parcels: tuple[Parcel, ...], half_length: float) -> Parcel:
 
 
 def line_start(
-    seen: Observed, line: LineObservation, parcels: tuple[Parcel, ...], goal: tuple[float, ...]
+    seen: ObservationTable,
+    line: LineObservation,
+    parcels: tuple[Parcel, ...],
+    goal: tuple[float, ...],
 ) -> Start:
     """Build the start from the first observation, with the closest of some parcels."""
     base_line = seen.line

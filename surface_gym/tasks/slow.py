@@ -141,7 +141,7 @@ that which rolling to the zone's end turns into the asked one, over the entry sp
         checks.within("goal[0]", goal[RATIO], 0.0, 1.0)
         checks.positive("goal[1]", goal[ENTRY_SPEED], most=checks.SPEED)
 
-    def decode_start(self, seen: planning.Observed) -> Start:
+    def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the start from the first observation; the goal is ratio and entry speed."""
         line = planning.decode_line(seen)
         goal = float(line.ratio[0]), float(line.entry_speed[0])

@@ -15,7 +15,7 @@ from surface_gym.physics.types import GRAVITY, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.base import STALL_SPEED, Task, entry, failures, rising
-from surface_gym.tasks.benchmark import PARCELS, Benchmark, Column, Numbers, SpeedGrid
+from surface_gym.tasks.benchmark import PARCELS, Benchmark, Numbers, ResultColumn, SpeedGrid
 from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.start import Draw, Start, between
 
@@ -189,7 +189,7 @@ distance from the line's middle takes its place |
 
         return ExitSide(int(state.goal[SIDE]))
 
-    def decode_start(self, seen: planning.Observed) -> Start:
+    def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the start from the first observation; the goal is the side."""
         line = planning.decode_line(seen)
         return planning.line_start(seen, line, self.parcels, (float(line.side[0]),))
@@ -318,16 +318,16 @@ def _event(parcels: ParcelState) -> tuple[float, float] | None:
     return None if side == 0.0 else (ROLLING, -side * math.pi / 4.0)
 
 
-def _box_columns(grid: SpeedGrid, parcel: str) -> tuple[Column, ...]:
+def _box_columns(grid: SpeedGrid, parcel: str) -> tuple[ResultColumn, ...]:
     return (
-        Column(
+        ResultColumn(
             f"minimum_speed_{parcel}",
             f"minimum {parcel} [m/s]",
             f"entry speed from which on every start of every seed is sorted, {parcel}-box",
             lambda runs, _: grid.minimum_speed(runs, parcel),
             every_start=True,
         ),
-        Column(
+        ResultColumn(
             f"success_{parcel}",
             f"success {parcel}",
             f"share of the {parcel}-box's starts",
@@ -335,7 +335,7 @@ def _box_columns(grid: SpeedGrid, parcel: str) -> tuple[Column, ...]:
             ".3f",
             every_start=True,
         ),
-        Column(
+        ResultColumn(
             f"time_{parcel}",
             f"time {parcel}",
             "greatest time to sort over the fixed layout's, at the speeds that one sorts at",
@@ -347,7 +347,7 @@ def _box_columns(grid: SpeedGrid, parcel: str) -> tuple[Column, ...]:
 
 
 _COLUMNS = (
-    Column(
+    ResultColumn(
         "columns",
         "columns",
         "of the zone that a parcel sorted touched, on average",
@@ -356,7 +356,7 @@ _COLUMNS = (
         ),
         ".1f",
     ),
-    Column(
+    ResultColumn(
         "parcels_an_hour",
         "parcels/h",
         "an hour's parcels, each alone on the surface, by the mean time of those sorted",

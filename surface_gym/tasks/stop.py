@@ -132,7 +132,7 @@ class Stop(base.Task):
         position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
 
-    def decode_start(self, seen: planning.Observed) -> Start:
+    def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the start from the first observation; the goal is the goal x."""
         line = planning.decode_line(seen)
         start = planning.line_start(seen, line, self.parcels, ())

@@ -18,7 +18,7 @@ from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
-from surface_gym.tasks.planning import FAILED, Nodes, Observed, PlanCost, nearest_parcel
+from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
 SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path
@@ -122,7 +122,8 @@ asked one |
     ### Info
 
     - `rms_error` [m]: root mean square of the error across the path over the time so far.
-    - `speed_error` [m/s]: that of the speed along the path against the asked one.
+    - `speed_error` [m/s]: root mean square of the difference between the speed along the path and
+      the asked speed, over the time so far.
     - `cross_error` [m]: the present error across the path, positive to its left.
 
     ### Example
@@ -209,7 +210,7 @@ asked one |
             points.append((x, path.y(x - ahead) + aside))
         return np.array([x for x, _ in points]), np.array([y for _, y in points])
 
-    def decode(self, seen: Observed) -> "PathObservation":
+    def decode(self, seen: ObservationTable) -> "PathObservation":
         return PathObservation(
             cross_error=seen["cross error"],
             speed_error=seen["speed error"],
@@ -224,7 +225,7 @@ asked one |
             y_in_pitch=seen.in_pitch("y", seen.line.pitch_y),
         )
 
-    def decode_start(self, seen: Observed) -> Start:
+    def decode_start(self, seen: ObservationTable) -> Start:
         """Decode the first observation into a start; beyond what is shown the path is straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])

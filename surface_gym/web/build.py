@@ -55,9 +55,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder, and describe them in a line.
 
     Args:
-        task: its name, which may end in `-camera`, or that of the files of an own task.
+        task: a task's name, which may end in `-camera`, or the base name of a custom task's files.
         folder: where to write.
-        own: a task of the user's.
+        own: a custom task.
     """
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
@@ -134,9 +134,9 @@ def _copy(name: str, folder: Path) -> None:
 
 
 class PackageModules:
-    """The package's modules, each of which is compiled as a page first asks for one of its files.
+    """The package's WebAssembly modules, compiled when a page first requests their files.
 
-    What is there is kept. Only a checkout looks whether its source was edited.
+    Existing files are reused. Only a checkout checks whether their source was edited.
     """
 
     def __init__(self) -> None:
@@ -153,16 +153,16 @@ class PackageModules:
             write_pages(self.folder, TASKS)
 
     def add_own(self, own: Any, folder: Path) -> str:
-        """Write a user's task into a folder of its own, as if the package had it; name it.
+        """Write a custom task into a folder, and return the base name of its files.
 
-        With a camera it is compiled as a page first asks for it.
+        Its camera version is compiled when a page first requests it.
         """
         name = write_own(own, folder, self.folder)
         self._own[name + CAMERA] = own, folder
         return name
 
     def prepare(self, name: str) -> None:
-        """Write the files of a task unless they are there, if a file's name is that of one."""
+        """Write the missing files of a task if `name` is the name of one of them."""
         task, _, kind = name.partition(".")
         if task not in (*ALL, *self._own) or kind not in KINDS:  # such as table.js, a script
             return

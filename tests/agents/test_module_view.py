@@ -211,7 +211,9 @@ def seen_turned(
     return env.config, seen, each
 
 
-def find_outlines(config: EnvConfig, seen: np.ndarray) -> list[tuple[decoding.Line, Outline]]:
+def find_outlines(
+    config: EnvConfig, seen: np.ndarray
+) -> list[tuple[decoding.LineReading, Outline]]:
     """What is seen of parcels that are to go to y > 0, and their outlines."""
     sight, shown = decoding.look_at_line(config), find_shown(config)
     lines = [see_line(row, sight) for row in seen]

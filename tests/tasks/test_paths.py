@@ -7,17 +7,17 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from surface_gym.tasks import paths
-from surface_gym.tasks.paths import LaneChange, Path, Polyline, Sine, Spline
+from surface_gym.tasks.paths import BasePath, LaneChange, Polyline, Sine, Spline
 
 POINTS = ((0.5, 1.0), (1.5, 1.2), (2.0, 0.9), (4.0, 1.1))
 
 
-def slopes(path: Path, x: np.ndarray) -> np.ndarray:
+def slopes(path: BasePath, x: np.ndarray) -> np.ndarray:
     """dy/dx by central differences."""
     return (path.y(x + 1e-6) - path.y(x - 1e-6)) / 2e-6
 
 
-def drawn(kind: str, count: int = 300) -> list[Path]:
+def drawn(kind: str, count: int = 300) -> list[BasePath]:
     rng = np.random.default_rng(0)
     return [paths.random_path(kind, rng.random(paths.DRAWS)) for _ in range(count)]
 

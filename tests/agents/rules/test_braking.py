@@ -47,8 +47,8 @@ class Predictor:
         self.scratch.target[:] = LEANS[levels]
         self.lean = np.full(COLUMNS, lean) if lean is not None else LEANS[levels]
 
-    def span(self, seen: Any) -> braking.Span:
-        found: braking.Span = find_span(seen, self.sight, self.model, self.scratch)
+    def span(self, seen: Any) -> braking.Footprint:
+        found: braking.Footprint = find_span(seen, self.sight, self.model, self.scratch)
         return found
 
     def __call__(self, observation: np.ndarray, load: float = 0.0) -> braking.Result:
