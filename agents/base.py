@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import surface_gym as sg
 from surface_gym import checks
+from surface_gym.actions import ActionKind
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ActionKind
 from surface_gym.tasks.sort import COLUMN
 
 SAME = 1e-6  # [rad] axes that differ by less are equal

@@ -20,7 +20,7 @@ import yaml
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS
+from surface_gym.feature_groups import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, read_bytes, replacing
 from surface_gym.registration import TASKS, env_id
 from surface_gym.registry import Registry

@@ -21,7 +21,7 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import QUADRANT_SIZE, QUADRANTS, group_features
+from surface_gym.feature_groups import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.tasks import sort
 
 from .base import SIDE, Integers, Singles, mirrored_orientations

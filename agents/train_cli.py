@@ -9,7 +9,8 @@ from typing import Any
 import tyro
 
 from surface_gym.cli import TRAIN, command_line, typed
-from surface_gym.parallel import WorkError, choose_workers, usable_cores
+from surface_gym.executors import WorkError
+from surface_gym.parallel import choose_workers, usable_cores
 from surface_gym.registration import DEFAULT_TASK
 
 from .learning import config as configs

@@ -17,8 +17,9 @@ from benchmarks.figure import Figure
 from surface_gym.agents.learning.config import TrainConfig, defaults
 from surface_gym.agents.learning.runs import CHECKPOINT, put_files, read_files, train
 from surface_gym.design.runs import line_for, make_runs, run_all
+from surface_gym.executors import Cluster
 from surface_gym.layouts import box
-from surface_gym.parallel import Cluster, Workers, map_jobs, without_report
+from surface_gym.parallel import Workers, map_jobs, without_report
 
 RAY = importlib.util.find_spec("ray") is not None
 JOBS = 500

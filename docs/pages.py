@@ -12,8 +12,8 @@ from typing import Any
 from gymnasium.spaces import Discrete
 
 from surface_gym import registration
+from surface_gym.actions import KINDS
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import KINDS
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import ACTIONS, StreamTask
 from surface_gym.registration import DEFAULT_STREAM, env_id

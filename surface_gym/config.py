@@ -12,7 +12,8 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from surface_gym import checks
-from surface_gym.core.actions import ANY, AXIS_SIZE, ActionKind, group_features, offered_groups
+from surface_gym.actions import ANY, ActionKind
+from surface_gym.feature_groups import AXIS_SIZE, group_features, offered_groups
 from surface_gym.lines import BaseLine, Site
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.randomisation import Actuators, Randomisation

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from surface_gym import parallel
+from surface_gym import executors
 
 COUNT_EVERY = 1.0  # [s] between counts of the processors, since nodes come and go
 AHEAD = 2  # submitted jobs per processor of the cluster
@@ -52,7 +52,7 @@ class RayExecutor:
         ValueError: there is no cluster at the address, or Ray is not installed.
     """
 
-    def __init__(self, cluster: parallel.Cluster) -> None:
+    def __init__(self, cluster: executors.Cluster) -> None:
         self._ray = _connect(cluster)
         self._work, self._mailbox = _remote_parts(self._ray.get_runtime_context().get_job_id())
         self._counted, self._processors = -COUNT_EVERY, 0
@@ -69,31 +69,31 @@ class RayExecutor:
     def running(self) -> int:
         return len(self._busy)
 
-    def submit(self, index: int, job: parallel.Job[Any]) -> None:
+    def submit(self, index: int, job: executors.Job[Any]) -> None:
         work = self._work.remote(own_build(), pickle.dumps(job), self._mailbox)
         self._busy[work] = index
 
-    def events(self) -> Iterator[parallel.Event]:
+    def events(self) -> Iterator[executors.Event]:
         busy = list(self._busy)
-        self._ray.wait(busy, timeout=parallel.POLL)
+        self._ray.wait(busy, timeout=executors.POLL)
         over, _ = self._ray.wait(busy, num_returns=len(busy), timeout=0)
         lasts = [self._last_message(reference) for reference in over]
         by_task = {reference.task_id().hex(): index for reference, index in self._busy.items()}
         for task, packed in self._ray.get(self._mailbox.empty.remote()):
             if task in by_task:  # else its node was given up
-                yield by_task[task], parallel.REPORTED, pickle.loads(packed)
+                yield by_task[task], executors.REPORTED, pickle.loads(packed)
         for reference, message in zip(over, lasts, strict=True):
             yield self._busy.pop(reference), *message
 
-    def _last_message(self, reference: Any) -> parallel.Message:
+    def _last_message(self, reference: Any) -> executors.Message:
         try:
-            last: parallel.Message = self._ray.get(reference)
+            last: executors.Message = self._ray.get(reference)
         except self._ray.exceptions.TaskCancelledError as loss:  # also before the job began
-            return parallel.LOST, type(loss).__name__
+            return executors.LOST, type(loss).__name__
         except self._ray.exceptions.RayTaskError:  # raised outside the job: no loss
             raise
         except self._ray.exceptions.RayError as loss:
-            return parallel.LOST, type(loss).__name__
+            return executors.LOST, type(loss).__name__
         return last
 
     def interrupt(self) -> None:
@@ -119,18 +119,18 @@ class _Mailbox:
         return letters
 
 
-def _work(build: str, packed: bytes, mailbox: Any) -> parallel.Message:
+def _work(build: str, packed: bytes, mailbox: Any) -> executors.Message:
     """Run a job on a node, unless the node has another build."""
     import ray
 
     if own_build() != build:
-        error = parallel.WorkError(
+        error = executors.WorkError(
             f"the node {socket.gethostname()} has surface_gym {own_build()}, the submitting "
             f"machine {build}: install the same on both"
         )
-        return parallel.FAILED, (error, "")
+        return executors.FAILED, (error, "")
     task = ray.get_runtime_context().get_task_id()
-    return parallel.run_packed(
+    return executors.run_packed(
         packed, lambda value: ray.get(mailbox.put.remote(task, pickle.dumps(value)))
     )
 
@@ -148,7 +148,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
     return ray.remote(num_cpus=1, max_retries=0)(_work), mailbox
 
 
-def _connect(cluster: parallel.Cluster) -> Any:
+def _connect(cluster: executors.Cluster) -> Any:
     """Return Ray, connected to the cluster once per process."""
     try:
         import ray

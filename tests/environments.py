@@ -14,9 +14,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 import surface_gym as sg
-from surface_gym import registration, sensors
+from surface_gym import actions, registration, sensors
 from surface_gym.config import REWARD, EnvConfig
-from surface_gym.core import actions
 from surface_gym.core.batch import Batch
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks.start import Start

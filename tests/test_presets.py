@@ -9,7 +9,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.config import LAB_PARCELS, PRESETS, EnvConfig, Preset
-from surface_gym.core.actions import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
+from surface_gym.feature_groups import GROUPS, PARCEL_FEATURES, QUADRANTS, ROTOR_FEATURES
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact

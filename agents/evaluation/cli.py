@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from surface_gym import checks, parallel
 from surface_gym.cli import typed
+from surface_gym.executors import WorkError
 from surface_gym.registration import SHIPPED, TASKS
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("loading what compares", flush=True)
     try:
         _run(given)
-    except (ValueError, parallel.WorkError) as error:
+    except (ValueError, WorkError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         print("interrupted; --resume goes on with what is there", file=sys.stderr)

@@ -16,7 +16,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS, QUADRANT_SIZE
+from surface_gym.feature_groups import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
 from surface_gym.tasks.features import decode
 

@@ -2,8 +2,9 @@
 
 import math
 
+from surface_gym.actions import ActionKind
 from surface_gym.config import Preset
-from surface_gym.core.actions import GROUPS, ActionKind, group_features
+from surface_gym.feature_groups import GROUPS, group_features
 from surface_gym.tasks.features import Feature
 
 from ..evaluation.tables import markdown

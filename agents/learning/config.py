@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 import yaml
 
 from surface_gym import checks
-from surface_gym.core.actions import GROUPS
+from surface_gym.feature_groups import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.lines import Line
 from surface_gym.registration import DEFAULT_TASK, PERIODS, env_id

@@ -33,6 +33,7 @@ from rich.progress import (
 from surface_gym import checks
 from surface_gym.cli import TRAIN, command_line
 from surface_gym.config import REWARD
+from surface_gym.executors import Cluster, Job, Report
 from surface_gym.files import (
     ARCHIVE,
     DAMAGE,
@@ -44,7 +45,7 @@ from surface_gym.files import (
     read_lines,
     replacing,
 )
-from surface_gym.parallel import Cluster, Job, Report, Workers, map_jobs
+from surface_gym.parallel import Workers, map_jobs
 from surface_gym.registration import TASKS
 
 from ..library import find_algorithm, is_known, task_label

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.actions import ANY
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ANY
 from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 

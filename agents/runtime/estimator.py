@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks, state as st
+from surface_gym import actions, checks, state as st
 from surface_gym.compiler.jit import compile_for, compiled
 from surface_gym.config import SURE, EnvConfig
-from surface_gym.core import actions
 from surface_gym.core.assembly import make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surface_gym as sg
+from surface_gym import actions
 from surface_gym.config import EnvConfig
-from surface_gym.core import actions, batch
+from surface_gym.core import batch
 from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState

@@ -32,8 +32,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from sqlalchemy.exc import SQLAlchemyError
 
 from surface_gym.cli import TRAIN, command_line
+from surface_gym.executors import Report
 from surface_gym.files import ARCHIVE, DAMAGE, check_plain, describe_damage
-from surface_gym.parallel import Report, Workers, map_jobs
+from surface_gym.parallel import Workers, map_jobs
 
 from ..evaluation.tables import markdown
 from ..learning.config import ParcelConfig, config_of_seed, write_hyperparams

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import state as st
+from surface_gym import actions, feature_groups, state as st
 from surface_gym.compiler.jit import is_compiled
 from surface_gym.config import EnvConfig
-from surface_gym.core import actions
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions, ShownGroup
 from surface_gym.physics import types as ph
 from surface_gym.physics.step import axis_directions
@@ -84,7 +83,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
     """Collect the functions that the kernel of one parcel is built from."""
     task, sensor, kind = config.task, config.sensors, config.action_kind
     window = kind.name == "window"
-    show_axes = actions.show_window_axes if window else actions.show_zone_axes
+    show_axes = feature_groups.show_window_axes if window else feature_groups.show_zone_axes
     return KernelFunctions(
         label=f"{type(task).__name__}-{type(sensor).__name__}-{kind.name}",
         **compiled_functions(task, Task, "begin is_done outcome reward observe mirror"),
@@ -92,8 +91,8 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         watches=sensor.watches,
         part_of=kind.part_of,
         actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
-        show_modules=actions.show_occupancy if window else actions.show_nothing,
-        show_axes=show_axes if config.observe_axes else actions.show_nothing,
+        show_modules=feature_groups.show_occupancy if window else feature_groups.show_nothing,
+        show_axes=show_axes if config.observe_axes else feature_groups.show_nothing,
         groups=tuple(
             ShownGroup(group.show, len(group.features), name in sensor.groups)
             for name, group in config.groups.items()

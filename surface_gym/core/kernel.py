@@ -10,8 +10,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from surface_gym import state as st
+from surface_gym.actions import ActionParams, window_corner
 from surface_gym.compiler.jit import compiled, inlined
-from surface_gym.core.actions import ActionParams, window_corner
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
 from surface_gym.physics.types import Array, Integers, Scratch

@@ -21,6 +21,7 @@ import surface_gym as sg
 from surface_gym import checks, design, files, parallel
 from surface_gym.cli import typed
 from surface_gym.design.flow_question import AskFlow
+from surface_gym.executors import WorkError
 
 if TYPE_CHECKING:
     from surface_gym.design.report import Answer, ReportTable
@@ -369,7 +370,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import_module("matplotlib.figure")  # is needed last, but a missing library is known first
     try:
         ask(question)
-    except (ValueError, OSError, ImportError, parallel.WorkError) as error:
+    except (ValueError, OSError, ImportError, WorkError) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:

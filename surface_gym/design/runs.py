@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.executors import Cluster
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
-from surface_gym.parallel import Cluster, Workers, check_count, map_jobs, without_report
+from surface_gym.parallel import Workers, check_count, map_jobs, without_report
 from surface_gym.parcel import Parcel
 from surface_gym.physics import step as stepping, types as ph
 from surface_gym.physics.collision import read_body

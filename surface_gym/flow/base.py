@@ -12,8 +12,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surface_gym import checks
+from surface_gym.actions import ANY, ActionKind
 from surface_gym.compiler.jit import inlined
-from surface_gym.core.actions import ANY, ActionKind
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import bars
 from surface_gym.flow.exits import Exits, exits_option, flow_line

@@ -6,8 +6,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surface_gym.actions import ActionKind
 from surface_gym.config import with_arguments
-from surface_gym.core.actions import ActionKind
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch

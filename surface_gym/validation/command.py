@@ -9,7 +9,8 @@ from typing import Annotated
 import tyro
 
 from surface_gym.cli import typed
-from surface_gym.parallel import WorkError, choose_workers, usable_cores
+from surface_gym.executors import WorkError
+from surface_gym.parallel import choose_workers, usable_cores
 
 
 @dataclass(frozen=True)

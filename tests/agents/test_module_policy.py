@@ -11,7 +11,7 @@ import torch
 from surface_gym.agents import module_policy
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import PolicyCard
-from surface_gym.core.actions import group_features
+from surface_gym.feature_groups import group_features
 from tests.agents.test_policy import policy_of
 
 MODULES, CHOICES = 3, 4

@@ -18,12 +18,12 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from surface_gym import agents
+from surface_gym.actions import KINDS
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
 from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
-from surface_gym.core.actions import KINDS
 from surface_gym.flow.task import COLUMN
 from surface_gym.tasks import Sort
 from surface_gym.tasks.features import compute_digest

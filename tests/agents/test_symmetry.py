@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.actions import KINDS
 from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
 from surface_gym.agents.learning.algorithms import DQNConfig
 from surface_gym.agents.learning.sb3 import make_mirrored_envs
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import KINDS
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import ORIENTATIONS
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.actions import ActionKind
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import ActionKind
 from surface_gym.core.batch import Batch
 from surface_gym.core.resets import NO_EDGE, place_parcel
 from surface_gym.lines import ORIENTATIONS, Field, Line

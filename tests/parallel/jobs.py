@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surface_gym.parallel import Report
+from surface_gym.executors import Report
 
 
 def draws(seed: int, report: Report) -> float:

@@ -28,7 +28,8 @@ from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_fold
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, SortPurpose, least_speed
-from surface_gym.parallel import Cluster, WorkError, choose_workers, map_jobs
+from surface_gym.executors import Cluster, WorkError
+from surface_gym.parallel import choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
 from tests.agents.tuning.cheap import searched
 from tests.agents.tuning.test_study import SWEEP

@@ -11,7 +11,7 @@ import pytest
 from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.compiler.jit import compiled, compute_digest as digest_of_code
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS
+from surface_gym.feature_groups import GROUPS
 from surface_gym.registration import TASKS as REGISTRY
 from surface_gym.tasks import features as module
 from surface_gym.tasks.features import (

@@ -19,7 +19,7 @@ from surface_gym.agents.learning.config import RENAMED
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import GROUPS, group_features
+from surface_gym.feature_groups import GROUPS, group_features
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.features import Feature
 from tests.agents.test_policy import policy_of

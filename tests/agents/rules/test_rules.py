@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.actions import KINDS
 from surface_gym.agents.rules import ROLLING, Rule, find_rules
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
-from surface_gym.core.actions import KINDS
 from surface_gym.tasks import TASKS
 from tests.agents.rules.runs import SENSORS, assert_mirrored, mirrored_starts
 

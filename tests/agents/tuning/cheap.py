@@ -12,7 +12,8 @@ from rich.console import Console
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
-from surface_gym.parallel import Report, Workers
+from surface_gym.executors import Report
+from surface_gym.parallel import Workers
 
 QUIET = Console(quiet=True)
 SMALL = SearchConfig(

@@ -29,7 +29,7 @@ from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.cli import open_folder, search
 from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
-from surface_gym.parallel import Report
+from surface_gym.executors import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
 
