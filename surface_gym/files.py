@@ -4,15 +4,17 @@ Error messages of readers continue a sentence that begins with the file's name; 
 name.
 """
 
+import hashlib
 import itertools
 import math
 import os
 import re
 import stat
 import struct
+import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from pickle import UnpicklingError
@@ -27,12 +29,13 @@ TABLE = ARCHIVE = 4 * 2**30  # [bytes] on the disk
 MEMBERS = 1000  # maximum members of an archive; the largest here has about fifty
 SMALL = 2**24  # [bytes] that any file may unpack to
 RATIO = 200  # [-] of the bytes that a larger one unpacks to, over its own
+CHECKSUM = b"sha256: "  # begins an archive's comment, before 64 hexadecimal digits
 REASON = 300  # maximum characters of a description
 # Errors of libraries for damaged files: text, YAML, JSON, zip, arrays, tensors.
 DAMAGE = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError,
     NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, UnpicklingError, ValueError,
-    struct.error, zipfile.BadZipFile, zlib.error,
+    struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
@@ -197,6 +200,33 @@ def check_archive(stream: IO[bytes], stored: int | None = None) -> zipfile.ZipFi
     return archive
 
 
+def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool = False) -> None:
+    """Write named arrays as an .npz file, whose comment holds the file's checksum.
+
+    The checksum shows damage. It is no signature: whoever changes the file may write another.
+    """
+    (np.savez_compressed if compressed else np.savez)(stream, **parts)
+    with zipfile.ZipFile(stream, "a") as archive:
+        archive.comment = CHECKSUM + b"0" * 64
+    stream.seek(-64, os.SEEK_END)
+    stream.write(_hash_before(stream, stream.tell()))
+
+
+def _hash_before(stream: IO[bytes], end: int) -> bytes:
+    """Compute the SHA-256 digest of the bytes before a place, and leave the stream there."""
+    hashed = hashlib.sha256()
+    stream.seek(0)
+    while part := stream.read(min(2**20, end - stream.tell())):
+        hashed.update(part)
+    return hashed.hexdigest().encode()
+
+
+def _check_sum(stream: IO[bytes], comment: bytes) -> None:
+    """Raise a ValueError if a file differs from the checksum in its comment, if there is one."""
+    if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
+        raise ValueError("it is not as it was written: its checksum differs")
+
+
 class ArrayFile:
     """The arrays of an .npz file; each header is checked before unpacking.
 
@@ -209,6 +239,7 @@ class ArrayFile:
         self._stream = _open(file, ARCHIVE)
         try:
             self._archive = check_archive(self._stream)
+            _check_sum(self._stream, self._archive.comment)
         except DAMAGE as error:
             self._stream.close()
             raise ValueError(describe_damage(error)) from None

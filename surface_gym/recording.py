@@ -25,6 +25,8 @@ SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
 MOST_BYTES = 2**30  # maximum size of a recording in memory: days of a stream
 MOST_HEADER = 2**26  # [bytes]
+SMALL_HEADER = 2**21  # [bytes] that any file's header may have
+HEADER_RATIO = 50  # [-] of the bytes of a larger header over the file's
 ANGLES = 256  # maximum number of different axes in a recording
 
 # Resolution of the numbers in a file.
@@ -125,8 +127,7 @@ class Recording:
         checks.settle(self, time=(checks.array, (None,)))
         checks.set_fields(self, marks=tuple(self.marks))
         count = len(self.time)
-        if count == 0 or (np.diff(self.time) <= 0.0).any():
-            raise ValueError("time must hold at least one frame, and rise")
+        _check_time(self.time)
         checks.settle(self, rotor=checks.booleans, angles=(checks.array, (None,)))
         self._check_axis()
         pitch = checks.array("pitch", self.pitch, (2,)).tolist()
@@ -332,6 +333,11 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
     return angles, index.reshape(axes.shape).astype(np.uint8)
 
 
+def _check_time(time: Array) -> None:
+    if len(time) == 0 or (np.diff(time) <= 0.0).any():
+        raise ValueError("time must hold at least one frame, and rise")
+
+
 def _check_look(label: str, colour: int | str | None) -> None:
     if not isinstance(label, str):
         raise ValueError(f"label must be a text, got {label!r}")
@@ -369,24 +375,46 @@ def _pack(name: str, values: NDArray[Any], units: tuple[float, ...]) -> bytes:
 
 def _unpack(planes: NDArray[np.uint8], units: tuple[float, ...]) -> Array:
     """Compute the table (rows, columns) whose bytes `_pack` returned."""
-    padded = np.zeros((planes.size // 5, 8), dtype=np.uint8)
-    padded[:, :5] = planes.reshape(5, -1).T
-    folded = padded.view("<u8").astype(np.int64).reshape(len(units), -1).T
-    change = (folded >> 1) ^ -(folded & 1)
-    return np.cumsum(np.cumsum(change, axis=0), axis=0) * np.array(units)
+    planes = planes.reshape(5, len(units), -1)
+    table = np.empty((planes.shape[2], len(units)))
+    for column, unit in enumerate(units):
+        padded = np.zeros((len(table), 8), dtype=np.uint8)
+        padded[:, :5] = planes[:, column].T
+        folded = padded.view("<u8")[:, 0].astype(np.int64)
+        change = (folded >> 1) ^ -(folded & 1)
+        table[:, column] = np.cumsum(np.cumsum(change)) * unit
+    return table
 
 
 class _RecordingReader:
-    """Bytes of a recording, taken one part after the other."""
+    """Bytes of a recording, unpacked one part after the other.
 
-    def __init__(self, content: bytes) -> None:
-        self._remaining = memoryview(content)
+    The header's claims may not exceed the size limit, and no byte beyond them is unpacked.
+    """
+
+    def __init__(self, packed: bytes) -> None:
+        self._unpacker, self._packed = zlib.decompressobj(), packed
+        self.most = self._remaining = min(MOST_BYTES, files.most_unpacked(len(packed)))
 
     def take(self, size: int) -> NDArray[np.uint8]:
-        if not 0 <= size <= len(self._remaining):
-            raise ValueError(f"it must hold {size} bytes more, got {len(self._remaining)}")
-        part, self._remaining = self._remaining[:size], self._remaining[size:]
-        return np.frombuffer(part, dtype=np.uint8)
+        self.check_claim(size)
+        self._remaining -= size
+        content = bytearray()
+        while len(content) < size and (part := self._unpack(size - len(content))):
+            content += part
+        if len(content) < size:
+            raise ValueError(f"it must hold {size} bytes more, got {len(content)}")
+        return np.frombuffer(content, dtype=np.uint8)
+
+    def _unpack(self, most: int) -> bytes:
+        part = self._unpacker.decompress(self._packed, most)
+        self._packed = self._unpacker.unconsumed_tail
+        return part
+
+    def check_claim(self, size: int) -> None:
+        """Raise a ValueError if so many bytes more are too many."""
+        if not 0 <= size <= self._remaining:
+            raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 
     def table(self, rows: int, units: tuple[float, ...]) -> Array:
         if rows == 0 or not units:
@@ -394,21 +422,18 @@ class _RecordingReader:
         return _unpack(self.take(5 * rows * len(units)), units)
 
     def check_end(self) -> None:
-        if len(self._remaining):
-            raise ValueError(f"it must end, got {len(self._remaining)} bytes more")
+        if self._unpack(1):
+            raise ValueError("it must end, got more bytes")
+        if not self._unpacker.eof:
+            raise ValueError("it is cut short")
 
 
 def _decode(packed: bytes) -> Recording:
-    unpacker, most = zlib.decompressobj(), min(MOST_BYTES, files.most_unpacked(len(packed)))
-    content = unpacker.decompress(packed, most)
-    if unpacker.unconsumed_tail:
-        raise ValueError(f"it must unpack to at most {most} bytes, got more")
-    if not unpacker.eof:
-        raise ValueError("it is cut short")
-    reader = _RecordingReader(content)
+    reader = _RecordingReader(packed)
     size = int.from_bytes(reader.take(4).tobytes(), "little")
-    if size > MOST_HEADER:
-        raise ValueError(f"its header must have at most {MOST_HEADER} bytes, got {size}")
+    most = min(MOST_HEADER, max(SMALL_HEADER, HEADER_RATIO * len(packed)))
+    if size > most:
+        raise ValueError(f"its header must have at most {most} bytes, got {size}")
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
@@ -416,16 +441,19 @@ def _decode(packed: bytes) -> Recording:
     if version == WITHOUT_BEARERS:
         head |= {"pushes": 0, "counted_pushes": False}
     count = {
-        name: checks.integer(name, head[name], least=0, most=len(content))
+        name: checks.integer(name, head[name], least=0, most=reader.most)
         for name in ("rows", "columns", "frames", "contacts", "pushes", "exits")
     }
+    checks.integer("exits", count["exits"], 0, len(head["marks"]))
     shape, frames = (count["rows"], count["columns"]), count["frames"]
     grid = shape[0] * shape[1]
+    rows = [checks.integer("rows", each["rows"], least=1) for each in head["parcels"]]
+    reader.check_claim((2 + frames) * grid + 5 * (frames * (1 + count["exits"]) + 6 * sum(rows)))
     rotor = reader.take(grid).reshape(shape).astype(bool)
     obeys = reader.take(grid).reshape(shape).astype(bool)
     turned = reader.take(frames * grid).reshape(frames, *shape)
     time = reader.table(frames, TIME)[:, 0]
-    rows = [checks.integer("rows", each["rows"], least=1) for each in head["parcels"]]
+    _check_time(time)
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
     counted = reader.table(frames if head["counted"] else 0, (1.0,))[:, 0]
     bearers = 0 if version == WITHOUT_BEARERS else count["contacts"]

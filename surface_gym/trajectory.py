@@ -4,7 +4,10 @@ An .npz file holds the whole trajectory, a .csv file only its motion.
 """
 
 import csv
-from collections.abc import Callable
+import hashlib
+import io
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
@@ -246,8 +249,8 @@ class Trajectory:
                     f"{name} must be of at most {most} bytes to be saved as .npz, got "
                     f"{parts[name].nbytes}; a .csv holds a motion of any length"
                 )
-        with file.open("wb") as packed:
-            np.savez_compressed(packed, **parts)
+        with file.open("w+b") as packed:
+            files.write_arrays(packed, parts, compressed=True)
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
@@ -400,7 +403,8 @@ Parts = dict[str, NDArray[Any]]
 Fields = dict[str, Any]  # fields of a dataclass
 
 SUFFIXES = (".npz", ".csv")
-END = "# end: "  # begins the first line of a .csv
+CHECKSUM = "# sha256: "  # begins the first line of a .csv; it is no signature
+END = "# end: "  # begins the next line
 COLUMNS = (
     *("time [s]", "x [m]", "y [m]", "theta [rad]"),
     *("vx [m/s]", "vy [m/s]", "omega [rad/s]", "tipping"),
@@ -547,34 +551,66 @@ def _read_run(parts: Parts, rows: int) -> Run | None:
 
 def _write_table(file: Path, trajectory: Trajectory) -> None:
     motion = np.column_stack([trajectory.time, trajectory.pose, trajectory.velocity])
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        stream.write(f"{END}{trajectory.end}\n")
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        for row, tipping in zip(motion.tolist(), trajectory.tipping.tolist(), strict=True):
-            rows.writerow([*row, int(tipping)])
+    text = io.StringIO(newline="")
+    text.write(f"{END}{trajectory.end}\n")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    for row, tipping in zip(motion.tolist(), trajectory.tipping.tolist(), strict=True):
+        rows.writerow([*row, int(tipping)])
+    content = text.getvalue().encode()
+    file.write_bytes(f"{CHECKSUM}{hashlib.sha256(content).hexdigest()}\n".encode() + content)
+
+
+def _hash_lines(lines: Iterator[str], hashed: Any) -> Iterator[str]:
+    """Yield lines, and add their bytes to a hash; a spreadsheet may have changed their ends."""
+    for line in lines:
+        hashed.update(line.rstrip("\r\n").encode() + b"\n")
+        yield line
 
 
 def _read_table(file: Path) -> Fields:
-    """Read a .csv; an error names the line."""
-    rows = files.read_lines(file)
-    end = next(rows, "").rstrip("\r\n")
+    """Read a .csv; an error names the line. Older files have no checksum."""
+    lines, hashed = files.read_lines(file), hashlib.sha256()
+    end, checksum, before = next(lines, ""), "", 0
+    if end.startswith(CHECKSUM):
+        checksum, before = end[len(CHECKSUM) :].strip(), 1
+        lines = _hash_lines(lines, hashed)
+        end = next(lines, "")
+    end = end.rstrip("\r\n")
     if not end.startswith(END):
-        raise ValueError(f"line 1 must begin with {END!r}, got {end!r:.60}")
+        raise ValueError(f"line {1 + before} must begin with {END!r}, got {end!r:.60}")
     end = end[len(END) :]
     _check_end(end)
-    lines = csv.reader(rows, strict=True)
+    rows = csv.reader(lines, strict=True)
     try:
-        names = next(lines, [])
+        names = next(rows, [])
         if tuple(names) != COLUMNS:
-            raise ValueError(f"line 2 must be {','.join(COLUMNS)!r}, got {','.join(names)!r:.60}")
-        numbers = np.array([_numbers(lines.line_num + 1, row) for row in lines])
+            wanted = f"line {2 + before} must be {','.join(COLUMNS)!r}"
+            raise ValueError(f"{wanted}, got {','.join(names)!r:.60}")
+        numbers = np.array(list(_read_rows(rows, 1 + before)))
     except csv.Error as error:
         raise ValueError(f"it is not comma-separated values ({error})") from None
+    if checksum and checksum != hashed.hexdigest():
+        raise ValueError(
+            "it is not as it was written: its checksum differs; an edited file is read without "
+            "its first line"
+        )
     table = numbers.reshape(-1, len(COLUMNS))
     time, pose, velocity = _check_time(table[:, 0]), table[:, 1:4].copy(), table[:, 4:7].copy()
     tipping = table[:, 7] == 1.0
     return {"time": time, "pose": pose, "velocity": velocity, "tipping": tipping, "end": end}
+
+
+def _read_rows(rows: Any, before: int) -> Iterator[list[float]]:
+    """Yield the numbers of each row, after some lines that the reader of rows has not seen."""
+    last = -math.inf
+    for row in rows:
+        line = rows.line_num + before
+        numbers = _numbers(line, row)
+        if numbers[0] <= last:
+            raise ValueError(f"line {line}: time must begin at 0 and rise, got {row[0]!r:.60}")
+        last = numbers[0]
+        yield numbers
 
 
 def _numbers(line: int, row: list[str]) -> list[float]:

@@ -118,7 +118,7 @@ KINDS = [
             name,
             lambda at, name=name: short_run().save(at / name),
             lambda at, name=name: _trajectory(at, name),
-            name == "run.npz",
+            True,
         )
         for name in ("run.npz", "run.csv")
     ),
@@ -255,6 +255,30 @@ def test_an_archive_that_claims_too_much_is_refused(tmp_path, given, message) ->
     (tmp_path / "run.npz").write_bytes(pack(**given))
     with pytest.raises(ValueError, match=rf"run\.npz': .*{message}"):
         Trajectory.load(tmp_path / "run.npz")
+
+
+def test_a_change_that_the_archive_itself_does_not_notice_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "run.npz"
+    short_run().save(file)
+    whole = file.read_bytes()
+    file.write_bytes(whole.replace(b"tilt_direction", b"tilt_directiom"))
+    with pytest.raises(ValueError, match="it is not as it was written: its checksum differs"):
+        Trajectory.load(file)
+
+
+def test_a_table_that_was_edited_is_refused_unless_its_checksum_is_removed(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    short_run().save(file)
+    whole = file.read_text()
+    edited = whole.replace(f"# end: {short_run().end}", "# end: edited")
+    file.write_text(edited)
+    with pytest.raises(ValueError, match="checksum differs; an edited file is read without its f"):
+        Trajectory.load(file)
+    file.write_text(edited.split("\n", 1)[1])
+    assert Trajectory.load(file).end == "edited"
+    file.write_text(whole + whole.splitlines()[-1] + "\n")
+    with pytest.raises(ValueError, match=r"line \d+: time must begin at 0 and rise"):
+        Trajectory.load(file)
 
 
 def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:

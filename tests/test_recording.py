@@ -1,5 +1,6 @@
 """Recordings: what they hold, their files, and what is refused."""
 
+import tracemalloc
 import zlib
 from dataclasses import replace
 
@@ -228,6 +229,21 @@ def test_a_damaged_file_is_an_error_that_names_it(tmp_path, found):
     file.write_bytes(damaged(found))
     with pytest.raises(ValueError, match=r"path must lead to a recording.*bad\.replay"):
         Recording.load(file)
+
+
+def test_no_more_of_a_bomb_is_unpacked_than_its_header_claims():
+    whole = zlib.decompress(recording().encode())
+    packer = zlib.compressobj()
+    zeros = (packer.compress(b"\0" * 2**20) for _ in range(100))
+    bomb = b"".join([packer.compress(whole), *zeros, packer.flush()])
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="it must end, got more bytes"):
+        Recording.decode(bomb)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2**22
+    with pytest.raises(ValueError, match="exits must be a whole number of at most"):
+        Recording.decode(zlib.compress(whole.replace(b'"exits":', b'"exits":9')))
 
 
 def test_a_path_must_be_of_a_recording(tmp_path):

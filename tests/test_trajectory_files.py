@@ -148,7 +148,9 @@ class TestTables:
     def test_the_columns_say_what_they_are_and_a_spreadsheets_line_ends_are_read(self, tmp_path):
         run, path = slide(), tmp_path / "run.csv"
         run.save(path)
-        assert path.read_text(encoding="utf-8").startswith(f"{HEAD}0.0,1.0,0.2,0.3,0.5,0.2,-1.0,0")
+        checksum, whole = path.read_text(encoding="utf-8").split("\n", 1)
+        assert checksum.startswith("# sha256: ")
+        assert whole.startswith(f"{HEAD}0.0,1.0,0.2,0.3,0.5,0.2,-1.0,0")
         path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
         assert_same(run, Trajectory.load(path), MOTION)
 
@@ -287,7 +289,7 @@ class TestDamagedArrays:
         (HEAD + "0,0,nan,0,0,0,0,0\n", r"line 3: y \[m\] must be a finite number, got 'nan'"),
         (HEAD + "0,0,0,0,0,0,0,2\n", "line 3: tipping must be one of '0', '1', got '2'"),
         (HEAD + "1,0,0,0,0,0,0,0\n", "time must begin at 0 and rise"),
-        (HEAD + "0,0,0,0,0,0,0,0\n" * 2, "time must begin at 0 and rise"),
+        (HEAD + "0,0,0,0,0,0,0,0\n" * 2, "line 4: time must begin at 0 and rise"),
         (HEAD + '0,"0,0,0,0,0,0,0\n', "it is not comma-separated values"),
         ("# end: \udcff\udcfe\n", "line 1: it is not UTF-8 text"),
     ],

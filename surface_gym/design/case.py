@@ -509,8 +509,9 @@ def is_reliable(share: ArrayLike) -> Booleans:
 
 def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
     """Save arrays and numbers of a computation; an interrupted write leaves the file as it was."""
-    with files.replacing(file) as part, part.open("wb") as stream:
-        np.savez(stream, _names=list(identity), _identity=list(identity.values()), **values)
+    named = {"_names": list(identity), "_identity": list(identity.values()), **values}
+    with files.replacing(file) as part, part.open("w+b") as stream:
+        files.write_arrays(stream, named)
 
 
 def load_checkpoint(
