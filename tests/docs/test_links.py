@@ -66,13 +66,17 @@ def test_each_file_that_is_named_exists(page):
 
 
 def test_the_authors_of_the_surface_are_credited_wherever_it_is_cited():
-    sources = ("README.md", "CITATION.cff", "docs/faq.md", "agents/rules/local.py")
+    sources = ("CITATION.cff", "docs/citing.md", "agents/rules/local.py")
     for page in sources:
         text = " ".join((ROOT / page).read_text().replace("\n> ", " ").split())
         assert "Closed-Loop Control Strategies for a Modular Under-Actuated" in text, page
         assert "7628" in text, page
         if page != "agents/rules/local.py":
             assert "novel underactuated smart surface" in text, page
+    for page in ("README.md", "docs/index.md"):
+        text = (ROOT / page).read_text()
+        assert "Bianchi" in text, page
+        assert "citing.md#whose-surface-it-is" in text, page
     for page in PAGES:
         assert "vector_kwargs" not in (ROOT / page).read_text(), page
 

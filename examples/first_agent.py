@@ -1,0 +1,38 @@
+"""Train PPO of Stable-Baselines3 on an environment, and count the successes of its episodes.
+
+python examples/first_agent.py --actions halves --steps 20000
+"""
+
+import argparse
+
+import gymnasium as gym
+from stable_baselines3 import PPO
+
+import surface_gym  # registers the environments
+
+EPISODES = 200
+
+
+def main() -> None:
+    """Train, then evaluate on new starts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--env", default="SmartSurface/Sort-v0")
+    parser.add_argument("--actions", default="halves")
+    parser.add_argument("--steps", type=int, default=20_000)
+    options = parser.parse_args()
+    env = gym.make(options.env, actions=options.actions)
+    model = PPO("MlpPolicy", env, seed=0, device="cpu").learn(options.steps)
+    successes = 0
+    for episode in range(EPISODES):
+        observation, info = env.reset(seed=1000 + episode)
+        done = False
+        while not done:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, _, terminated, truncated, info = env.step(action)
+            done = terminated or truncated
+        successes += info["is_success"]
+    print(f"surface_gym {surface_gym.__version__}: success in {successes} of {EPISODES} episodes")
+
+
+if __name__ == "__main__":
+    main()
