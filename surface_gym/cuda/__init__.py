@@ -9,11 +9,24 @@ class DeviceMissing(RuntimeError):
     """Error: there is no GPU to run on, or a library to use it is missing."""
 
 
+def has_numba_cuda() -> bool:
+    """Return whether `numba.cuda` is numba-cuda's.
+
+    Numba contains an obsolete copy, which numba-cuda replaces by a .pth file. Python reads that
+    file only in a folder for installed packages. The copy fails to compile `max` of two numbers
+    after any function was compiled for the CPU.
+    """
+    found = find_spec("numba.cuda") if find_spec("numba_cuda") else None
+    return found is not None and "numba_cuda" in (found.origin or "")
+
+
 def check_device() -> None:
     """Raise DeviceMissing where there is no GPU, or a library to use it is not installed."""
     for module in ("torch", "numba_cuda"):
         if find_spec(module) is None:
             raise DeviceMissing(f"device='cuda' needs {module}, which is not installed: {EXTRA}")
+    if not has_numba_cuda():
+        raise DeviceMissing(f"device='cuda' needs numba-cuda beside the other packages: {EXTRA}")
     import torch
     from numba import cuda
 

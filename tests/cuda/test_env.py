@@ -10,7 +10,7 @@ import torch
 import surface_gym as sg
 from surface_gym import cuda
 from surface_gym.config import EnvConfig
-from surface_gym.cuda import DeviceMissing, check_device
+from surface_gym.cuda import DeviceMissing, check_device, has_numba_cuda
 from surface_gym.cuda.env import TensorActions
 from surface_gym.sensors import Camera
 from surface_gym.vector_env import DEVICES, make_device_env, make_vector_env
@@ -31,7 +31,7 @@ class TestDevice:
             make_vector_env(2, "tpu")
 
     @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-    @needs_numba_cuda
+    @pytest.mark.skipif(not has_numba_cuda(), reason="numba.cuda is not numba-cuda's")
     def test_a_missing_gpu_is_an_error(self):
         with pytest.raises(DeviceMissing, match="needs an NVIDIA GPU; torch"):
             gym.make_vec(SORT, num_envs=2, device="cuda")
@@ -40,6 +40,12 @@ class TestDevice:
     def test_a_missing_library_is_named(self, monkeypatch, module):
         monkeypatch.setattr(cuda, "find_spec", lambda name: name != module or None)
         with pytest.raises(DeviceMissing, match=rf"{module}, which is not installed: .*\[gpu\]"):
+            check_device()
+
+    @needs_numba_cuda
+    def test_numbas_own_copy_is_refused(self, monkeypatch):
+        monkeypatch.setattr(cuda, "has_numba_cuda", lambda: False)
+        with pytest.raises(DeviceMissing, match="needs numba-cuda beside the other packages"):
             check_device()
 
 

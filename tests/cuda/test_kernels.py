@@ -12,11 +12,12 @@ from numba import typeof, types as numba_types
 from surface_gym.compiler.jit import inlined
 from surface_gym.compiler.translator import Translator
 from surface_gym.config import EnvConfig
+from surface_gym.cuda import has_numba_cuda
 from surface_gym.cuda.memory import scratch_layout
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.physics import types
 from surface_gym.tasks import TASKS
-from tests.cuda.cases import UncompiledBatch, make_config, needs_numba_cuda
+from tests.cuda.cases import UncompiledBatch, make_config
 
 
 def make_translator():
@@ -99,7 +100,7 @@ def check_ptx(kernel, arguments, opt=True):
     return found
 
 
-@needs_numba_cuda
+@pytest.mark.skipif(not has_numba_cuda(), reason="numba.cuda is not numba-cuda's (extra 'gpu')")
 class TestPtx:
     @pytest.fixture(autouse=True)
     def _assumed_device(self, monkeypatch):

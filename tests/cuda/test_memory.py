@@ -111,7 +111,6 @@ class Pair:
         self.prefetch.refill({i: np.random.default_rng(i) for i in range(PAIRED)}, ALL, ())
 
     def place(self, chosen=ALL, options=()):
-        """Place the next starts of some environments in both, and compare them."""
         self.batch.place_drawn(chosen, options)
         slots = self.prefetch.starts_taken[chosen] % STARTS_AHEAD  # as the kernel does
         self.prefetch.starts_taken[chosen] += 1

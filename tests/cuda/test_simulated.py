@@ -63,7 +63,6 @@ class Comparison:
         self._compare(self.cpu.reset(**arguments), self.device.reset(**arguments), place)
 
     def step(self, action: np.ndarray, place: str) -> dict[str, Any]:
-        """Step both, and return the CPU's infos."""
         expected = self.cpu.step(action)
         self._compare(expected, self.device.step(torch.from_numpy(action)), place)
         return expected[4]
@@ -100,7 +99,6 @@ class Comparison:
 
 
 def compare_parcels(name: str, mode: AutoresetMode) -> list[str]:
-    """Compare some episodes of one parcel."""
     both = Comparison(name, max_episode_steps=LIMIT, autoreset_mode=mode, **CASES[name])
     num_envs = COUNTS[name]
     for period, action in enumerate(sample_actions(both.cpu, PERIODS)):
@@ -117,7 +115,6 @@ def compare_parcels(name: str, mode: AutoresetMode) -> list[str]:
 
 
 def compare_streams(name: str, mode: AutoresetMode) -> list[str]:
-    """Compare two episodes of a stream in which parcels touch."""
     arguments = STREAMS[name]
     both = Comparison(name, autoreset_mode=mode, **arguments)
     periods = round(1.5 * arguments["duration"] / arguments["control_period"])
@@ -129,7 +126,6 @@ def compare_streams(name: str, mode: AutoresetMode) -> list[str]:
 
 
 def main() -> None:
-    """Compare all cases, each in one mode."""
     modes = list(AutoresetMode)
     found = {name: compare_parcels(name, modes[k % 3]) for k, name in enumerate(CASES)}
     found |= {name: compare_streams(name, modes[k % 2]) for k, name in enumerate(STREAMS)}
