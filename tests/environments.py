@@ -179,7 +179,6 @@ TWINS = [by_pickle, copy.deepcopy]
 
 
 def put(batch: Batch, start: Start, i: int = 0) -> None:
-    """Begin a start on an environment."""
     chosen = np.array([i])
     batch.place(chosen, start)
     batch.begin(chosen)

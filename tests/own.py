@@ -65,8 +65,6 @@ class Cross(own.Task):
 
 
 class Assorted(Cross):
-    """No two parcels alike."""
-
     def start(self, draw: own.Draw) -> own.Start:
         kinds = tuple(
             sg.Parcel(sg.Rectangle(0.2 + 0.2 * number, 0.2)) for number in draw.numbers[0]

@@ -13,7 +13,7 @@ from surface_gym.layouts import LINE_Y
 from surface_gym.randomisation import Actuators
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Start
-from tests.environments import MINUS_45, PLUS_45, ROLL, assert_same, bare, put, same_choice, steps
+from tests.environments import MINUS_45, PLUS_45, ROLL, assert_same, bare, put, steps
 
 ZERO = 0  # the choice of the axis along x
 FLAT_BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)  # nothing shifts its load
@@ -123,19 +123,6 @@ class TestStuck:
                 stuck[row, column] = True
             np.testing.assert_array_equal(bench.obeying, free.obeying & ~stuck)
             np.testing.assert_array_equal(bench.angle[~stuck], free.angle[~stuck])
-
-    def test_they_drag_the_parcel_as_the_conveyor_does(self):
-        env = bare(actuators=Actuators(stuck=self.STUCK))
-        _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
-        axis = np.array(sg.layouts.sorting("S", 1, task_columns=16, columns=30).axis)
-        for module in self.STUCK:
-            axis[module] = math.pi / 2
-        surface = sg.Surface(axis, sg.layouts.sorting("S", columns=30, task_columns=16).rotor)
-        box = sg.layouts.box("S")
-        run = sg.simulate(surface, box, info["pose"], (1.5, 0.0, 0.0), duration=0.4)
-        for period in range(1, 11):
-            info = env.step(same_choice(env, MINUS_45))[4]
-            np.testing.assert_array_equal(info["pose"], run.pose[8 * period])
 
     @pytest.mark.parametrize("stuck", [((0, 0),), ((9, 0), (10, 29)), ((9, 5), (9, 5))])
     def test_a_support_or_the_conveyor_may_be_stuck_too(self, stuck):

@@ -69,12 +69,10 @@ def sizes(least: float, most: float) -> Numbers:
 
 
 def up_to(most: float) -> Numbers:
-    """Nothing, or any order of magnitude."""
     return st.one_of(st.just(0.0), sizes(1e-12 * most, most))
 
 
 def either_way(most: float) -> Numbers:
-    """Of either sign."""
     return st.builds(math.copysign, up_to(most), st.sampled_from([1.0, -1.0]))
 
 
@@ -107,8 +105,6 @@ WHOLE_RANGE = st.one_of(st.floats(0.8, 3.0), sizes(0.1, 30.0))
 
 @st.composite
 def bases(draw: st.DrawFn, scale: float, shares: Numbers) -> Base:
-    """As long as shares of a length [m]."""
-
     def length() -> float:
         drawn = scale * draw(shares)
         return min(max(drawn, checks.LENGTH[0]), 0.5 * checks.LENGTH[1])
@@ -124,7 +120,6 @@ def bases(draw: st.DrawFn, scale: float, shares: Numbers) -> Base:
 
 @st.composite
 def parcels(draw: st.DrawFn, scale: float, shares: Numbers = WHOLE_RANGE) -> sg.Parcel:
-    """Of whatever is allowed, about as long as a length [m]."""
     base = draw(bases(scale, shares))
     mass = draw(sizes(*checks.MASS))
     radius = draw(st.none() | sizes(*checks.GYRATION).map(lambda share: share * base.reach))
@@ -329,8 +324,6 @@ def test_a_pattern_may_lie_far_away():
 
 @dataclass(frozen=True)
 class Wild(Sensor):
-    """Says the truth at a start, then one number of everything."""
-
     says: float = math.nan
 
     def numbers(self, dt: float) -> tuple[float, ...]:

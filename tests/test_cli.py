@@ -24,7 +24,6 @@ Printed = pytest.CaptureFixture[str]
 
 
 def ended(*arguments: str) -> int:
-    """The exit status that a command ends with."""
     with pytest.raises(SystemExit) as end:
         main(arguments)
     return int(end.value.code or 0)

@@ -16,7 +16,6 @@ WITH_CODE = [page for page in PAGES if "python" in dict(code_blocks(page))]
 
 @pytest.mark.parametrize("page", WITH_CODE)
 def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
-    """One block after the other; a text block shows what the code before it prints."""
     if page in NEEDS:
         package, extra = NEEDS[page]
         pytest.importorskip(package, reason=f"{package}, of the extra `{extra}`, is missing")

@@ -136,8 +136,6 @@ class TestSeeds:
 
 
 class TestTwins:
-    """Of the single environment and of the native vector one."""
-
     @pytest.mark.parametrize("twin_of", te.TWINS)
     @pytest.mark.parametrize("make", [gym.make, te.native])
     @te.every_varying

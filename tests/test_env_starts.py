@@ -91,7 +91,6 @@ class TestOptions:
 
     @pytest.mark.parametrize(("env_id", "named", "bad"), EVERY_BAD_OPTION)
     def test_bad_ones_are_named(self, env_id, named, bad):
-        """The episode goes on as if nothing had been asked, and the next starts as ever."""
         env, twin = te.pair(env_id=env_id)
         for options in bad:
             with pytest.raises(ValueError, match=named):
@@ -175,6 +174,5 @@ def test_bad_arguments_are_named(env_type, argument):
 
 
 def test_an_unknown_argument_is_a_type_error():
-    """In the words that TorchRL looks for, which tries arguments of its own."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'friction'"):
         gym.make(te.SORT, friction=0.2)

@@ -127,7 +127,6 @@ def test_its_docstring_runs(example):
 
 class TestScales:
     def test_they_show_what_they_weighed_once_beside_all_else(self):
-        """Pose and velocity are those of an exact sensor."""
         scales = run_example("scales")["Scales"](error=0.5)
         observe = ("parcel", "weight")
         env = sg.SmartSurfaceEnv("sort", sensors=scales, observe=observe, actions="halves")

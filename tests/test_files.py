@@ -54,8 +54,6 @@ def short_run() -> Trajectory:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file."""
-
     name: str
     write: Callable[[Path], Any]  # into a folder
     read: Callable[[Path], Any]  # from that folder; what is in the file
@@ -158,7 +156,6 @@ KINDS = [
 
 
 def damages(whole: bytes, rng: np.random.Generator) -> list[bytes]:
-    """Cut, changed, and other contents in place of a file's."""
     places = sorted(rng.integers(1, len(whole), 8).tolist())
     flipped = [
         whole[:place] + bytes([whole[place] ^ 1 << int(rng.integers(8))]) + whole[place + 1 :]
@@ -207,7 +204,6 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 
 
 def pack(method: int = zipfile.ZIP_DEFLATED, **others: Any) -> bytes:
-    """The arrays of the run, some of them in other bytes."""
     kept = io.BytesIO()
     with zipfile.ZipFile(kept, "w", method) as archive:
         run = short_run()

@@ -38,7 +38,6 @@ LAYERS = (
 
 
 def module_of(path: Path) -> str:
-    """The name a file is imported by."""
     parts = list(path.relative_to(ROOT).with_suffix("").parts)
     if parts[0] == "agents":
         parts.insert(0, "surface_gym")
@@ -85,7 +84,6 @@ def imported(module: str, loading: bool = False) -> set[str]:
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """What each module imports."""
     return {module: imported(module) for module in FILES}
 
 
@@ -98,7 +96,6 @@ def room_of(module: str) -> str:
 
 @cache
 def edges() -> dict[str, set[str]]:
-    """The rooms that each room imports."""
     found: dict[str, set[str]] = defaultdict(set)
     for module, others in imports().items():
         found[room_of(module)] |= {room_of(each) for each in others} - {room_of(module)}

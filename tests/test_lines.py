@@ -68,7 +68,6 @@ OWN = {
 @pytest.mark.parametrize("line", OWN.values(), ids=OWN)
 class TestACustomLine:
     def test_moves_a_parcel_as_simulate_does(self, line):
-        """To the bit, on its pitch, rotors and friction."""
         env = sg.SmartSurfaceEnv("sort", actions="quadrants", line=line)
         box = sg.layouts.box("B")
         _, info = env.reset(seed=0, options={"speed": 1.6, "parcel": box, "side": 1})

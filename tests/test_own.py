@@ -85,8 +85,6 @@ class TestTask:
 
 
 class Doubled(Sort):
-    """Sort whose reward is twice the time."""
-
     terms = ("time",)
 
     @staticmethod
@@ -193,7 +191,6 @@ def fee() -> float:
 
 
 def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path):
-    """Of one that the task's takes a constant and a function from."""
     (tmp_path / "main.py").write_text(OWN_FILE)
     (tmp_path / "mine.py").write_text(MINE)
 

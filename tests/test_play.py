@@ -142,7 +142,6 @@ class TestInABrowser:
 
 
 def fill(folder: Path) -> None:
-    """Write what says that a folder has modules and agents of this version."""
     site = {"version": sg.__version__, "tasks": list(TASKS), "agents": True}
     (folder / "site.json").write_text(json.dumps(site))
     (folder / "agents.json").write_text("{}")

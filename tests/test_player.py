@@ -42,7 +42,6 @@ def test_the_page_asks_no_other_host_and_names_cannot_break_it():
 
 
 def test_each_script_comes_after_those_that_it_needs():
-    """All of them lie in one scope, in which no name may be there twice."""
     page = files("surface_gym.web") / "page"
     before, names = set(), []
     for script in SCRIPTS:

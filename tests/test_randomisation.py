@@ -146,7 +146,6 @@ class TestInTheEnvironment:
         assert (plain[last][4]["pose"] != first[last][4]["pose"]).any()
 
     def test_rolling_scales_the_loss_on_the_conveyor(self):
-        """A parcel slows by mu_min g there."""
         varies = Randomisation(rolling=0.5)
         envs = sg.SmartSurfaceVectorEnv(200, actions="halves", randomisation=varies)
         start = envs.reset(seed=0, options={"speed": 1.0, "parcel": "S"})[1]["velocity"][:, 0]

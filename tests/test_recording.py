@@ -118,7 +118,6 @@ def test_a_file_gives_the_same_again(tmp_path, sorted_parcel):
 
 
 def test_a_file_without_bearers_is_read_too(sorted_parcel):
-    """As those that were written before forces of streams were recorded."""
     found, _, _ = sorted_parcel
     content = zlib.decompress(found.encode())
     count = len(found.contacts)

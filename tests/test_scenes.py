@@ -42,7 +42,6 @@ def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
 
 
 def shown(batch: BaseBatch, i: int = 0) -> Scene:
-    """What a picture of an environment shows that has just begun."""
     return opened(batch, i).scene(i)
 
 
@@ -57,7 +56,6 @@ def stream_of(*arrivals: tuple[float, str], **settings: Any) -> StreamBatch:
 
 
 def opened(batch: BaseBatch, i: int = 0) -> Renderer:
-    """The renderer of a batch whose environment has just begun."""
     renderer = Renderer(batch)
     renderer.record(i, begins=True)
     return renderer

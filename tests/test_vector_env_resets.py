@@ -142,7 +142,6 @@ class TestBadInput:
         ],
     )
     def test_bad_options_are_named(self, named, bad):
-        """The episodes go on as if nothing had been asked, also in those before the bad one."""
         env, twin = te.pair(te.native, actions="halves")
         for options in bad:
             with pytest.raises(ValueError, match=named):

@@ -103,7 +103,6 @@ def test_what_is_remembered_of_other_environments_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize(("task", "make"), ON_SLOPES)
 def test_rules_on_slopes_serve_any_number_of_rows(task: str, make: Any) -> None:
-    """Free rows make no difference."""
     config = EnvConfig(task, actions="parcels")
     rng = np.random.default_rng(0)
     space = config.row_space()

@@ -87,7 +87,6 @@ def test_unknown_names_and_seeds_are_refused(tmp_path) -> None:
     [("sort-ppo", {"speed": 0.6}), ("stop-ppo", {}), ("track-ppo", {"tilt": 0.21})],
 )
 def test_a_few_starts_go_as_the_card_says(name, start) -> None:
-    """Under exact sensors the card promises nearly every start."""
     policy = agents.load(name)
     config, starts = policy.card.env_config(), [{"parcel": "S", **start}] * 3
     assert run_episodes(policy, config, starts, seed=0).success.all()

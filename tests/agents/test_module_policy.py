@@ -24,14 +24,12 @@ def logits() -> torch.Tensor:
 
 
 def draws(logits: torch.Tensor) -> torch.Tensor:
-    """Choices (uniforms, modules) of one group at every uniform of the grid."""
     together = logits.log_softmax(dim=1).repeat(len(GRID), 1)
     group = torch.arange(len(GRID)).repeat_interleave(MODULES)
     return module_policy.draw_choices(together, group, GRID).reshape(len(GRID), MODULES)
 
 
 def likelihood(logits: torch.Tensor, choice: torch.Tensor) -> torch.Tensor:
-    """Of the choices of one environment, all modules in one group."""
     group = torch.zeros(MODULES, dtype=torch.int64)
     return module_policy.log_likelihood(
         logits.log_softmax(dim=1), choice, group, module_policy.GROUPS
@@ -73,7 +71,6 @@ def test_its_gradient_is_that_of_the_expected_reward(logits) -> None:
 
 
 def test_groups_and_environments_count_apart(logits) -> None:
-    """Environment 0 has its modules in two groups, 1 has none, 2 has one module."""
     log_probability = logits.log_softmax(dim=1)
     group = torch.tensor([0, 1, 4])
     choice = torch.tensor([2, 0, 3])
@@ -138,7 +135,6 @@ def test_the_value_of_an_observation_is_the_same_for_either_side() -> None:
 
 
 def test_a_draw_is_shared_by_the_modules_of_an_environment() -> None:
-    """Without weights of the place all modules of an environment choose alike."""
     policy, seen, chosen = policy_of(THE_CARD), observations(), set()
     alike = policy._network
     for weights in (alike._apart.weight, alike._logits.weight, alike._logits.bias):

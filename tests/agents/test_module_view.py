@@ -80,7 +80,6 @@ BASES = (*RECTANGLES[:5], Disc(0.15), Disc(0.22))
 @pytest.mark.parametrize("observe", [(), ("parcel",)], ids=["guessed", "shown"])
 @pytest.mark.parametrize("side", [1, -1])
 def test_every_module_under_a_base_of_any_shape_is_seen(side, observe) -> None:
-    """Rectangles once were taken for squares, and of some no module was seen at all."""
     bases = [base for base in BASES for _ in range(8)]
     env = sg.SmartSurfaceVectorEnv(len(bases), observe=observe)
     starts = [{"speed": 2.5, "parcel": Parcel(base), "side": side} for base in bases]
@@ -149,7 +148,6 @@ def test_a_module_sees_the_axes_of_its_quadrant(side) -> None:
 
 
 def test_modules_that_will_be_under_the_parcel_are_seen_and_others_stay_at_90_deg() -> None:
-    """After a period at 90 deg a rolling parcel lies on modules that were seen before."""
     env = sg.SmartSurfaceVectorEnv(NUM_ENVS)
     starts = [{"speed": 2.7, "parcel": "S", "side": 1}] * NUM_ENVS
     observation, _ = env.reset(seed=0, options=starts)

@@ -87,7 +87,6 @@ def test_nobody_there_is_no_error(network) -> None:
 
 
 def constant(network: ParcelNetwork, monkeypatch: pytest.MonkeyPatch) -> ParcelPolicy:
-    """A policy whose rule always proposes the first choice."""
     policy = ParcelPolicy(network, CARD, CONFIG)
     brake = SimpleNamespace(predict=lambda seen, *_: (np.zeros((*seen.shape[:2], 2), int), None))
     monkeypatch.setattr(policy._proposer, "_rule", brake)
@@ -108,7 +107,6 @@ def test_before_learning_it_is_nearly_the_rule(tables) -> None:
 
 
 def test_choices_follow_their_probabilities_over_time(network, tables, monkeypatch) -> None:
-    """Without chance, and more closely than draws would: none is a whole choice behind."""
     policy = constant(network, monkeypatch)
     probability, index = policy.probabilities(tables, np.zeros(tables.shape[:2], dtype=np.int64))
     state, seen = None, np.zeros_like(probability)

@@ -50,7 +50,6 @@ CARDS = {
 
 
 def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
-    """With random weights."""
     torch.manual_seed(0)
     config, is_modules = card.env_config(), card.algo == "modules"
     network: Any = (

@@ -97,7 +97,6 @@ def test_a_run_that_is_compared_or_gone_on_with_again_is_the_same(run, file, com
 
 
 def test_the_comparison_of_a_task(tmp_path) -> None:
-    """Of few starts: the form of `--quick`, which says so."""
     out = tmp_path / "out"
     flags = ("--tasks", "stop", "--out", str(out), "--quick", "--workers", "1")
     done = run_in_process("evaluate.py", *flags, folder=tmp_path)
@@ -136,7 +135,6 @@ def test_the_packages_are_found(name) -> None:
 
 
 def test_a_users_own_is_found() -> None:
-    """One that inherits from the package's is of its kind."""
     assert type(find_task(REACH)).__name__ == "Reach"
     assert find_task(REACH) == find_task(REACH)  # the file is run once
     names = task_kind(REACH), task_label(REACH), card_env_id(REACH)
@@ -217,7 +215,6 @@ class TestARun:
         assert (own_run / "policy.safetensors").read_bytes() == before
 
     def test_is_compared(self, own_run) -> None:
-        """By processes of their own, which find the task's code again."""
         folder = own_run.parents[1]
         flags = ("--task", REACH, "--out", "out", "--workers", "2")
         done = run_in_process("evaluate.py", *flags, folder=folder)

@@ -54,7 +54,6 @@ def test_one_after_the_other_they_are_the_same() -> None:
 
 @pytest.mark.parametrize("run", [run_episodes, run_sequentially])
 def test_a_decisions_time_is_the_usual_one(run, monkeypatch) -> None:
-    """The first decision compiles; the median leaves it out."""
     config = EnvConfig(task="slow", actions="modules")
     rule = ONE_A_TASK["slow"].make(config)
     clock = [0.0]

@@ -34,7 +34,6 @@ def random_network() -> ScheduleNetwork:
 
 
 def test_the_dearer_a_touch_the_more_clearance(monkeypatch) -> None:
-    """Before learning the risk is the same for all maneuvers: the cheapest one is taken."""
     config = gated(Stream(Steady(12000.0), parcels=("S",), speeds=1.5), queue=4)
     scheduler = NetworkScheduler(config, ScheduleNetwork(CARD.hidden))
     choose, seen = scheduler.choose, []
@@ -72,7 +71,6 @@ def test_one_set_of_weights_serves_any_line(given) -> None:
 
 @pytest.mark.parametrize("most", [0.0, 0.05])
 def test_it_never_delivers_less_than_one_clearance_for_all(monkeypatch, most) -> None:
-    """In the trial, by which it chooses between that and what it has learned."""
     learned = {"right": 0}
 
     def quiet(_config, make, count, most_touches):

@@ -52,7 +52,6 @@ def test_attributes_and_methods_are_the_vector_envs() -> None:
 
 
 def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
-    """Also that terminal observations are copies: they are compared after the steps that follow."""
     env = make()
     env.seed(3)
     observations = env.reset()

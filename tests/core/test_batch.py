@@ -30,7 +30,6 @@ Pose = tuple[float, float, float]
 
 
 def batch_at(pose: Pose, parcel: sg.Parcel, side: float = 1.0, **settings: Any) -> Batch:
-    """One environment on which a parcel has just been put."""
     return batch_with(Start(parcel, pose, (0.5, 0.0, 0.0), (side,)), **settings)
 
 
@@ -89,7 +88,6 @@ def assert_follows(batch: Batch, command: np.ndarray) -> None:
 
 @pytest.mark.parametrize("actions", ["halves", "quadrants", "window"])
 def test_around_the_parcel_is_where_it_is_sensed(actions: str) -> None:
-    """The modules turn around what the sensor says, not around the truth."""
     batch = batch_at((1.0, 1.0, 0.0), PARCEL, actions=actions)
     batch.parcels.sensed[0, :2] = 0.83, 1.07
     assert_follows(batch, np.random.default_rng(2).integers(0, 3, batch.surfaces.command.shape))
@@ -125,7 +123,6 @@ class TestOccupancy:
         np.testing.assert_array_equal(self.occupied(batch), under & obeys)
 
     def test_of_the_other_side_is_upside_down(self) -> None:
-        """Asked to y < 0 a parcel sees what it would see in the mirror."""
         views = []
         for side, pose in ((1.0, (0.9, 1.04, 0.3)), (-1.0, (0.9, 0.96, -0.3))):
             batch = batch_at(pose, sg.layouts.box("B"), side, actions="window")

@@ -183,7 +183,6 @@ def test_supports_bear_a_parcel_beside_the_line_and_all_axes_but_the_zone_s_roll
 
 @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_a_run_is_simulate_s_to_the_bit():
-    """Where it ends is a state that `simulate` records, on the same surface."""
     rng = np.random.default_rng(0)
     for k in range(12):
         base = [sg.Rectangle(0.3, 0.4), sg.Disc(0.17), sg.Rectangle(0.25, 0.25)][k % 3]

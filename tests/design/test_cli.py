@@ -137,7 +137,6 @@ def test_a_question_is_answered_first_in_a_sentence_then_in_files(question, tmp_
 
 
 def test_columns_are_answered_and_mass_is_said_to_cancel_where_it_does(tmp_path, capsys):
-    """How many columns for a 0.3 x 0.4 m parcel of 12 kg at 1.2 m/s."""
     flags = [*OWN, "--mass", "12", "--out", str(tmp_path)]
     cli.main(["columns", *flags, "--rows", "4"])
     first, second = capsys.readouterr().out.splitlines()[:2]

@@ -50,7 +50,6 @@ def evaluate_study(speeds: np.ndarray, own: Case | None = None, workers: int = 1
 
 
 def test_any_angle_sorts_slower_boxes_than_the_study_s_four():
-    """Held against `simulate`, which knows nothing of a design."""
     found = best_layout(case(), SPEEDS, orientations=None, effort=QUICK)
     assert found.study.success.tolist() == [False, False, True, True]
     assert found.best.success.tolist() == [True] * 4
@@ -70,7 +69,6 @@ def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed(
 
 
 def test_every_layout_is_really_every_one_unless_there_is_no_time_to_try_them():
-    """Beside trying them blindly, on a zone so short that it can be done."""
     columns = 3
     line = case().line(columns)
     axes = np.array(list(itertools.product(ORIENTATIONS, repeat=6))).reshape(-1, 2, columns)
@@ -170,7 +168,6 @@ def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path):
 
 
 def test_what_is_not_known_costs_speed():
-    """Of the draws, fewer are sorted near the least speed than with nothing unknown."""
     speeds = np.arange(60, 101, 4) / 100
     over = evaluate_study(speeds, case(unknown=Unknown(), draws=40), workers=2)
     assert over.least_sure_speed >= over.least_speed

@@ -50,7 +50,6 @@ def test_table_4(size, agree):
 
 
 def test_the_columns_found_are_enough_and_one_less_is_not():
-    """Held against `simulate`, which knows nothing of a design."""
     found = least_columns(LARGE)
 
     def aside(columns: int) -> float:

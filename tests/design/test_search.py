@@ -36,8 +36,6 @@ def test_it_finds_the_least_of_a_sum_over_modules_and_keeps_what_it_begins_with(
 
 
 def test_it_finds_what_no_single_module_tells_by_all_of_a_column():
-    """Only a column that is right as a whole counts: the descent tries all its arrangements."""
-
     def score(axes: np.ndarray) -> np.ndarray:
         right = (np.abs(axes - target()) < 1e-9).all(axis=1)
         return -right.sum(axis=1).astype(float)

@@ -69,7 +69,6 @@ def pair(**settings: Any) -> tuple[SmartSurfaceEnv, SmartSurfaceEnv]:
 
 
 def command(batch: StreamBatch, choice: int) -> Array:
-    """What says one choice for every part of a batch of one."""
     return np.full((1, batch.config.action_kind.size), choice)
 
 
@@ -101,7 +100,6 @@ def play(env: SmartSurfaceEnv, choice: int, seed: int = 0) -> list[Step]:
 
 
 def batch_with(stream: Stream, **settings: Any) -> StreamBatch:
-    """A batch of one surface that has begun."""
     batch = StreamBatch(EnvConfig("flow", stream=stream, **{"line": SHORT, **settings}), 1)
     batch.seed(0, np.random.default_rng(0))
     batch.reset(np.array([0]))

@@ -84,7 +84,6 @@ def test_poisson_gaps_are_exponential_beyond_the_least(least_gap: float) -> None
 
 
 def test_gaps_go_on_past_the_first_block() -> None:
-    """However many come, the times are the sums of one run of numbers from the generator."""
     counts = []
     for seed in range(1000):
         time = times(Poisson(3600.0), 160.0, seed)

@@ -100,7 +100,6 @@ class TestRule:
 class TestCommands:
     @pytest.mark.parametrize("orientations", [None, "any"])
     def test_modules_follow_the_half_of_their_owner(self, orientations: Any) -> None:
-        """What no parcel claims stays, and so do stuck modules, the lead-in and supports."""
         batch = flows.batch_with(
             flows.DENSE, actuators=Actuators(stuck=STUCK), duration=4.0, actions="parcels",
             orientations=orientations, sensors=Presence() if orientations else Exact(),

@@ -36,14 +36,12 @@ from tests.test_vector_env import run_beside
 class TestCheckers:
     @pytest.mark.parametrize("name", flows.KINDS)
     def test_gymnasiums_has_nothing_to_say(self, name: str) -> None:
-        """But that angles are no numbers between 0 and 1."""
         angles = pytest.warns(UserWarning, match="normalized space")
         with angles if "any angle" in name else nullcontext():
             check_by_gymnasium(flows.bare(**flows.KINDS[name]), skip_render_check=True)
 
     @pytest.mark.parametrize("actions", ["modules", "parcels"])
     def test_stable_baselines3s_has_nothing_to_say(self, actions: str) -> None:
-        """But that it would have a table flattened, as its policies do themselves."""
         with pytest.warns(UserWarning, match="unconventional shape"):
             check_by_stable_baselines3(flows.bare(actions=actions))
         check_by_stable_baselines3(gym.wrappers.FlattenObservation(flows.bare(actions=actions)))
@@ -113,7 +111,6 @@ class TestEpisodes:
         assert not any(step[0].any() or step[1] for step in played)
 
     def test_nobody_may_come_yet(self) -> None:
-        """Before a schedule lets any in, all is 0 and nothing jams."""
         stream = Stream(Schedule(((0.0, 0.0), (0.5, 3600.0))))
         env = flows.bare(stream=stream, actions="parcels", patience=0.1, duration=0.8)
         observation, info = env.reset(seed=0)

@@ -34,7 +34,6 @@ class TestPhysics:
     def test_one_alone_moves_as_by_simulate(
         self, box: sg.Parcel, choice: int, slope: dict[str, float]
     ) -> None:
-        """To the bit, until no rotor bears it any more."""
         stream = flows.trace((0.0, "left 1"), parcel=box, speed=1.7)
         env = flows.bare(stream=stream, duration=10.0, **slope)
         env.reset(seed=0)
@@ -54,7 +53,6 @@ class TestPhysics:
 
     @pytest.mark.parametrize("slope", [{}, ASKEW])
     def test_two_move_as_by_simulate_together(self, slope: dict[str, float]) -> None:
-        """To the bit; and they begin to touch as often as it says."""
         poses = [(0.7, 1.0, 0.1), (0.35, 1.02, 0.0)]
         velocities = [(0.3, 0.0, 0.0), (1.5, 0.0, 0.0)]
         stream = flows.trace((0.0, "straight"), (0.0, "straight"))
@@ -163,7 +161,6 @@ class TestRewards:
         assert info["right"] + info["wrong"] > 0
 
     def test_term_by_term(self) -> None:
-        """Over an episode, each comes to what it is paid for."""
         env = flows.bare(actions="modules", duration=4.0)
         totals = dict.fromkeys((*PARCEL_TERMS, "waiting"), 0.0)
         for *_, info in out_and_halt(env):

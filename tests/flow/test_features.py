@@ -104,7 +104,6 @@ def test_rows_say_what_is_sensed(settings: dict[str, Any]) -> None:
 
 
 def test_the_first_are_those_of_sort() -> None:
-    """What sorts one parcel can sort each of a flow."""
     assert NAMES[:13] == [feature.name for feature in SORT_FEATURES[:13]]
     assert NAMES[12] == "time"
     assert [NAMES[AHEAD], NAMES[BEHIND]] == ["gap ahead", "gap behind"]

@@ -30,7 +30,6 @@ every_task = pytest.mark.parametrize("task", TASKS)
 
 
 def modules_of(task: str = "singulate", **settings: Any) -> ModuleParallelEnv:
-    """A short slope, of 140 modules."""
     return ModuleParallelEnv(**{"task": task, "duration": 1.0, "line": slope_line(1.0), **settings})
 
 

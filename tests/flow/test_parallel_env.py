@@ -42,7 +42,6 @@ NORTH = Stream(destinations={"north": 1.0})  # where no exit is
 
 
 def agents_of(**settings: Any) -> FlowParallelEnv:
-    """A short flow with a dense stream."""
     return FlowParallelEnv(**{"stream": DENSE, "duration": 2.0, "line": SHORT, **settings})
 
 

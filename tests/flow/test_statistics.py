@@ -84,7 +84,6 @@ class TestByHand:
 @pytest.mark.parametrize("varied", [{}, {"lateral": 0.02, "heading": 0.05}])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_played_episodes_come_to_what_their_steps_tell(seed: int, varied: dict[str, Any]) -> None:
-    """All figures again from what `info` and the clock said step by step."""
     randomisation = Randomisation(**varied)
     period = 0.005  # one physics step: nothing happens between two looks
     env = bare(actions="modules", duration=5.0, control_period=period, randomisation=randomisation)

@@ -25,13 +25,11 @@ RUSH = Stream(Poisson(20000.0, 0.05), parcels=("S", "B"), speeds=(0.8, 1.6))
 
 
 def rush(**settings: Any) -> StreamBatch:
-    """More parcels than can enter, a control period a physics step."""
     settings = {"stream": RUSH, "control_period": DT, "duration": 2.0, **settings}
     return flows.batch_with(**settings)
 
 
 def poses(batch: StreamBatch) -> dict[int, Array]:
-    """Of who is there, by place."""
     present = np.nonzero(batch.streams.present[0])[0]
     return {int(place): batch.parcels.truth[place, : THETA + 1].copy() for place in present}
 
@@ -181,7 +179,6 @@ class TestPlaces:
         "exits", [chutes(2.0), sides(2.0), OWN], ids=["chutes", "sides", "own, none straight on"]
     )
     def test_the_rule_is_that_of_exits(self, exits: Exits) -> None:
-        """Wherever a parcel is put down beside the rotors, it has left by the exit there."""
         rng = np.random.default_rng(1)
         seen = set()
         for _ in range(6):

@@ -217,7 +217,6 @@ def test_agents_of_a_flow_live_in_one_stretch_each(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])
 def test_the_zoos_command_takes_the_yaml(algo: str, tmp_path: Path) -> None:
-    """Of single environments, as it makes them."""
     needs("rl_zoo3")
     file = HYPERPARAMS / f"{algo}.yml"
     run_command(
@@ -291,7 +290,6 @@ def by_rllib(env_id: str) -> Any:
 def test_a_library_stacks_infos_in_its_own_way(
     library: str, way: Callable[[str], Any], env_id: str, tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Numbers of every environment or step, whose shape is that of a single one's."""
     needs(library)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     _, single = gym.make(env_id).reset(seed=0)

@@ -49,7 +49,6 @@ class Nodes:
         self.nodes = [self.cluster.add_node(num_cpus=1) for _ in range(2)]
 
     def replace_one(self) -> None:
-        """Kill the node that has been there longest; another one joins."""
         self.cluster.remove_node(self.nodes.pop(0), allow_graceful=False)
         self.nodes.append(self.cluster.add_node(num_cpus=1))
 
@@ -161,7 +160,6 @@ def test_without_ray_it_says_what_to_install_and_addresses_that_cannot_be_used(m
 
 
 def assert_same_files(local: Path, elsewhere: Path) -> None:
-    """Two seeds were trained alike."""
     for name in (f"seed-{seed}/{file}" for seed in range(2) for file in (WEIGHTS, CURVE)):
         assert (elsewhere / name).read_bytes() == (local / name).read_bytes(), name
 
@@ -312,7 +310,6 @@ class TestProcesses:
                 call(100_000)
 
     def test_the_next_job_is_taken_when_a_worker_is_free(self):
-        """So that a job may be made by results of those before."""
         done, seen = [], []
 
         def work() -> Any:

@@ -160,7 +160,6 @@ def test_a_centre_of_mass_off_the_centroid_carries_the_base_around_it() -> None:
 
 
 def test_the_motion_of_a_step_ends_where_the_step_does() -> None:
-    """Sliding and spinning over supports, which slow all of it."""
     surface = sg.Surface(np.zeros((20, 20)), np.zeros((20, 20), dtype=bool), mu_support=0.5)
     box, dt = sg.Parcel(sg.Rectangle(0.4, 0.3)), 0.02
     before = np.zeros(STATE_SIZE)

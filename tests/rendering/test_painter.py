@@ -262,8 +262,6 @@ class TestGoal:
 
 @pytest.fixture
 def at(empty):
-    """A line with one parcel at an x [m]."""
-
     def scene(x, waiting=0, **fields):
         traffic = Traffic(EXITS, (2, 1, 3), waiting=waiting)
         line = with_parcel(empty, LONG, (x, 1.0, 0.0))
@@ -341,7 +339,6 @@ class TestWindow:
 
     @pytest.fixture
     def window(self, picture):
-        """A window that shows the picture."""
         window = Window("Sort", frame_rate=1000.0)
         window.show(picture)
         return window

@@ -40,7 +40,6 @@ ACTIONS = {"sort": "halves", "track": "window"}
 
 
 def placed(task: str, parcel: str) -> tuple[sg.SmartSurfaceVectorEnv, EnvState]:
-    """An environment of one parcel, and its state."""
     env = sg.SmartSurfaceVectorEnv(1, task, actions=ACTIONS[task], sensors=Presence())
     env.reset(seed=0, options={"parcel": parcel})
     batch = env.batch
@@ -64,7 +63,6 @@ def disagrees(env: sg.SmartSurfaceVectorEnv, state: EnvState, parcel: str) -> bo
 @pytest.mark.parametrize("parcel", ["S", "B"])
 @pytest.mark.parametrize(("task", "far"), [("sort", False), ("track", False), ("track", True)])
 def test_a_pose_is_found_that_agrees(task: str, parcel: str, far: bool) -> None:
-    """Also where the parcel is partly off the rotors of a line, and from far off."""
     env, state = placed(task, parcel)
     rng = np.random.default_rng(0)
     for _ in range(100):

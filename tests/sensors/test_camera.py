@@ -31,7 +31,6 @@ def test_without_noise_and_latency_it_shows_the_truth_at_frame_times() -> None:
 
 @pytest.mark.parametrize("late", [0, 1, 2, 5])
 def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
-    """The parcel is put elsewhere by hand; the filter then leaves its old course."""
     period = 0.02
     camera = Camera(
         frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE,
@@ -107,7 +106,6 @@ def test_the_default_camera_on_sorts_and_brakes() -> None:
 
 
 def test_late_frames_do_no_harm_to_a_filter_that_knows_the_physics() -> None:
-    """Compared with what was estimated of their time, they say the same a little later."""
     for latency in (0.0, 0.02, 0.08):
         camera = Camera(latency=latency, position_noise=1e-4, angle_noise=1e-4, entry=SURE)
         found = np.abs(errors(camera, PLUS_45, speed=1.5, parcel="S"))
@@ -164,7 +162,6 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
 
 @pytest.mark.parametrize("axes", HALVES.values(), ids=HALVES)
 def test_effects_are_the_derivatives_of_a_step(axes: tuple[int, ...]) -> None:
-    """Against central differences of the physics' step over each of the constants."""
     batch = in_the_zone(axes)
     kept = batch.parcels.sensor_state[0]
     kept[2] = 0.3  # rad: so that base and world differ

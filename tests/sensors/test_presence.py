@@ -29,7 +29,6 @@ def test_errors_are_small(parcel: Any, choice: int, speed: float) -> None:
 
 
 def test_an_unsure_entry_is_made_up_for() -> None:
-    """The switches correct a start that is known to a few centimetres only."""
     vague = Presence(entry=Entry(position=0.02, angle=0.05, speed=0.2, turning=0.3))
     env = sg.SmartSurfaceVectorEnv(32, actions="halves", sensors=vague)
     env.reset(seed=0, options={"speed": 1.0, "parcel": "B", "side": 1})
@@ -43,8 +42,6 @@ def test_an_unsure_entry_is_made_up_for() -> None:
 
 
 def test_nothing_is_seen_between_switches() -> None:
-    """Whatever the parcel does within a pitch: where no pattern changes, no estimate does."""
-
     def sensed(shift: float) -> np.ndarray:
         env = sg.SmartSurfaceEnv(actions="halves", sensors=Presence())
         env.reset(seed=0, options={"speed": 0.3, "parcel": "S", "side": 1})

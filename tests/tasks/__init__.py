@@ -36,7 +36,6 @@ class Episode:
         return [step[4] for step in self.steps]
 
     def total(self, term: str) -> float:
-        """Sum of a reward term."""
         return math.fsum(info[REWARD + term] for info in self.infos)
 
 
@@ -94,15 +93,12 @@ def advanced(task: Task, start: Start, choice: int) -> tuple[str, dict[str, floa
 def draws(
     task: Task, count: int = 400, seed: int = 0, zone: tuple[int, int] | None = None, **options: Any
 ) -> list[Start]:
-    """Starts of a task, one by one."""
     numbers = np.random.default_rng(seed).random((count, task.draws))
     starts = task.start(Draw(numbers, [options] * count if options else (), task.line, zone))
     return [nth(starts, k, count) for k in range(count)]
 
 
 def nth(starts: Start, k: int, count: int) -> Start:
-    """One of some starts."""
-
     def each(values: Any) -> Any:
         return tuple(np.broadcast_to(value, count)[k] for value in values)
 

@@ -77,7 +77,6 @@ class TestOptions:
 
     @pytest.mark.parametrize("name", BAD_OPTIONS)
     def test_bad_ones_of_a_task_are_named(self, name):
-        """Those of every task, and of Sort: tests/test_env_starts.py."""
         env = bare(env_id(name))
         for option, values in BAD_OPTIONS[name].items():
             for value in values:

@@ -131,7 +131,6 @@ def test_digests_see_a_changed_scale_and_a_changed_order() -> None:
 
 
 def test_no_scale_stands_a_second_time() -> None:
-    """Kernels and decoders read scales from features, and so does everything else."""
     found = [
         f"{path.relative_to(ROOT)}: {line.strip()}"
         for folder in ("surface_gym", "agents")

@@ -13,7 +13,6 @@ POINTS = ((0.5, 1.0), (1.5, 1.2), (2.0, 0.9), (4.0, 1.1))
 
 
 def slopes(path: BasePath, x: np.ndarray) -> np.ndarray:
-    """dy/dx by central differences."""
     return (path.y(x + 1e-6) - path.y(x - 1e-6)) / 2e-6
 
 

@@ -97,7 +97,6 @@ class TestReward:
 class TestSeen:
     @pytest.mark.parametrize("side", [1, -1])
     def test_features_of_a_state(self, side):
-        """All but x are given as seen from the asked side."""
         x, y, theta, vx, vy, omega = 0.83, 0.04, 0.3, 1.4, 0.25, -0.6
         pose, velocity = (x, 1.0 + side * y, side * theta), (vx, side * vy, side * omega)
         start = Start(BOX, pose, velocity, (float(side),))
@@ -112,7 +111,6 @@ class TestSeen:
 
     @pytest.mark.parametrize("side", [1, -1])
     def test_the_clearance_is_that_of_the_corner_nearest_to_the_line(self, side):
-        """Of a triangle, which does not reach as far one way as the other."""
         start = Start(TRIANGLE, (1.0, 1.0 + side * 0.3, 0.7), (1.0, 0.0, 0.0), (float(side),))
         batch = batch_with(start, task=Sort())
         x, y, theta = batch.parcels.truth[0, :3]
@@ -130,7 +128,6 @@ class TestSeen:
             assert observation[12] == pytest.approx(info["time"] / 4.0)
 
     def test_mirrored_episodes_look_alike(self):
-        """Sorts to either side, +45 and -45 deg and the rows exchanged, differ in the side only."""
         episodes = []
         mirrored = np.array([0, 2, 1, 3])
         for side in (1, -1):

@@ -68,11 +68,9 @@ class Site:
 
     @property
     def address(self) -> str:
-        """Address of the folder."""
         return self._server.address
 
     def add(self, *tasks: str) -> "Site":
-        """Build what is not there yet."""
         from surface_gym.web.build import CAMERA, NOISE, SITE, TABLE, write_pages, write_task
 
         own = (TABLE, *([NOISE] if any(task.endswith(CAMERA) for task in tasks) else []), *tasks)
@@ -92,7 +90,6 @@ class Site:
         return self
 
     def close(self) -> None:
-        """End the server."""
         self._server.shutdown()
         self._server.server_close()
 

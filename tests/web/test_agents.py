@@ -144,7 +144,6 @@ def run_in_python(task: str, agent: Any, seed: int, **arguments: Any) -> list[fl
 
 
 def run_in_page(page: Any) -> list[float]:
-    """Run the page's scene for as long; return the same numbers."""
     found: list[float] = page.evaluate(
         """(periods) => {
           const { run } = playground.shown[0];

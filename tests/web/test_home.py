@@ -29,8 +29,6 @@ def built(site):
 
 @pytest.fixture
 def show(built, visit):
-    """Open the page, when both lines are drawn."""
-
     def opened(**options):
         page = visit(PAGE, **{**STILL, **options})
         assert page.url == f"{built.address}{PAGE}"
@@ -230,7 +228,6 @@ def around(built, tmp_path_factory):
 
 @pytest.fixture
 def read(browser, around):
-    """Open the page with the film."""
     pages, wrong = [], []
 
     def opened(size=WIDE, missing="", **options):

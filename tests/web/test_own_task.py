@@ -18,7 +18,6 @@ REACH = Path(__file__).parents[2] / "examples" / "reach.py"
 
 @pytest.fixture(scope="module")
 def own(site: Site, modules: Path) -> str:
-    """The name of the task, which is beside those of the site."""
     site.add("sort")
     task = find_task(f"{REACH}:Reach")
     name = write_own(task, site.folder, site.folder)

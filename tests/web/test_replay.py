@@ -267,7 +267,6 @@ def test_pointing_reads_a_module_and_a_parcel(show, trajectory):
 
 
 def test_pointing_reads_the_forces_on_each_parcel_of_a_stream(show, merging):
-    """Two that push each other and one beside them, by the sums of what is recorded."""
     shown = show(replay(merging))
     pushes = np.hypot(merging.pushes[:, 4], merging.pushes[:, 5])
     frame = int(np.searchsorted(merging.first_push, int(pushes.argmax()), side="right")) - 1
@@ -395,7 +394,6 @@ def test_the_address_says_light_or_dark(show):
 
 
 def test_in_a_page_it_follows_the_pages_theme(browser, tmp_path):
-    """By the site's own script, as the site's switch changes the attribute."""
     script = (DOCS / "assets" / "theme.js").read_text()
     (tmp_path / "site.html").write_text(
         f"<!doctype html><body data-md-color-scheme=slate>{replay(stream())._repr_html_()}"

@@ -38,14 +38,12 @@ CARDS = {
 
 
 def made(name: str) -> policy.Source:
-    """The policy of a card, its weights at random."""
     made, config = policy_of(CARDS[name]), CARDS[name].env_config()
     training = policy.Training("nominal")
     return policy.Source(name, 0, made, config, made._network.state_dict(), "none", training)
 
 
 def wanted(source: policy.Source, observations: policy.Singles) -> policy.Integers:
-    """What the policy chooses."""
     actions, _ = source.policy.predict(observations)
     chosen: policy.Integers = source.config.action_kind.commands(actions, len(observations))
     return chosen
@@ -153,7 +151,6 @@ def test_another_choice_and_another_angle_are_errors_that_name_it(stop) -> None:
 
 
 def test_ties_are_counted_apart_but_not_without_limit(stop) -> None:
-    """With all scores the same, so that any decision is right."""
     decision = policy.network_decision(stop)
     *first, last = decision.network.layers
     flat = replace(last, weights=np.zeros_like(last.weights), bias=np.zeros_like(last.bias))

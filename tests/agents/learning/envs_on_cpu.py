@@ -58,7 +58,6 @@ class EnvsOnCpu:
 
 
 def envs_on_cpu(config: PPOConfig, num_envs: int) -> EnvsOnCpu:
-    """Make environments of a run."""
     task = find_task(config.task)
     env = SmartSurfaceVectorEnv(
         num_envs, task, actions=config.actions, control_period=config.control_period,

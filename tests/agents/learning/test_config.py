@@ -100,7 +100,6 @@ LEARNED = [
 
 @pytest.mark.parametrize(("task", "algo"), LEARNED)
 def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
-    """Whole as a run's, and as hyper-parameters without seeds, folder and name."""
     hidden = (12,) if algo == "parcels" else (7, 9, 11)
     config = replace(
         configs.defaults(task, algo), steps=123_456, learning_rate=1 / 3e4,

@@ -163,7 +163,6 @@ def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
 
 
 def test_episode_totals_are_the_sums_of_single_episodes() -> None:
-    """Stop's actions are not mirrored, so that both kinds of environments take the same."""
     made = [env("halves", "stop", 12, 40) for _ in range(2)]
     envs, others = cuda.DeviceTrainingEnvs(EnvsOnCpu(made[0])), SurfaceVecEnv(made[1])
     envs.reset(3)
@@ -218,7 +217,6 @@ def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_p
 
 
 def totals(episodes: int, successes: int) -> dict[str, float]:
-    """Of episodes that each return 2 and last 10 periods."""
     each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
     rest = {name: value * episodes for name, value in each.items()}
     return {"episodes": episodes, "success": successes, **rest}

@@ -89,7 +89,6 @@ def count_as_best(learner: SharedLearner[Any, Any], _: Any) -> None:
 
 @pytest.fixture(autouse=True)
 def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lines of training that take no time to make."""
     monkeypatch.setattr(schedules, "draw_config", lambda *_: gated(queue=2, duration=3.0))
     monkeypatch.setattr(slopes, "DURATION", 0.6)
     monkeypatch.setattr(slopes.StreamLearner, "critic_first", 1)

@@ -53,7 +53,6 @@ def test_a_parcel_earns_its_own_reward_and_a_share_of_the_others() -> None:
 
 
 def test_rewards_of_rows_and_episodes_are_those_of_the_environment() -> None:
-    """Whatever leaves or enters, all terms of an episode are counted, and each leaving once."""
     made = surfaces()
     left = np.zeros(6, dtype=np.int64)
     for _ in range(100):  # 4 s: one episode each
@@ -74,7 +73,6 @@ def test_rewards_of_rows_and_episodes_are_those_of_the_environment() -> None:
 
 
 def test_where_nothing_leaves_for_long_an_episode_ends_as_a_jam(monkeypatch) -> None:
-    """Parcels that are held, but may tremble, wait for none that could leave."""
     monkeypatch.setattr(slopes, "STALLED", 0.99)
     made = surfaces()
     brake = np.zeros((6, made.rows, 2), dtype=np.int64)

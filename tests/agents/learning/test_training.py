@@ -101,7 +101,6 @@ def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths
 
 
 def test_samples_keep_their_modules() -> None:
-    """Whichever are chosen, the network finds their choices as likely as it did."""
     config = ModulesConfig(num_envs=8, n_steps=12, batch_size=96, hidden=(8,))
     learner = ModuleLearner(config)
     with torch.no_grad():
@@ -166,7 +165,6 @@ def test_who_comes_behind_is_to_blame_for_a_touch() -> None:
 
 
 def test_it_learns_how_many_touches_to_expect() -> None:
-    """Of decisions that lead to one in three where the first feature of a candidate is high."""
     learner = schedules.ScheduleLearner(
         algorithms.SchedulesConfig(hidden=(8, 8), learning_rate=0.01)
     )

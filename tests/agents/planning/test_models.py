@@ -20,7 +20,6 @@ EITHER_WAY = 6  # the action of 45 deg ahead and -45 deg behind
 
 
 def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0) -> TrueModel:
-    """A parcel that enters at 1.5 m/s; a quarter turn of its axes takes so long [s]."""
     config = EnvConfig(
         task=Stop(parcels=(parcel,)), actions="halves",
         actuators=Actuators() if quarter is None else Actuators(axis_speed=0.5 * math.pi / quarter),
@@ -34,7 +33,6 @@ def model_of(parcel: Parcel, quarter: float | None = None, friction: float = 0.0
 
 
 def rolled_in(model: TrueModel) -> models.SearchNodes:
-    """Once the parcel is wholly in the zone."""
     for _ in range(10):
         nodes = model.step(model.uniform_action(ROLLING))
     return nodes
@@ -75,7 +73,6 @@ def test_axes_that_turn_brake_later(quarter, speed) -> None:
 
 
 def test_what_axes_take_until_they_roll() -> None:
-    """Turned a little to either side, and back."""
     model = model_of(Parcel(Rectangle(0.3, 0.3)), quarter=0.2)
     rolled_in(model)
     nodes = model.step(EITHER_WAY)
@@ -155,7 +152,6 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None
 
 
 def test_copies_take_their_parents_axes_with_them() -> None:
-    """Each of three ends where an environment does that got the same commands."""
     config = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
     ways = np.array([[15, 6, 2, 15, 9, 9], [15, 6, 13, 1, 9, 4], [15, 3, 7, 8, 4, 2]])
     model = begun(config)

@@ -45,7 +45,6 @@ def begun(task: str, parcel: str) -> tuple[sg.SmartSurfaceEnv, np.ndarray, dict[
 @pytest.mark.parametrize("parcel", ["S", "B"])
 @pytest.mark.parametrize("task", STARTS)
 def test_what_is_seen_is_where_the_parcel_is(task, parcel) -> None:
-    """On a field the place is seen within a pitch, and beside the path."""
     env, observation, info = begun(task, parcel)
     start = env.config.decode_start(observation)
     np.testing.assert_allclose(start.velocity, info["velocity"], atol=1e-6)
@@ -71,7 +70,6 @@ def test_what_is_seen_is_where_the_parcel_is(task, parcel) -> None:
 
 
 def test_even_the_least_budget_sorts_what_the_best_event_does() -> None:
-    """And leaves on the line what goes straight through."""
     least = (("S", 0.36, 1), ("S", 0.36, -1), ("B", 0.52, 1), ("B", 0.52, -1), ("S", 1.5, 0))
     starts = [{"parcel": parcel, "speed": speed, "side": side} for parcel, speed, side in least]
     assert planned("sort", starts, budget=1).success.all()
@@ -103,7 +101,6 @@ def test_it_is_exact(task, figure, most) -> None:
 
 
 def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
-    """By the task's own figures; on a straight path, where across it is across the line."""
     config = EnvConfig(task="track", actions="halves")
     env = sg.SmartSurfaceEnv(task="track", actions="halves")
     start = {"parcel": "S", "path": [(0.5, 1.0), (4.0, 1.0)], "tilt": 0.1, "speed": 0.8}
@@ -124,7 +121,6 @@ def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
 
 
 def test_of_nodes_that_are_alike_one_is_kept() -> None:
-    """A centimetre apart, or so far in any other coordinate, they are not alike."""
     config = EnvConfig(task="stop", actions="halves")
     env = sg.SmartSurfaceEnv(task="stop", actions="halves")
     observation, _ = env.reset(seed=0, options={**STARTS["stop"], "parcel": "S"})
@@ -138,15 +134,11 @@ def test_of_nodes_that_are_alike_one_is_kept() -> None:
 
 
 class Late(Sort):
-    """A user's task: Sort, as late as can be."""
-
     def cost(self) -> Any:
         return replace(super().cost(), final=lambda nodes: -time_cost(nodes), enough=-np.inf)
 
 
 class Bare(Task):
-    """A user's task that says nothing to planners."""
-
     features = Sort.features
     terms = ("nothing",)
     outcomes = ("nothing",)

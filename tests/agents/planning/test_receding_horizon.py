@@ -43,7 +43,6 @@ def play(
 
 @pytest.mark.parametrize("config", [MOUTH, LATE], ids=["exact", "lab"])
 def test_what_is_planned_happens(config: EnvConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever candidate is followed, its copies of the surfaces end where these do."""
     rated = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 2.0, 0.0])  # two surfaces, four times
     monkeypatch.setattr(RecedingHorizon, "_rate", lambda *_: rated)
     planner = RecedingHorizon(TimeSlots(config), config, candidates=4, horizon=25, followed=25)

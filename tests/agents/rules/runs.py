@@ -25,7 +25,6 @@ SENSORS = {(name.split("/")[1][:-3].lower(), actions): kind for name, actions, k
 
 
 def rule(task: str, name: str) -> Rule:
-    """Find the rule of a task by name."""
     return RULES.find(f"{task}: {name}")
 
 
@@ -61,7 +60,6 @@ class Scripted:
 
 
 def run_rule(task: str, name: str, starts: list[dict[str, Any]]) -> Episodes:
-    """Run a rule, found by task and name, over some starts."""
     chosen = rule(task, name)
     config = EnvConfig(task=task, actions=chosen.actions)
     return run(chosen.make(config), config, starts)
@@ -104,12 +102,10 @@ def line(stream: Stream = EVERYBODY, **config: Any) -> EnvConfig:
 
 
 def gated(stream: Stream = EVERYBODY, **config: Any) -> EnvConfig:
-    """The same with a gate."""
     return line(stream, **{"gate": True, **config})
 
 
 def zoned(stream: Stream = EVERYBODY, **config: Any) -> EnvConfig:
-    """The same with a gate and actions for modules."""
     return gated(stream, **{"actions": "modules", **config})
 
 

@@ -101,7 +101,6 @@ def test_the_brake_model_agrees_with_the_simulator(level, pair) -> None:
 
 
 def test_the_brake_model_follows_axes_that_take_time() -> None:
-    """Half braking is commanded for a period, then rolling: both are predicted, axes turning."""
     starts = [{"parcel": parcel, "speed": 2.2, "ratio": 0.5} for parcel in "SB"]
     env, _ = begun("slow", starts, actuators=Actuators(axis_speed=0.5 * math.pi / 0.1))
     config = env.config
@@ -228,7 +227,6 @@ def test_friction_and_load_that_the_sensors_learned_are_used() -> None:
 
 
 def test_beyond_the_end_of_the_zone_the_asked_speed_itself_is_best() -> None:
-    """Nothing is left to roll: faster is as bad as it is too fast, slower worse."""
     env, observations = begun("slow", [{"parcel": "S", "speed": 2.0, "ratio": 0.5}])
     model = Predictor(env.config, np.full(COLUMNS, ROLL))
     seen = see_line(observations[0], model.sight)

@@ -36,7 +36,6 @@ def test_no_two_rules_of_a_task_share_a_name() -> None:
 
 @every_rule
 def test_it_acts_inside_the_action_space(rule) -> None:
-    """By sensors of many kinds, in a shorter zone, less often, and with other axes on offer."""
     sensors = SENSORS[rule.task, rule.actions]()
     eight = tuple(math.pi / 2 - np.arange(8) * math.pi / 8)
     others = {"sensors": sensors, "zone": (6, 15), "control_period": 0.1, "orientations": eight}
@@ -87,7 +86,6 @@ def test_it_decides_on_finite_numbers_alone(rule) -> None:
 
 @every_rule
 def test_an_environment_alone_is_as_among_many(rule) -> None:
-    """What is remembered of others, and of the episode before, makes no difference."""
     config, num_envs = config_for(rule), 2
     env = sg.SmartSurfaceVectorEnv(
         num_envs, rule.task, actions=rule.actions, max_episode_steps=60, autoreset_mode="SameStep"
@@ -135,7 +133,6 @@ def test_mirrored_starts_end_in_mirror_images(rule) -> None:
 
 @every_rule
 def test_it_refuses_a_configuration_it_is_not_made_for(rule) -> None:
-    """Other kinds of action too, where it commands single modules."""
     other = "stop" if rule.task != "stop" else "slow"
     with pytest.raises(ValueError, match="task"):
         rule.make(EnvConfig(task=other, actions=rule.actions))

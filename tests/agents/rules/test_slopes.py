@@ -24,7 +24,6 @@ MOUTH: dict[str, Any] = {"exits": "mouth", "alignment": ALIGNMENT}
 
 
 def played(make: Any, task: str, **arguments: Any) -> tuple[TakeAwayStatistics, StreamBatch]:
-    """Play two minutes of a stream."""
     given = {"duration": 120.0, **arguments}
     config = EnvConfig(task, actions="parcels", **given)
     batch = StreamBatch(config, 1)

@@ -54,7 +54,6 @@ def test_rules_follow_waves_that_rolling_leaves(name, farthest, slowest) -> None
 
 
 def test_sliding_mode_does_as_well_on_mirrored_paths() -> None:
-    """Not to the bit: it takes the first of mixes that differ only beside the parcel."""
     both = [run_rule("track", "sliding mode", some) for some in mirrored_starts("track")]
     assert all(each.success.all() for each in both)
     for figure in ("rms_error", "speed_error"):
@@ -101,7 +100,6 @@ def test_a_fixed_turn_is_the_best_of_its_kind() -> None:
 
 
 def test_positions_are_the_modules_that_the_environment_sees_under_the_parcel() -> None:
-    """On a line they are pitches apart, and centred on it."""
     env, seen = begun("track", [{}] * 20, seed=5, actions="window")
     rng = np.random.default_rng(0)
     for _ in range(10):

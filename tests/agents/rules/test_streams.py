@@ -80,7 +80,6 @@ def test_what_they_cannot_act_in_is_refused(make, arguments, message) -> None:
 
 
 def test_each_rolls_until_it_is_past_its_exits_start() -> None:
-    """Many environments are decided as each alone."""
     seen = table(5, (-0.1, 1.0), (0.1, 1.0), (0.1, -1.0), (0.1, 0.0))
     rule = StreamEventRule(line(max_parcels=5))
     action, state = rule.predict(seen)

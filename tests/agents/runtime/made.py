@@ -35,7 +35,6 @@ def entered(number: int = 0, at: float = 0.0, **changed: Any) -> ParcelEntry:
 
 
 def frame(taken_at: float, number: int | None = 0, x: float | None = None) -> Frame:
-    """A frame of it as it rolls on."""
     return Frame(taken_at, number, (POSE[0] + taken_at if x is None else x, 1.0, 0.0))
 
 
@@ -48,8 +47,6 @@ def estimator() -> StateEstimator:
 
 
 class ManualClock:
-    """Time passes by waiting, and by what is spent."""
-
     def __init__(self) -> None:
         self.time = 0.0
 
@@ -114,7 +111,6 @@ class Always:
 def loop_of(
     device: ScriptedDevice, controller: Any, env_config: EnvConfig = CONFIG, **config: float
 ) -> runtime.ControlLoop:
-    """A loop on a device."""
     held = estimator()
     held.clear()
     layouts = runtime.FixedLayouts(held.config)

@@ -27,7 +27,6 @@ def run(
     device: made.ScriptedDevice, seconds: float, action: Any = made.BRAKE, takes: float = 0.0,
     **config: float,
 ) -> runtime.ControlLoop:  # fmt: skip
-    """A loop that has run on a device for a while."""
     loop = made.loop_of(device, Always(action, device.clock, takes), **config)
     loop.run(seconds, made.nothing)
     return loop
@@ -69,8 +68,6 @@ def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> No
 
 
 class SlowClock(made.ManualClock):
-    """Each look at it takes 1 ms."""
-
     def now(self) -> float:
         self.time += 0.001
         return self.time
@@ -160,7 +157,6 @@ def test_a_parcel_with_no_place_here_is_left_alone(device) -> None:
 
 
 def test_an_observation_out_of_bounds_is_not_for_the_policy(device) -> None:
-    """And a frame that is not finite ends the connection."""
     device.script = [
         (0.0, entered(velocity=(19.0, 0.0, 0.0))),
         (0.06, made.frame(0.02, x=math.nan)),

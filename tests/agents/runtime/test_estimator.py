@@ -66,7 +66,6 @@ def test_it_observes_what_the_environment_does(held, filtered) -> None:
 
 
 def test_late_frames_lead_to_the_same_estimate(held, filtered) -> None:
-    """Commands depend on places that were estimated otherwise, so that there are none here."""
     start, _, frames, _ = filtered
     estimates = []
     for late in (False, True):

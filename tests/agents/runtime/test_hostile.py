@@ -34,7 +34,6 @@ Says = Callable[[float], bytes]  # what the machine sends at a time [s]
 
 
 def line(message: Message, **changed: Any) -> bytes:
-    """A message, with fields that no such message has."""
     return json.dumps({**protocol.to_fields(message), **changed}).encode() + b"\n"
 
 
@@ -109,8 +108,6 @@ class Machine:
 
 @dataclass
 class SharedClock(made.ManualClock):
-    """Time in which the machine has its turns."""
-
     def __post_init__(self) -> None:
         super().__init__()
         self.turn: Callable[[], None] = lambda: None
@@ -122,7 +119,6 @@ class SharedClock(made.ManualClock):
 
 
 def trickle(text: bytes) -> Says:
-    """A byte at each turn."""
     rest = iter(text)
     return lambda _: bytes([next(rest, 32)])
 
@@ -138,7 +134,6 @@ def burst() -> bytes:
 
 
 def wrong(**changed: Any) -> Says:
-    """A parcel that enters with a field that is not allowed."""
     return with_frames(lambda now: entered(now, **changed))
 
 

@@ -20,7 +20,6 @@ TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
 
 
 def again_and_again(call: Callable[[], Any]) -> None:
-    """The other side's end is not always noticed at once."""
     for _ in range(1000):
         call()
 

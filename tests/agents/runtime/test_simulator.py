@@ -67,7 +67,6 @@ def test_the_same_seed_gives_the_same_messages() -> None:
 
 
 def test_frames_come_at_the_cameras_rate_and_late() -> None:
-    """And a camera that drops frames drops some."""
     frames = of_kind(protocol.Frame, world().advance(1.0))
     taken = np.array([message.taken_at for _, message in frames])
     np.testing.assert_allclose(np.diff(taken), 0.02)
@@ -366,7 +365,6 @@ def test_a_layout_of_another_process_is_the_same() -> None:
 
 
 def until(call: Callable[[], Message | None]) -> Message:
-    """The first result of a call that is not None."""
     ends = time.monotonic() + PATIENCE
     while time.monotonic() < ends:
         found = call()

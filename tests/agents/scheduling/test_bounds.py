@@ -45,7 +45,6 @@ def test_odds_count() -> None:
 
 
 def test_the_shortest_path_is_found() -> None:
-    """Held against every sequence of four parcels."""
     library = make_library(gated(Stream(Steady(1000.0), speeds=1.5)), place_count=2)
     bound = clairvoyant_bound(library, np.ones(3), parcels=4, seed=3)
     kinds = np.random.default_rng(3).choice(3, size=4, p=np.ones(3) / 3.0)

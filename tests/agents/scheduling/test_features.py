@@ -21,8 +21,6 @@ S_BOXES = Stream(Steady(9000.0), parcels=("S",), speeds=1.5)
 
 
 class Watching(NetworkScheduler):
-    """Keeps what it was shown."""
-
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ScheduleNetwork((8, 8)))
         self.shown: list[Any] = []
@@ -58,7 +56,6 @@ def watching(config) -> Watching:
 
 
 def test_a_parcel_that_meets_nobody_keeps_to_its_trajectory(config) -> None:
-    """Within the way of a control period, as it may enter at any moment of one."""
     seldom = config.replace(stream=Stream(Steady(900.0), parcels=("S",), speeds=1.5))
     watched = np.concatenate([state[1].seen[0] for state, _ in run(Watching(seldom), seldom)])
     assert np.abs(watched).max() > 0.0
@@ -91,7 +88,6 @@ def test_those_that_wait_and_roll_are_shown(config) -> None:
 
 
 def test_left_and_right_are_alike(watching) -> None:
-    """The first parcel of each side, on a line that is free, has the same candidates."""
     scheduler, library = watching, watching.library
     names = [name for _, _, name in library.lead.kinds]
     left, right = (library.options[names.index(side)] for side in ("left", "right"))

@@ -20,7 +20,6 @@ GENTLE = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]))
 
 
 def library(config: EnvConfig | None = None, *given, **settings) -> Library:
-    """Make a library of few places."""
     return make_library(
         gated(S_BOXES) if config is None else config, *given, place_count=4, **settings
     )
@@ -51,7 +50,6 @@ class TestLibrary:
         np.testing.assert_allclose(pair(found, "left", "left"), pair(found, "right", "right"))
 
     def test_who_turns_off_upstream_of_the_one_ahead_never_meets_it(self) -> None:
-        """Then a length and the margin are enough; and behind one that turns off, they are not."""
         gaps = pair(library(), "left", "left")
         least = (0.25 + 0.02) / 1.5
         assert least - 1e-6 < gaps[-1, 0] < 1.3 * least
@@ -77,7 +75,6 @@ class TestLibrary:
         assert (found.options[:, 0] >= 0).all()
 
     def test_what_varies_asks_for_wider_gaps(self) -> None:
-        """Gaps hold on each surface that was drawn, not on the mean one."""
         varied = gated(S_BOXES, randomisation=Randomisation(friction=0.3))
         assert library(varied).gaps.max() > library().gaps.max()
 
@@ -118,7 +115,6 @@ class TestGroups:
             made()
 
     def test_who_shares_actuators_waits_longer(self) -> None:
-        """The fewer there are, the longer; and the longest where nobody may follow."""
         config = zoned(S_BOXES)
         same, other = [], []
         for groups in (ColumnGroups(), ColumnGroups(10, 1), ColumnGroups(10, 1, exclusive=True)):

@@ -38,7 +38,6 @@ def best_by_trying_all(gaps, delay, options, queue, booked, entered) -> float:
 
 class TestSearch:
     def test_it_finds_the_best_of_all_sequences(self) -> None:
-        """Where it keeps as many as there are; the first parcel's maneuver is the best's."""
         rng = np.random.default_rng(0)
         for _ in range(50):
             gaps, delay = rng.uniform(0.1, 1.0, (6, 6)), rng.uniform(0.0, 0.5, 6)
@@ -130,7 +129,6 @@ class TestStreams:
 
 class TestMemory:
     def test_environments_and_episodes_are_booked_apart(self) -> None:
-        """A batch of two does what each does alone, also where an episode begins anew."""
         config = gated(CROWD)
         controller = Scheduler(config)
         tables = np.random.default_rng(0).normal(size=(4, 2, config.stream_task.rows, 29))
@@ -160,7 +158,6 @@ class TestMemory:
 class TestTrial:
     @pytest.mark.parametrize("first", range(5))
     def test_the_first_quiet_one_is_found(self, monkeypatch, first) -> None:
-        """The last one where none is quiet."""
         config = gated(duration=2.0)
 
         def trial(_config, place, most):
@@ -178,7 +175,6 @@ class TestTrial:
         assert module.find_quiet(gated(), lambda place: place, 3) == (2, 0)
 
     def test_it_ends_once_too_many_touch(self) -> None:
-        """As they do where parcels enter as if they had no length."""
         config = gated(Stream(Steady(9000.0), speeds=1.5), duration=6.0)
         made = make_library(config, place_count=2)
         close = Scheduler(config, replace(made, gaps=np.full_like(made.gaps, 0.05)))

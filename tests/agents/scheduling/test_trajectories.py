@@ -53,9 +53,6 @@ def runs(opens: list[int], config=None) -> trajectories.LoneRuns:
 
 class TestLoneRuns:
     def test_they_begin_where_a_parcel_enters_whenever_that_is(self) -> None:
-        """Entry at another physics step of the control period changes nothing of a parcel that
-        rolls.
-        """
         found = runs([1, 4, 8])
         assert found.right.all()
         config = gated()
