@@ -7,7 +7,9 @@ edit to one of them changes the digest; any other edit does not.
 
 import gc
 import hashlib
+import platform
 import sys
+import time
 import types
 import warnings
 from collections.abc import Callable, Iterator
@@ -15,8 +17,9 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
+from typing import Any, NamedTuple
 
+import llvmlite.binding as llvm
 import numpy as np
 from numba import njit, typeof
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
@@ -151,32 +154,86 @@ def locked(path: Path) -> Iterator[None]:
         path.unlink(missing_ok=True)
 
 
+class Baseline(NamedTuple):
+    """Instructions that every processor of precompiled kernels has."""
+
+    name: str  # of LLVM's processor
+    features: tuple[str, ...]  # that LLVM must find on this machine
+
+
+BASELINES = {
+    "x86_64": Baseline("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
+    "arm64": Baseline("generic", ("neon",)),
+}
+BASELINES |= {"AMD64": BASELINES["x86_64"], "aarch64": BASELINES["arm64"]}
+LINKED = "linked-"  # begins the names of files without machine code
+PRECOMPILED = Path(__file__).parent / "precompiled"  # machine code of a wheel, for the baseline
+
+
+@lru_cache
+def find_baseline() -> Baseline | None:
+    """Return the baseline of this machine, or None if it lacks one of its instructions."""
+    baseline = BASELINES.get(platform.machine())
+    features = llvm.get_host_cpu_features()
+    return baseline if baseline and all(map(features.get, baseline.features)) else None
+
+
+def _target(processor: str) -> str:
+    """Name the machines that run precompiled code."""
+    return f"{sys.platform} {platform.machine()} {processor}"
+
+
 class _DigestCache(FunctionCache):
     """Numba's cache with files named by digest.
 
     Numba validates a cached function by its own source file only, and ignores callees in other
     files. It also numbers the files of a function's versions, so concurrent processes may mix them
     up. Here the name of a file is the digest of its content.
+
+    A version that the cache lacks may be in the folder `PRECOMPILED`, compiled for the baseline.
     """
+
+    _is_precompiled = True
 
     def __init__(self, dispatcher: Any, label: str) -> None:
         super().__init__(dispatcher.py_func)
         self._dispatcher = dispatcher
-        self._label = label or f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
+        self.label = label or f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__name__}"
         self._files: dict[Any, IndexDataCacheFile] = {}
 
     def _index_key(self, sig: Any, codegen: Any) -> str:
+        magic = codegen.magic_tuple()
+        processor, baseline = magic[1], find_baseline()
+        is_baseline = baseline is not None and processor == baseline.name
+        return self._key(sig, _target(processor) if is_baseline else str(magic))
+
+    def _key(self, sig: Any, target: str) -> str:
         # Include the fields of the arguments' types, which Numba ignores.
         kinds = [_fields(kind) for kind in sig]
-        form = self._impl_class.__qualname__
-        return compute_digest(self._dispatcher, str(sig), str(codegen.magic_tuple()), kinds, form)
+        return compute_digest(self._dispatcher, str(sig), target, kinds, self._impl_class.__name__)
 
     def _open(self, sig: Any) -> None:
         """Open the cache file of a version."""
         if sig not in self._files:
-            name = f"{self._label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
+            name = f"{self.label}-{self._index_key(sig, self._dispatcher.targetctx.codegen())}"
             self._files[sig] = IndexDataCacheFile(self._cache_path, name, source_stamp=None)
         self._cache_file = self._files[sig]
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = super()._load_overload(sig, target_context)
+        if found is None:
+            for key, file in self._find_precompiled(sig).items():
+                return self._impl.rebuild(target_context, file.load(key))
+        return found
+
+    def _find_precompiled(self, sig: Any) -> dict[str, IndexDataCacheFile]:
+        """Return the precompiled file of a version by its key, if there is one."""
+        baseline = find_baseline()
+        if baseline is None or not self._is_precompiled:
+            return {}
+        key = self._key(sig, _target(baseline.name))
+        file = IndexDataCacheFile(PRECOMPILED, f"{self.label}-{key}", source_stamp=None)
+        return {key: file} if file._load_index().get(key) else {}
 
     @contextmanager
     def locked(self, sig: Any) -> Iterator[None]:
@@ -194,6 +251,11 @@ class _DigestCache(FunctionCache):
                 Path(self._cache_file._index_path).unlink(missing_ok=True)
             return None
 
+    def holds(self, sig: Any) -> bool:
+        """Return whether a version is compiled."""
+        self._open(sig)
+        return Path(self._cache_file._index_path).exists() or self._find_precompiled(sig) != {}
+
     def save_overload(self, sig: Any, data: Any) -> None:
         self._open(sig)
         try:
@@ -206,7 +268,7 @@ class _DigestCache(FunctionCache):
         """Remove versions of code before an edit."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
-            found = list(folder.glob(f"{self._label}-*.nbi"))
+            found = list(folder.glob(f"{self.label}-*.nbi"))
             found.sort(key=lambda index: index.stat().st_mtime, reverse=True)
             for index in found[KEPT:]:
                 for file in folder.glob(f"{index.stem}.*"):
@@ -214,9 +276,14 @@ class _DigestCache(FunctionCache):
 
 
 class _LinkedCache(_DigestCache):
-    """Cache of functions called by compiled code only."""
+    """Cache of functions called by compiled code only, as LLVM code for this processor."""
 
     _impl_class = LinkedCacheImpl
+    _is_precompiled = False
+
+    def __init__(self, dispatcher: Any, label: str) -> None:
+        super().__init__(dispatcher, label)
+        self.label = LINKED + self.label
 
 
 class _NoCache(NullCache):
@@ -226,6 +293,10 @@ class _NoCache(NullCache):
     def locked(self, _: Any) -> Iterator[None]:
         """Do not lock, since nothing is shared."""
         yield
+
+    def holds(self, _: Any) -> bool:
+        """Return whether a version is compiled: none is."""
+        return False
 
     def save_overload(self, *_: Any) -> None:
         _warn("no folder for it can be written")
@@ -303,9 +374,26 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
     dozens of arrays takes longer than a control period of one environment.
     """
     kinds = tuple(map(typeof, arguments))
-    with collecting_nothing(), dispatcher._cache.locked(kinds):
-        entry: Callable[..., Any] = dispatcher.compile(kinds)
+    cache = dispatcher._cache
+    with collecting_nothing(), cache.locked(kinds):
+        if kinds in dispatcher.overloads or cache.holds(kinds):
+            entry: Callable[..., Any] = dispatcher.compile(kinds)
+        else:
+            name = getattr(cache, "label", "") or dispatcher.py_func.__name__
+            with _announced(f"surface_gym: compiling {name}, once"):
+                entry = dispatcher.compile(kinds)
     return entry
+
+
+@contextmanager
+def _announced(what: str) -> Iterator[None]:
+    """Print what takes long, and how long it took, on one line of the error stream."""
+    began = time.perf_counter()
+    print(what, end=" ... ", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -1,0 +1,118 @@
+"""`surface-gym compile`: compile the package's environments, rules and agents beforehand.
+
+The machine code runs on every processor that has the baseline's instructions. It lies in the
+package, so that a wheel brings it; `surface_gym.compiler.jit` loads it. Compiled on the spot, code
+uses further instructions of the processor; its results are equal to the bit.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from surface_gym.cli import typed
+from surface_gym.compiler.jit import LINKED, PRECOMPILED, find_baseline
+from surface_gym.env import SmartSurfaceEnv
+from surface_gym.parallel import Job, Report, check_count, map_jobs, usable_cores
+from surface_gym.registration import SHIPPED
+
+PRESETS = ("exact", "lab")  # of environments of one parcel
+CACHE = "NUMBA_CACHE_DIR"  # of Numba: the folder of its cache
+PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # for which Numba compiles
+
+
+def compile_task(task: str, report: Report) -> str:
+    """Compile the environment that a task has by default."""
+    del report
+    _run(SmartSurfaceEnv(task))
+    return f"environment {task}"
+
+
+def compile_method(task: str, index: int, preset: str, report: Report) -> str:
+    """Compile a method of the comparison and its environment under a preset."""
+    from ..evaluation.method import all_methods, find_benchmark
+
+    del report
+    method = all_methods(task)[index]
+    shown: Any = find_benchmark(task).task
+    if method.observed_task is not None:
+        shown = method.observed_task(shown)
+    env = SmartSurfaceEnv(shown, preset=preset, **method.arguments)
+    _run(env, None if method.most else method.controller(env.config, method.seeds[0]))
+    return f"{task}: {method.name}, {preset}"
+
+
+def _run(env: SmartSurfaceEnv, controller: Any = None) -> None:
+    """Run the first control period of an episode."""
+    observation, _ = env.reset(seed=0)
+    action = env.action_space.sample()
+    if controller is not None:
+        action, _ = controller.predict(observation)
+    env.step(action)
+
+
+def list_jobs() -> list[Job[str]]:
+    """List what is compiled: defaults of the tasks, then methods of the comparison."""
+    from ..evaluation.method import all_methods
+
+    jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]
+    for task, shipped in SHIPPED.items():
+        for index, method in enumerate(all_methods(task)):
+            for preset in PRESETS if shipped.periods else PRESETS[:1]:
+                if method.presets is None or preset in method.presets:
+                    jobs.append(partial(compile_method, task, index, preset))
+    return jobs
+
+
+def compile_all(workers: int) -> None:
+    """Compile into the package's folder; what is there is not compiled again."""
+    PRECOMPILED.mkdir(exist_ok=True)
+    jobs, began = list_jobs(), time.perf_counter()
+    for done, (_, what) in enumerate(map_jobs(jobs, workers), 1):
+        for file in Path(os.environ[CACHE]).rglob("*.nb[ic]"):
+            if not file.name.startswith(LINKED) and not (PRECOMPILED / file.name).exists():
+                shutil.copy(file, PRECOMPILED)
+        print(f"{done}/{len(jobs)}  {time.perf_counter() - began:4.0f} s  {what}", flush=True)
+    files = list(PRECOMPILED.iterdir())
+    size = sum(file.stat().st_size for file in files) / 1e6
+    print(f"{len(files) // 2} kernels, {size:.1f} MB: {PRECOMPILED}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Compile, in a process in which Numba compiles for the baseline."""
+    parser = argparse.ArgumentParser(
+        prog=typed("compile"),
+        description="Compile environments, rules and agents beforehand. Run it again after an "
+        "edit, or to go on after an interrupt.",
+    )
+    parser.add_argument("--workers", type=int, default=usable_cores(), help="number of processes")
+    parser.add_argument("--resume", action="store_true", help="keep what is compiled")
+    given = parser.parse_args(arguments)
+    baseline = find_baseline()
+    if baseline is None:
+        sys.exit("error: this processor lacks instructions of the baseline of precompiled code")
+    try:
+        check_count("workers", given.workers)
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    if os.environ.get(PROCESSOR) == baseline.name and CACHE in os.environ:
+        compile_all(given.workers)
+        return
+    if not given.resume:
+        shutil.rmtree(PRECOMPILED, ignore_errors=True)
+    print(f"compiling for {baseline.name}; later commands take up to 2 s to begin", flush=True)
+    with TemporaryDirectory() as cache:
+        own = {CACHE: cache, PROCESSOR: baseline.name, FEATURES: ""}
+        command = [sys.executable, "-m", __spec__.name, "--workers", str(given.workers)]
+        sys.exit(subprocess.run(command, env={**os.environ, **own}, check=False).returncode)
+
+
+if __name__ == "__main__":
+    main()
