@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,17 @@ import pytest
 from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 
 import surface_gym
-from surface_gym.compiler.jit import compiled, compute_digest, inlined, kernel_function, linked
+from surface_gym.compiler import jit
+from surface_gym.compiler.jit import (
+    Baseline,
+    compile_for,
+    compiled,
+    compute_digest,
+    find_baseline,
+    inlined,
+    kernel_function,
+    linked,
+)
 
 PACKAGE = Path(surface_gym.__file__).parent
 
@@ -92,6 +103,56 @@ def test_a_cache_cut_short_is_made_anew(ending: str, left: int, cache: Path) -> 
     file.write_bytes(file.read_bytes()[:left])
     assert hits_of(1.5) == 0
     assert hits_of(1.5) == 1
+
+
+@pytest.fixture
+def precompiled(
+    cache: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """A folder of code for a baseline, here the processor itself; the cache is empty."""
+    processor = numba.core.registry.cpu_target.target_context.codegen().magic_tuple()[1]
+    monkeypatch.setattr(jit, "find_baseline", lambda: Baseline(processor, ()))
+    assert hits_of(1.5) == 0
+    folder = tmp_path_factory.mktemp("precompiled")
+    monkeypatch.setattr(jit, "PRECOMPILED", folder)
+    for file in cache.rglob("double-*"):
+        file.rename(folder / file.name)
+    return folder
+
+
+class TestPrecompiled:
+    def test_it_is_loaded_and_not_copied(self, precompiled: Path, cache: Path) -> None:
+        assert len(list(precompiled.iterdir())) == 2
+        assert hits_of(1.5) == 1
+        assert not list(cache.rglob("double-*"))
+
+    @pytest.mark.usefixtures("precompiled")
+    def test_a_processor_without_the_baseline_compiles(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(jit, "find_baseline", lambda: None)
+        assert hits_of(1.5) == 0
+
+    def test_a_damaged_file_is_compiled(self, precompiled: Path) -> None:
+        (file,) = precompiled.glob("*.nbc")
+        file.write_bytes(file.read_bytes()[:20])
+        assert hits_of(1.5) == 0
+        assert hits_of(1.5) == 1
+
+    def test_a_baseline_is_one_of_this_machine(self) -> None:
+        """Its instructions are those that LLVM finds here."""
+        found = find_baseline()
+        features = numba.core.codegen.ll.get_host_cpu_features()
+        assert found is None or all(features[each] for each in found.features)
+
+
+@pytest.mark.usefixtures("cache")
+def test_what_is_compiled_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        assert compile_for(compiled(lambda x: 3.0 * x, "triple"), 2.0)(2.0) == 6.0
+    assert re.fullmatch(
+        r"surface_gym: compiling triple, once \.\.\. \d+ s\n", capsys.readouterr().err
+    )
 
 
 RACE = """
