@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -78,7 +77,7 @@ def draw_success(task: str, results: Results, file: Path) -> None:
 
 def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> None:
     """Draw the share of starts by size of the error, with exact sensors."""
-    samples = {key[3]: each for key, each in results.among(task, STARTS) if key[2] == "exact"}
+    samples = results.at(task, STARTS, "exact")
     colours = choose_colours(samples)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
@@ -105,11 +104,8 @@ def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None
     Lines have gaps where the method fails. Methods without results for all starts have no line.
     """
     count = math.prod(grid.shape)
-    whole = {
-        key[3]: sample
-        for key, sample in results.among(task, STARTS)
-        if key[2] == "exact" and sample.success.shape[1] == count
-    }
+    ran = results.at(task, STARTS, "exact")
+    whole = {name: sample for name, sample in ran.items() if sample.success.shape[1] == count}
     colours = choose_colours(whole)
     figure = Figure(figsize=(12.0, 4.0), layout="constrained")
     panels = figure.subplots(1, len(PARCELS), sharey=True)
@@ -196,17 +192,16 @@ def draw_capacities(found: Capacities, file: Path) -> None:
                 "0" if hardware else CANNOT, (x, 0.0), (0, 3), textcoords="offset points",
                 ha="center", va="bottom", rotation=90, color=INK, fontsize=8,
             )  # fmt: skip
-        six = found.find(SIX_MODULES, offer)
-        best = math.nan if six is None else six.constant("best")
+        best = found.constants(SIX_MODULES, "best")[place]
         for name, bound, style in (
             (ENTRANCE, found.bound(offer), "-"), (BEST.format(SIX_MODULES), best, "--"),
         ):  # fmt: skip
-            if bound is not None and math.isfinite(bound):
+            if math.isfinite(bound):
                 panel.hlines(
                     bound, place - 0.45, place + 0.45, color=LIMIT, linestyle=style, linewidth=1.2,
                     label=name if place == 0 else "_again",
                 )  # fmt: skip
-    panel.set_xticks(range(len(found.offers)), [each.name for each in found.offers])
+    panel.set_xticks(range(len(found.offers)), found.offers)
     panel.set(ylabel="capacity [parcels/h]")
     _save(figure, file, panel)
 
@@ -220,35 +215,33 @@ ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
 OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one per task
 
 
-@dataclass(frozen=True)
-class Style:
+class Style(NamedTuple):
     """The line of a method."""
 
     label: str  # label in the legend; may be shared
     colour: str
-    dashes: Literal["-", "--", "-.", ":", "None"] = "-"
+    dashes: str = "-"
     width: float = 1.6  # [pt]
     marker: str = "o"  # marker for levels that are names
     above: int = 2  # drawing order
 
 
+OWN = Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
 STYLES = {
     methods.FIXED: Style(methods.FIXED, "#8c8c8c", ":", 1.3, "x"),
     "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
     "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
-    **{name: Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
-       for name in OWN_RULES},
-    **{name: Style(name, colour, "--", 1.2, "o", 4) for name, colour in ALGORITHMS.items()},
     methods.PLANNER: Style(methods.PLANNER, INK, "None", 1.0, "_", 6),
-}  # fmt: skip
+} | dict.fromkeys(OWN_RULES, OWN)
 
 
 def find_style(name: str) -> Style:
     """Return the line style of a method; agents for a preset vary their algorithm's colour."""
     algorithm, comma, preset = name.partition(", ")
-    if comma and algorithm in ALGORITHMS:
-        label = f"{algorithm}, trained for the {preset}"
-        return Style(label, ALGORITHMS[algorithm], "-", 2.0, "D", 5)
+    if colour := ALGORITHMS.get(algorithm):
+        if comma:
+            return Style(f"{algorithm}, trained for the {preset}", colour, "-", 2.0, "D", 5)
+        return Style(name, colour, "--", 1.2, "o", 4)
     return STYLES.get(name, Style(name, INK, "--"))
 
 

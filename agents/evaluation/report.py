@@ -1,7 +1,7 @@
 """The folder of a comparison: tables, numbers, plots, videos and a page; and a run's comparison."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -54,8 +54,8 @@ from .tables import Table, write_markdown
 from .video import Player, play, write_comparison
 
 NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
-LENGTH = 20.0  # [s] duration of the video of a stream
 SHOWN_AT = 12.0  # [s] time of the picture of a stream
+FILMED = ("exact", "lab")  # presets of films on streams
 TABLE = "table.md"  # table of a run
 COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
 SWEEP_TITLE = "# Robustness\n\nSuccess where one thing at a time differs from training.\n\n"
@@ -103,6 +103,13 @@ class Selection:
         return jobs
 
 
+def make_tables(task: str, results: Results) -> list[Table]:
+    """Make the tables of a task, the most important one first."""
+    if is_on_streams(task):
+        return stream_views.stream_tables(task, results)
+    return [*views.task_tables(task, results), *views.speed_tables(task, results)]
+
+
 def write_report(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, advance: Advance,
     note: str = "",
@@ -112,31 +119,27 @@ def write_report(
     Args:
         note: remark for readers of the whole page.
     """
-    results = Results(table)
-    sections, numbers = [], []
+    results, head = Results(table), f"{note}\n\n" if note else ""
+    sections: list[Section] = []
     single = [task for task in selection.tasks if not is_on_streams(task)]
-    for task in sorted(selection.tasks, key=single.__contains__):
+    tasks = sorted(selection.tasks, key=single.__contains__)
+    for task in tasks:
         advance(f"drawing {task}")
-        methods, label = selection.methods(task), library.task_label(task)
+        made, methods = make_tables(task, results), selection.methods(task)
         if task in single:
-            made = [views.task_table(task, results), *views.speed_tables(task, results)]
             pictures = _draw_starts(task, methods, results, folder)
-            numbers += views.task_numbers(task, results)
         else:
-            made = stream_views.stream_tables(task, results)
-            pictures = _draw_streams(task, methods, results, folder)
-            numbers += stream_views.stream_numbers(task, results)
-        write_markdown(made, folder / f"{label}.md", f"{note}\n\n" if note else "")
+            pictures = _draw_streams(task, methods, results, folder, selection.extent)
+        write_markdown(made, folder / f"{library.task_label(task)}.md", head)
         sections += [
             Section(each, [] if k else pictures, () if k else find_benchmark(task).columns)
             for k, each in enumerate(made)
         ]
-    if single:
-        decisions = views.decision_table(single, results)
-        write_markdown([decisions], folder / "decisions.md")
-        sections.append(Section(decisions, []))
-    write_numbers(numbers, folder / "comparison.csv")
-    _show([each.table for each in sections], console, note)
+    if decisions := views.decision_tables(single, results):
+        write_markdown(decisions, folder / "decisions.md")
+        sections += [Section(each, []) for each in decisions]
+    write_numbers(tasks, results, folder / "comparison.csv")
+    show_tables([each.table for each in sections], console, note)
     write_page(sections, folder / "report.html", note)
 
 
@@ -144,35 +147,29 @@ def write_sweep(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
 ) -> None:
     """Write tables, numbers and the figure of robustness to a folder, and print the tables."""
-    results, numbers = Results(table), []
+    results, head = Results(table), f"{note}\n\n" if note else ""
     single = [task for task in selection.tasks if not is_on_streams(task)]
-    tables, unseen = [], []
-    for task in selection.tasks:
-        if task in single:
-            tables += views.sweep_tables(task, results)
-            numbers += views.sweep_numbers(task, results)
-        else:
-            unseen += stream_views.unseen_tables(task, results)
-            numbers += stream_views.stream_numbers(task, results)
+    tables = [each for task in single for each in views.sweep_tables(task, results)]
+    others = (task for task in selection.tasks if task not in single)
+    unseen = [each for task in others for each in stream_views.unseen_tables(task, results)]
     if tables:
-        write_markdown(
-            tables, folder / "robustness.md", SWEEP_TITLE + (f"{note}\n\n" if note else "")
-        )
+        write_markdown(tables, folder / "robustness.md", SWEEP_TITLE + head)
         plots.draw_sweep(single, results, folder / "robustness.png")
     if unseen:
-        write_markdown(unseen, folder / "generalisation.md", f"{note}\n\n" if note else "")
-    write_numbers(numbers, folder / "robustness.csv")
-    _show([*unseen, *tables], console, note)
+        write_markdown(unseen, folder / "generalisation.md", head)
+    write_numbers(selection.tasks, results, folder / "robustness.csv")
+    show_tables([*unseen, *tables], console, note)
 
 
-def write_numbers(rows: Sequence[dict[str, Any]], file: Path) -> None:
-    """Write rows of numbers as CSV; numbers that are not finite stay empty."""
-    table = pd.DataFrame(rows).replace([np.inf, -np.inf], np.nan)
+def write_numbers(tasks: Iterable[str], results: Results, file: Path) -> None:
+    """Write every number of tasks as CSV; numbers that are not finite stay empty."""
+    rows = [row for task in tasks for row in views.list_numbers(task, results)]
     with replacing(file) as part:
-        table.to_csv(part, index=False)
+        pd.DataFrame(rows).replace([np.inf, -np.inf], np.nan).to_csv(part, index=False)
 
 
-def _show(tables: Sequence[Table], console: Console, note: str) -> None:
+def show_tables(tables: Iterable[Table], console: Console, note: str) -> None:
+    """Print tables and a note."""
     for table in tables:
         table.show(console)
     if note:
@@ -187,10 +184,10 @@ def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder:
     both = rivals(methods)
     if compared.grid is not None:
         times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        plots.draw_times(task, compared.grid, results, times)
-        pictures.append(
-            (times, "Time to sort by entry speed; no line where a parcel is not sorted.")
-        )
+        if views.speed_tables(task, results):
+            plots.draw_times(task, compared.grid, results, times)
+            said = "Time to sort by entry speed; no line where a parcel is not sorted."
+            pictures.append((times, said))
         write_trajectories(both, paths)
         pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
     elif compared.error is not None:
@@ -230,12 +227,14 @@ def write_example(methods: Sequence[Method], folder: Path) -> tuple[Path, str]:
     return file, f"{start_benchmark(task).example_description}: {outcomes}"
 
 
-def filmed_scenario(task: str, preset: str = "exact", group: str | None = None) -> StreamScenario:
+def filmed_scenario(
+    task: str, preset: str = "exact", group: str | None = None, extent: Extent = WHOLE
+) -> StreamScenario:
     """Return the example stream of a task."""
     benchmark = stream_benchmark(task)
     offers = [each for each in benchmark.offers if group in (None, each.group)]
     named = [each for each in offers if each.name == benchmark.filmed]
-    return StreamScenario(task, preset, WHOLE, (named or offers)[0].scenario)
+    return StreamScenario(task, preset, extent, (named or offers)[0].scenario)
 
 
 def stream_player(method: Method, scenario: StreamScenario, rate: float | None = None) -> Player:
@@ -247,37 +246,37 @@ def stream_player(method: Method, scenario: StreamScenario, rate: float | None =
     return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
-def stream_picture(player: Player) -> np.ndarray:
+def stream_picture(player: Player, latest: float = SHOWN_AT) -> np.ndarray:
     """Draw a stream in mid-course, or where a jam ends it before."""
-    at = round(
-        min(SHOWN_AT, 0.5 * player.config.stream_task.duration) / player.config.control_period
-    )
+    time = min(latest, 0.5 * player.config.stream_task.duration)
+    at = round(time / player.config.control_period)
     *_, (picture, _) = islice(play(player, every=at), at + 1)
     return picture
 
 
-def _draw_streams(task: str, methods: Sequence[Method], results: Results, folder: Path) -> Pictures:
+def _draw_streams(
+    task: str, methods: Sequence[Method], results: Results, folder: Path, extent: Extent
+) -> Pictures:
     found = stream_views.list_capacities(task, results)
     label, pictures = library.task_label(task), []
     if found:
-        first, capacities = found[0], folder / f"{label}-capacity.png"
-        plots.draw_capacities(first, capacities)
+        first, file = found[0], folder / f"{label}-capacity.png"
+        plots.draw_capacities(first, file)
         exits = f"exits “{first.group}”"
-        pictures.append(
-            (capacities, f"Capacity by stream, {exits}, exact sensors, 95 % intervals.")
-        )
-        scenario = filmed_scenario(task, group=first.group)
-        offer = scenario.offer
-        able = {name: each for name in first.names if (each := first.able(name, offer)) is not None}
-        shown = [each for each in methods if each.name in able and each.name in ON_FILM]
+        pictures.append((file, f"Capacity by stream, {exits}, exact sensors, 95 % intervals."))
+        scenario = filmed_scenario(task, group=first.group, extent=extent)
+        name = scenario.offer.name
+        shown = [
+            each for each in methods if each.name in ON_FILM and first.throughput(each.name, name)
+        ]
         if not shown:
             return pictures
-        rate = NEAR * able[shown[-1].name].throughput
-        said = f"{offer.name}, {exits}, {rate:.0f} parcels an hour offered"
+        rate = NEAR * first.throughput(shown[-1].name, name)
+        said = f"{name}, {exits}, {rate:.0f} parcels an hour offered"
         return [*pictures, *_film(shown, scenario, rate, folder / label, said)]
-    for preset in ("exact", "lab"):
-        scenario = filmed_scenario(task, preset)
-        if preset in scenario.benchmark.presets:
+    for preset in FILMED:
+        scenario = filmed_scenario(task, preset, extent=extent)
+        if preset in (extent.presets or scenario.benchmark.presets):
             said = f"{scenario.offer.name}, {preset}"
             pictures += _film(rivals(methods), scenario, None, folder / f"{label}-{preset}", said)
     return pictures
@@ -289,8 +288,10 @@ def _film(
     """Record methods side by side, and draw the last one."""
     picture, video = file.with_suffix(".png"), file.with_suffix(".mp4")
     players = [stream_player(each, scenario, rate) for each in methods]
-    write_comparison(players, video, LENGTH)
-    imageio.imwrite(picture, stream_picture(stream_player(methods[-1], scenario, rate)))
+    length = scenario.extent.film
+    write_comparison(players, video, length)
+    last = stream_player(methods[-1], scenario, rate)
+    imageio.imwrite(picture, stream_picture(last, min(length, SHOWN_AT)))
     names = " and ".join(each.name for each in methods)
     return [(picture, f"{methods[-1].name}: {said}."), (video, f"{names}: {said}.")]
 
@@ -301,79 +302,61 @@ def evaluate_run(
     """Compare the policies of a run with the fixed layout, or on streams with scheduler and rules.
 
     Writes table.md, the trajectories of Sort and a video to the run's folder. Repeated runs give
-    the same bytes.
+    the same bytes. Returns the results for the run's card.
     """
     agent = of_run(run, task)
-    if is_on_streams(agent.task):
-        card = _compare_stream_run(agent, run, workers, console)
-    else:
-        card = _compare_start_run(agent, run, workers, console)
+    streams = is_on_streams(agent.task)
+    scenarios, methods = (_stream_rivals if streams else _start_rivals)(agent)
+    jobs = make_jobs(scenarios, methods)
+    with show_progress(console, f"comparing on {agent.task}", len(jobs)) as advance:
+        results = Results(compute(jobs, workers, advance=advance))
+    tables = make_tables(agent.task, results)
+    write_markdown(tables, run / TABLE)
+    show_tables(tables, console, "")
+    if not streams:
+        with console.status("drawing and filming"):
+            write_trajectories(methods, run / "trajectories.png")
+            file, caption = write_example(methods, run)
+        console.print(f"{file.name}: {caption}")
     console.print(f"everything is in {run}")
+    if not streams:
+        return {preset: _start_card(results, agent, preset) for preset in COMPARED}
+    card: dict[str, dict[str, Any]] = {}
+    for each in scenarios:
+        offer, samples = each.offer, results.at(agent.task, each.name, each.preset)
+        made = _stream_card(samples) if offer.rates else _capacity_card(samples)
+        card.setdefault(each.preset, {})[offer.name] = made
     return card
 
 
-def _compare_start_run(
-    agent: Method, folder: Path, workers: Workers, console: Console
-) -> dict[str, dict[str, Any]]:
+def _start_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
     both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
-    jobs = make_jobs(start_scenarios(agent.task), both)
-    with show_progress(console, "comparing with the fixed layout", len(jobs)) as advance:
-        results = Results(compute(jobs, workers, advance=advance))
-        advance(len(jobs), len(jobs), "drawing and filming")
-        write_trajectories(both, folder / "trajectories.png")
-        file, caption = write_example(both, folder)
-    tables = [views.task_table(agent.task, results), *views.speed_tables(agent.task, results)]
-    write_markdown(tables, folder / TABLE)
-    _show(tables, console, f"{file.name}: {caption}")
-    return {preset: _start_card(results, agent, preset) for preset in COMPARED}
+    return start_scenarios(agent.task), both
+
+
+def _stream_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
+    """List the streams of agents, and the methods: each seed stands beside a scheduler."""
+    known = all_methods(agent.task)
+    rivals = [*(each for each in known if each.kind == RULE), agent]
+    if not stream_benchmark(agent.task).offers[0].rates:
+        rivals = [each for each in known if each.name == MODULES]
+        rivals += [replace(agent, name=f"seed {seed}", seeds=(seed,)) for seed in agent.seeds]
+    scenarios = stream_scenarios(agent.task)
+    return [each for each in scenarios if AGENT in each.offer.kinds], rivals
 
 
 def _start_card(results: Results, agent: Method, preset: str) -> dict[str, Any]:
     sample, fixed = (
         results.samples[agent.task, STARTS, preset, name] for name in (agent.name, FIXED)
     )
-    low, high = sample.interval
     columns = start_benchmark(agent.task).columns
     values = {each.name: views.column_value(each, sample, fixed) for each in columns}
     return {
         "success": round(sample.rate, 4),
-        "interval": [round(low, 4), round(high, 4)],
+        "interval": [round(each, 4) for each in sample.interval],
         "success_of_each_seed": [round(float(each.mean()), 4) for each in sample.success],
         **{name: round(value, 5) for name, value in values.items() if not math.isnan(value)},
     }
-
-
-def _compare_stream_run(
-    agent: Method, folder: Path, workers: Workers, console: Console
-) -> dict[str, dict[str, Any]]:
-    task, benchmark = agent.task, stream_benchmark(agent.task)
-    searched = not benchmark.offers[0].rates
-    if searched:  # the table has each seed beside the scheduler
-        several = [each for each in all_methods(task) if each.name == MODULES]
-        several += [replace(agent, name=f"seed {seed}", seeds=(seed,)) for seed in agent.seeds]
-    else:
-        several = [*(each for each in all_methods(task) if each.kind == RULE), agent]
-    scenarios = [
-        each
-        for each in stream_scenarios(task)
-        if isinstance(each, StreamScenario) and AGENT in each.offer.kinds
-    ]
-    jobs = make_jobs(scenarios, several)
-    with show_progress(console, f"comparing on {task}", len(jobs)) as advance:
-        results = Results(compute(jobs, workers, advance=advance))
-    tables = stream_views.stream_tables(task, results)
-    write_markdown(tables, folder / TABLE)
-    _show(tables, console, "")
-    card: dict[str, dict[str, Any]] = {}
-    for each in scenarios:
-        samples = {
-            key[3]: sample
-            for key, sample in results.among(task, each.name)
-            if key[2] == each.preset
-        }
-        made = _capacity_card if searched else _stream_card
-        card.setdefault(each.preset, {})[each.offer.name] = made(samples)
-    return card
 
 
 def _capacity_card(samples: dict[str, Sample]) -> dict[str, Any]:

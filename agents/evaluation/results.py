@@ -171,6 +171,12 @@ class Sample:
         return float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
 
     @property
+    def turns_per_actuator(self) -> float:
+        """[-] turns of actuators per correct delivery; of axes with an actuator each."""
+        modules = self.constant("modules")
+        return self.turns if math.isnan(modules) else self.turns / modules
+
+    @property
     def touches(self) -> float:
         """Number of touches among departed parcels."""
         touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
@@ -204,6 +210,10 @@ class Results:
     def find(self, task: str, scenario: str, preset: str, method: str) -> Sample | None:
         """Return the sample of a method; None if it did not run."""
         return self.samples.get((task, scenario, preset, method))
+
+    def at(self, task: str, scenario: str, preset: str) -> dict[str, Sample]:
+        """Return the samples of a scenario under a preset by method, in order."""
+        return {key[3]: each for key, each in self.among(task, scenario) if key[2] == preset}
 
     def among(self, task: str, scenario: str | None = None) -> Iterator[tuple[Key, Sample]]:
         """Yield keys and samples of a task, for one scenario or all."""

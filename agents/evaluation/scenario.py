@@ -36,13 +36,14 @@ class Extent:
     levels: int | None = None  # levels of a factor; None: all
     searched: int | None = None  # maximum starts of methods that search; None: their own
     presets: tuple[str, ...] | None = None  # presets of streams; None: all
+    film: float = 20.0  # [s] maximum duration of a stream's film
 
 
 WHOLE = Extent()
 # `--quick`: the same tables with fewer episodes.
 QUICK = Extent(
     starts=12, level_starts=12, seeds=1, replications=2, duration=20.0, offers=1, levels=1,
-    searched=2, presets=("exact",),
+    searched=2, presets=("exact",), film=3.0,
 )  # fmt: skip
 
 

@@ -160,7 +160,7 @@ class StreamScenario(Scenario):
 
 def stream_scenarios(
     task: str, extent: Extent = WHOLE, groups: Sequence[str] = ()
-) -> list[Scenario]:
+) -> list[StreamScenario]:
     """List the offered streams of a task under each preset.
 
     Args:

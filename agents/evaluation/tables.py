@@ -1,7 +1,8 @@
 """Text tables: on screen, as Markdown and as HTML."""
 
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -26,6 +27,21 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str =
 def bold(text: str) -> str:
     """Mark a cell as bold."""
     return f"{BOLD}{text}{BOLD}"
+
+
+def number(value: float | None, form: str, unit: str = "") -> str:
+    """Return a number as text; without a number (None or NaN) it is `NOTHING`."""
+    return NOTHING if value is None or math.isnan(value) else format(value, form) + unit
+
+
+def tabulate(
+    title: str, caption: str, rows: Sequence[Mapping[str, str]], keys: int = 1
+) -> "list[Table]":
+    """Make a table of rows that have the same columns; no table if there are no rows."""
+    if not rows:
+        return []
+    cells = tuple(tuple(row.values()) for row in rows)
+    return [Table(title, caption, tuple(rows[0]), cells, keys)]
 
 
 @dataclass(frozen=True)

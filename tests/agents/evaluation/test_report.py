@@ -47,7 +47,7 @@ def test_the_page_needs_nothing_else(tmp_path) -> None:
     picture, film = tmp_path / "a.png", tmp_path / "a.mp4"
     Figure().savefig(picture)
     film.write_bytes(b"film")
-    table = views.task_table("slow", SLOW)
+    (table,) = views.task_tables("slow", SLOW)
     section = Section(table, [(picture, "a > b"), (film, "both")], start_benchmark("slow").columns)
     write_page([section], tmp_path / "report.html", "Quick: few <starts>.")
     text = (tmp_path / "report.html").read_text()
@@ -88,9 +88,7 @@ def quick_scheduler(config: EnvConfig, groups: ColumnGroups | None) -> Scheduler
 def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(report, "all_methods", lambda _: RULES)
     monkeypatch.setattr(ladder, "make_scheduler", quick_scheduler)
-    monkeypatch.setattr(report, "LENGTH", 0.4)
-    monkeypatch.setattr(report, "SHOWN_AT", 0.2)
-    monkeypatch.setattr(cli, "replace", lambda *_, **__: Extent(replications=10))
+    monkeypatch.setattr(cli, "replace", lambda *_, **__: Extent(replications=10, film=0.4))
     write_results(pd.concat(made.capacity_rows()), tmp_path / FILE)
     kept = (tmp_path / FILE).read_bytes()
     screen = io.StringIO()
@@ -181,10 +179,8 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
     assert made_card["scheduler"] == pytest.approx(0.6 * made.CEILINGS[2], rel=0.01)
 
 
-def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(report, "LENGTH", 0.2)
-    monkeypatch.setattr(report, "SHOWN_AT", 0.08)
-    scenario = filmed_scenario("merge", "lab")
+def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path) -> None:
+    scenario = filmed_scenario("merge", "lab", extent=Extent(film=0.2))
     both = report.rivals(all_methods("merge"))
     pictures = report._film(both, scenario, None, tmp_path / "merge-lab", "three lines, lab")
     (picture, drawn), (video, filmed) = pictures

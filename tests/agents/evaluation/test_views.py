@@ -62,8 +62,8 @@ def unknown(rule: list[float], *agents: list[float], touches: float = 0.0) -> Re
 
 ONE = merged([1.0, 2.0, 3.0], [0.9, 1.89, 2.91])
 TABLES: dict[str, Callable[[], list[Table]]] = {
-    "task": lambda: [views.task_table("slow", SLOW), *views.speed_tables("sort", SORT)],
-    "decisions": lambda: [views.decision_table(["slow", "sort"], SLOW)],
+    "task": lambda: [*views.task_tables("slow", SLOW), *views.speed_tables("sort", SORT)],
+    "decisions": lambda: views.decision_tables(["slow", "sort"], SLOW),
     "sweep": lambda: views.sweep_tables("slow", SWEPT),
     "capacity": lambda: streams.stream_tables("flow", FLOW),
     "offers": lambda: streams.stream_tables("merge", ONE),
@@ -88,7 +88,7 @@ def test_no_width_loses_a_cell(make) -> None:
 
 
 def test_a_row_for_each_method() -> None:
-    table = views.task_table("slow", SLOW)
+    (table,) = views.task_tables("slow", SLOW)
     assert table.header[:4] == ("controller", "seeds", "success (95 % interval)", "camera")
     fixed, rule, planner = table.rows
     assert fixed[0] == "fixed layout"
@@ -97,13 +97,13 @@ def test_a_row_for_each_method() -> None:
     assert (planner[0], planner[3]) == ("planner (2 starts)", "-")
     # Decision times stand apart.
     assert not any("decision" in name for name in table.header)
-    times = views.decision_table(["slow"], SLOW)
+    (times,) = views.decision_tables(["slow"], SLOW)
     assert (times.header, dict(times.rows)["a <rule>"]) == (("controller", "slow"), "20.0")
 
 
 def test_files_agree(tmp_path) -> None:
-    write_markdown([views.task_table("slow", SLOW)], tmp_path / "a.md")
-    numbers = views.task_numbers("slow", SLOW)
+    write_markdown(views.task_tables("slow", SLOW), tmp_path / "a.md")
+    numbers = views.list_numbers("slow", SLOW)
     wanted = {"method": "a <rule>", "preset": "exact", "metric": "success"}
     (rate,) = [each["value"] for each in numbers if wanted.items() <= each.items()]
     assert f"| a <rule> | 1 | {rate:.3f} (" in (tmp_path / "a.md").read_text()
@@ -131,7 +131,7 @@ class TestSweep:
         assert views.Sweep("track", SWEPT).rate("PPO", "zone", 8) is None
 
     def test_a_row_for_each_method_and_a_column_for_each_factor(self) -> None:
-        table = views.factor_table(SWEEP)
+        (table,) = views.factor_tables("slow", SWEPT)
         assert [row[0] for row in table.rows] == ["fixed layout", "PPO", "PPO, lab", PLANNER]
         squares = "square: 0.15 / 0.2 / 0.3 / 0.35 / 0.4 / 0.5 m"
         assert table.header[1:3] == ("as trained", squares)
@@ -139,34 +139,35 @@ class TestSweep:
         assert (fixed["as trained"], fixed["stuck modules: 2 / 10 %"]) == ("0.25", "0.25 / 0.12")
         assert table.rows[-1][-1] == "-"
         assert "24 starts (planner: 6)" in table.caption
-        track = views.factor_table(views.Sweep("track", SWEPT))
+        (track,) = views.factor_tables("track", SWEPT)
         assert not any("zone" in name for name in track.header)
 
     def test_squares_beside_the_planners(self) -> None:
-        rows = {row[0]: row[1:] for row in views.square_table(SWEEP).rows}
+        rows = {row[0]: row[1:] for row in views.square_tables("slow", SWEPT)[0].rows}
         assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
         shares = []
         for level in SQUARE.shown:
-            own, best = (SWEEP.success(name, "square", level) for name in ("PPO", PLANNER))
+            own, best = (SWEEP.find(name, "square", level) for name in ("PPO", PLANNER))
             assert own is not None
             assert best is not None
-            assert best.shape == (1, 6)
-            shares.append(own[:, :6].mean() / best.mean())
+            assert best.success.shape == (1, 6)
+            shares.append(own.success[:, :6].mean() / best.rate)
         assert rows["PPO"][2] == f"{min(shares):.2f}"
-        assert views.square_table(views.Sweep("track", SWEPT)).rows[0][-1] == "-"
+        assert views.square_tables("track", SWEPT)[0].rows[0][-1] == "-"
 
     def test_the_lab_by_shape(self) -> None:
         shapes = np.array([SHAPES[k % 3] for k in range(made.COUNT)])  # no polygon was drawn
-        success, found = SWEEP.success("PPO", LAB, LAB), SWEEP.by_shape("PPO")
-        assert success is not None
+        sample, found = SWEEP.find("PPO", LAB, LAB), SWEEP.by_shape("PPO")
+        assert sample is not None
+        success = sample.success
         assert set(found) == set(shapes)
         for shape, some in found.items():
             assert some.mean() == success[:, shapes == shape].mean()
-        table = views.shape_table(SWEEP)
+        (table,) = views.shape_tables("slow", SWEPT)
         assert table.header[2:] == SHAPES
         assert table.rows[0][-1] == "-"
         assert PLANNER not in [row[0] for row in table.rows]
-        numbers = views.sweep_numbers("slow", SWEPT)
+        numbers = views.list_numbers("slow", SWEPT)
         (whole,) = [
             each["value"]
             for each in numbers
@@ -209,7 +210,7 @@ class TestCapacities:
         assert apart.difference("1", "nobody", offer) is None
 
     def test_the_ladder(self) -> None:
-        table = streams.ladder_table(self.FOUND)
+        (table,) = streams.ladder_tables(self.FOUND)
         rows = {row[0]: row[1:] for row in table.rows}
         best = streams.BEST.format(ladder.MODULES)
         assert list(rows) == [*made.SHARES, best, streams.ENTRANCE]
@@ -225,16 +226,16 @@ class TestCapacities:
         assert "cannot; zones in series: 7, 7, 7, 7, 7, 7." in table.caption
         shares = {name: share for name, share in made.SHARES.items() if name != ladder.EVENT}
         results = made.results(*made.capacity_rows(shares))
-        table = streams.ladder_table(streams.list_capacities("flow", results)[1])
+        (table,) = streams.ladder_tables(streams.list_capacities("flow", results)[1])
         assert dict(zip(table.header, table.rows[3], strict=True))["S, 1 m/s"] == "**7920 ±136**"
 
     def test_steps_of_the_ladder(self) -> None:
-        rows = {row[0]: row[1:] for row in streams.step_table(self.FOUND).rows}
+        rows = {row[0]: row[1:] for row in streams.step_tables(self.FOUND)[0].rows}
         step = f"{ladder.MODULES} over {ladder.COLUMNS}"
         assert (list(rows), rows[step][0]) == ([step], "+2520 ±192 (+46.7 %)")
 
     def test_every_number_has_a_row(self) -> None:
-        rows = streams.stream_numbers("flow", FLOW)
+        rows = views.list_numbers("flow", FLOW)
         assert {row["metric"] for row in rows} > {"rate", "best", "turns per parcel", "actuators"}
         wanted = {"method": ladder.COLUMNS, "preset": "exact", "metric": "rate"}
         found = [row["value"] for row in rows if wanted.items() <= row.items()]
