@@ -40,6 +40,7 @@ DIGEST = "digest"  # card's field with the digest of its other fields and the we
 OWN = "Own/"  # prefix of custom tasks and algorithms; cards do not name their files
 QUEUE = 4  # waiting parcels visible to a policy on a schedule
 MOST_LAYERS = 16  # maximum layers of a network
+HEADS = 4  # heads of attention of PPO per parcel, which share its units
 
 Weights = Mapping[str, Any]  # arrays of a policy by name
 
@@ -60,6 +61,7 @@ class Algorithm:
     served: str = "one of a single parcel"  # description of supported tasks
     # arguments of its environments beside task, actions, control period and observed groups
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    build_options: tuple[str, ...] = ()  # arguments of `load` that `build` takes, too
 
     def check(self, task: Task, actions: str) -> None:
         """Raise a ValueError unless it supports a task with a kind of action."""
@@ -238,6 +240,12 @@ class TrainedPolicy(BatchController, ABC):
         self._shape = (None, features) if config.task.is_stream else (features,)
 
 
+def check_heads(hidden: tuple[int, ...]) -> None:
+    """Raise a ValueError unless the layers suit PPO per parcel."""
+    if len(hidden) != 1 or hidden[0] % HEADS:
+        raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
+
+
 @dataclass(frozen=True)
 class PolicyFiles:
     """Content of a policy's files; other machines need not see its folder."""
@@ -362,7 +370,13 @@ def from_files(
     most_touches: float = 0.0,
 ) -> TrainedPolicy:
     """Build a policy from the content of its files; see `read` and `load`."""
-    given = {"config": config, "most_touches": most_touches or None}
+    if task is not None:
+        checks.instance("task", task, Task, "a task")
+    if config is not None:
+        checks.instance("config", config, EnvConfig, "an EnvConfig")
+    given = {
+        "config": config, "most_touches": checks.not_negative("most_touches", most_touches) or None,
+    }  # fmt: skip
     options = {name: value for name, value in given.items() if value is not None}
     for name in files.algorithms:
         find_algorithm(name)
@@ -370,6 +384,9 @@ def from_files(
         card = read_card(files)
         own, algorithm = card.env_config(task), ALGORITHMS.find(card.algo)
         algorithm.check(own.task, card.actions)
+        for name in options:
+            if name not in algorithm.build_options:
+                raise ValueError(f"{name} must be left out for {algorithm.label}")
         return algorithm.build(card, read_weights(files), own, **options)
     except ModuleNotFoundError as error:
         raise ImportError(

@@ -20,8 +20,8 @@ from surface_gym.flow.base import HALVES
 from surface_gym.tasks.features import Column, Feature, columns
 
 from .base import Booleans, Integers, Numbers, is_fresh
-from .library import PolicyCard, TrainedPolicy, Weights
-from .rules.slopes import PRIORS
+from .library import HEADS, PolicyCard, TrainedPolicy, Weights, check_heads
+from .rules import find_prior
 from .tensors import load_weights
 
 MOST = 5.0  # limit of features
@@ -29,7 +29,6 @@ APART = (2.0, 1.4, 2.0)  # maximum differences of two parcels: [m] along, [m] ac
 PAIR = 5  # features of the relative position of two parcels
 PRIOR = 6.0  # initial logit of the rule's choice, for a probability of 0.96
 SMALL = 0.01  # [-] scale of the last layer's initial weights
-HEADS = 4  # heads of attention
 # Features of relative positions: x minus the length, y, and vx.
 PLACE = {"to the end": -1.0, "offset": 1.0, "forward speed": 1.0}  # [-] sign of each feature
 # features of a row: presence of a parcel, and time since its entry
@@ -62,8 +61,7 @@ class ParcelNetwork(nn.Module):
         has_rule: bool = True,
     ) -> None:
         super().__init__()
-        if len(hidden) != 1 or hidden[0] % HEADS:  # heads share the units
-            raise ValueError(f"hidden must be one multiple of {HEADS}, got {hidden}")
+        check_heads(hidden)
         units = hidden[0]
         self.choices = orientations**HALVES
         self._has_rule = has_rule
@@ -156,8 +154,8 @@ class Proposer:
     """
 
     def __init__(self, config: EnvConfig) -> None:
-        make = PRIORS.get(config.task_name)
-        self._rule = None if make is None else make(config.replace(actions="parcels"))
+        prior = find_prior(config.task_name)
+        self._rule = None if prior is None else prior.make(config.replace(actions="parcels"))
         self._orientations = len(config.chosen_orientations)
 
     def propose(self, tables: Any, memory: Any, fresh: Any) -> tuple[Integers, Any]:
@@ -172,7 +170,7 @@ class Proposer:
 
 def make_network(config: EnvConfig, hidden: tuple[int, ...]) -> ParcelNetwork:
     """Make the untrained network of an environment's parcels."""
-    choices, has_rule = len(config.chosen_orientations), config.task_name in PRIORS
+    choices, has_rule = len(config.chosen_orientations), find_prior(config.task_name) is not None
     return ParcelNetwork(config.features, choices, hidden, has_rule)
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import tyro
 
-from surface_gym.cli import TRAIN, command_line, typed
-from surface_gym.executors import WorkError
+from surface_gym.cli import TRAIN, command_line, parse_options
+from surface_gym.executors import WorkError, describe_error
 from surface_gym.parallel import choose_workers, usable_cores
-from surface_gym.registration import DEFAULT_TASK
+from surface_gym.registration import DEFAULT_TASK, TASKS
 
 from .learning import config as configs
 from .learning.algorithms import PPOConfig
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         carry_out(parse_arguments(given), given, Console())
     except (ValueError, WorkError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {describe_error(error)}")
 
 
 def parse_arguments(arguments: Sequence[str]) -> Request:
@@ -145,13 +145,14 @@ def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
     default = configs.defaults(task, algo, selection.hyperparams, **given)
     # Names of fields are headings of the help.
     command: Any = make_dataclass("Command", [("training", type(default)), ("command", Options)])
-    parsed: Any = tyro.cli(
+    parsed = parse_options(
         command,
+        "train",
+        arguments,
         default=command(default, Options()),
         config=(tyro.conf.OmitArgPrefixes,),
-        args=arguments,
-        prog=typed("train"),
-        description="Train an agent, resume a run, or search hyper-parameters.",
+        description="Train an agent, resume a run, or search hyper-parameters. "
+        f"Tasks: {', '.join(TASKS)}.",
     )
     return parsed.training
 

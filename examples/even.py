@@ -123,7 +123,7 @@ class Even(own.StreamTask):
             own.show(state.observation, COLUMN.gap_ahead, FAR)
 
 
-@rule("least loaded", "even", actions="parcels")
+@rule("least loaded", "even", actions="parcels", is_prior=True)
 class LeastLoaded:
     """Leads each parcel, from the foremost on, to the exit that is least loaded then."""
 

@@ -274,6 +274,8 @@ class ActionKind:
             given = np.asarray(actions)
         except ValueError:  # parts of different lengths
             raise ValueError(f"action must be an array, got {actions!r}") from None
+        if isinstance(actions, np.ma.MaskedArray):
+            raise ValueError("action must be an array, got a masked one")
         own = () if self._single else (self.size,)
         if given.shape != (own if num_envs is None else (num_envs, *own)):
             each = "" if num_envs is None else " an environment"

@@ -300,11 +300,13 @@ def place(name: str, value: ArrayLike) -> tuple[float, float]:
 
 def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
     """Return a read-only copy as an array (rows, columns) of booleans, not empty."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise ValueError(f"{name} must be an array of booleans, got a masked one")
     try:
         given = np.array(value)
     except ValueError:  # rows of different lengths
         raise ValueError(f"{name} must be an array of booleans, got {value!r}") from None
-    if given.dtype != np.bool_ or isinstance(value, np.ma.MaskedArray):
+    if given.dtype != np.bool_:
         raise ValueError(f"{name} must be an array of booleans, got one of {given.dtype}")
     if given.ndim != 2 or given.size == 0:
         raise ValueError(f"{name} must have at least one row and one column, got {given.shape}")

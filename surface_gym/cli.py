@@ -4,9 +4,11 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 NAME = "surface-gym"
 # A file of the checkout, or the command of the installed package.
@@ -57,6 +59,39 @@ def typed(name: str) -> str:
         return f"python -m {spec.name.removesuffix('.__main__')}"
     file = Path(sys.argv[0]).name
     return f"python {file}" if file == f"{name}.py" else f"{NAME} {name}"
+
+
+def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **settings: Any) -> Any:
+    """Parse a command's options by tyro; an unknown option ends it with one line and status 2.
+
+    Args:
+        kind: the dataclass of the options, or a union of them by subcommand.
+        name: name of the command.
+        settings: other arguments of `tyro.cli`.
+    """
+    import tyro
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    found, unknown = tyro.cli(
+        kind, prog=typed(name), args=given, return_unknown_args=True, **settings
+    )
+    if unknown:
+        option = unknown[0].partition("=")[0]
+        near = get_close_matches(option, _list_options(found), 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        print(f"error: {typed(name)} has no option {option}{meant}", file=sys.stderr)
+        raise SystemExit(2)
+    return found
+
+
+def _list_options(parsed: Any) -> list[str]:
+    """List the options of parsed dataclasses, which may hold others."""
+    names = []
+    for each in fields(parsed):
+        value = getattr(parsed, each.name)
+        inner = _list_options(value) if is_dataclass(value) else []
+        names += inner or [f"--{each.name.replace('_', '-')}"]
+    return names
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -104,6 +104,8 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         render_mode: str | None,
     ) -> None:
         self.num_envs = checks.integer("num_envs", num_envs, least=1)
+        if max_episode_steps == -1:  # no limit, as for `gymnasium.make`
+            max_episode_steps = None
         if max_episode_steps is not None:
             checks.integer("max_episode_steps", max_episode_steps, least=1)
         modes = [mode.value for mode in AutoresetMode]
@@ -153,7 +155,7 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             return [checks.integer("seed", seed, least=0) + i for i in range(self.num_envs)]
         if not isinstance(seed, (Sequence, np.ndarray)) or len(seed) != self.num_envs:
             raise ValueError(f"seed must be one number or {self.num_envs} of them, got {seed!r}")
-        return list(seed)
+        return [None if each is None else checks.integer("seed", each, least=0) for each in seed]
 
     def _options_of_each(
         self,

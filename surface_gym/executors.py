@@ -53,6 +53,11 @@ class Job(Protocol[Result_co]):
         """Do the work; call `report` with progress from time to time."""
 
 
+def describe_error(error: BaseException) -> str:
+    """Describe an error in one line, with its notes, which name the job."""
+    return " ".join([str(error), *(f"({note})" for note in getattr(error, "__notes__", ()))])
+
+
 class RemoteTraceback(Exception):
     """The traceback of an error from another process."""
 

@@ -39,6 +39,7 @@ def map_jobs(
     workers: Workers,
     on_report: OnReport = lambda *_: None,
     grace: float = GRACE,
+    name: Callable[[int], str] = "job {}".format,
 ) -> Iterator[tuple[int, Result]]:
     """Run jobs, and yield index and result of each when it is finished, in any order.
 
@@ -52,9 +53,10 @@ def map_jobs(
         workers: number of processes, or a cluster; with one process, jobs run in this process.
         on_report: called with a job's index and its report.
         grace: [s] for which interrupted jobs may go on.
+        name: names a job by its index, in a note on an error of the job.
 
     Raises:
-        WorkFailed: a job has cost `MAX_LOSSES` processes without a report, or a node has another
+        WorkError: a job has cost `MAX_LOSSES` processes without a report, or a node has another
             version of the package.
         ValueError: there is no cluster at the address.
     """
@@ -67,11 +69,16 @@ def map_jobs(
         known = len(jobs) if isinstance(jobs, Sized) else workers
         if min(check_count("workers", workers), known) <= 1:
             for index, job in enumerate(jobs):
-                yield index, job(partial(on_report, index))
+                try:
+                    result = job(partial(on_report, index))
+                except Exception as error:
+                    error.add_note(f"in {name(index)}")
+                    raise
+                yield index, result
             return
         executor = Processes(workers)
     try:
-        yield from _map(enumerate(jobs), executor, on_report)
+        yield from _map(enumerate(jobs), executor, on_report, name)
     except BaseException:
         executor.interrupt()
         deadline = time.monotonic() + grace
@@ -85,7 +92,10 @@ def map_jobs(
 
 
 def _map(
-    jobs: Iterator[tuple[int, Job[Result]]], executor: Any, on_report: OnReport
+    jobs: Iterator[tuple[int, Job[Result]]],
+    executor: Any,
+    on_report: OnReport,
+    name: Callable[[int], str],
 ) -> Iterator[tuple[int, Result]]:
     running: dict[int, Job[Result]] = {}
     lost: deque[int] = deque()
@@ -111,10 +121,13 @@ def _map(
             elif kind == LOST:
                 losses[index] += 1
                 if losses[index] == MAX_LOSSES:
-                    raise WorkError(f"a job has cost {MAX_LOSSES} processes; the last: {value}")
+                    raise WorkError(
+                        f"{name(index)} has cost {MAX_LOSSES} processes; the last: {value}"
+                    )
                 lost.append(index)
             else:
                 error, where = value
+                error.add_note(f"in {name(index)}")
                 raise error from RemoteTraceback(where)
 
 

@@ -124,13 +124,23 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
         return batch.observation.copy(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Draw a picture (height, width, 3) of each environment; None without a render mode."""
+        if self._check_renders():
+            return tuple(self._renderer.draw(i) for i in range(self.num_envs))
+        return None
+
+    def montage(self) -> NDArray[np.uint8] | None:
         """Draw one picture (height, width, 3) of all environments; None without a render mode."""
+        return self._renderer.draw_all() if self._check_renders() else None
+
+    def _check_renders(self) -> bool:
+        """Return whether there is a render mode; raise an error before the first reset."""
         if self.render_mode is None:
             warn_of_no_render_mode(self.spec, "make_vec")
-            return None
+            return False
         if not self._started:
             raise gym.error.ResetNeeded("Call reset before render.")
-        return (self._renderer.draw_all(),)
+        return True
 
     def _infos(self, mask: Booleans) -> dict[str, Any]:
         """Collect the infos of the environments in the mask: arrays with their masks."""

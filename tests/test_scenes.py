@@ -426,7 +426,7 @@ class TestEnvironments:
         envs.reset(seed=0)
         pictures = []
         for _ in range(7):  # past the end, into the next episode
-            pictures += envs.render()
+            pictures.append(envs.montage())
             envs.step(envs.action_space.sample())
         assert {picture.shape[1:] for picture in pictures} == {(1280, 3)}
         assert all((one != other).any() for one, other in pairwise(pictures))

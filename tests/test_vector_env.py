@@ -275,12 +275,23 @@ class TestMemory:
 
 
 class TestDrawing:
+    def test_a_film_of_all_environments(self, tmp_path):
+        env: Any = gym.make_vec(te.SORT, 3, actions="halves", render_mode="rgb_array")
+        env.reset(seed=0)
+        assert len(env.unwrapped.render()) == 3
+        film = gym.wrappers.vector.RecordVideo(env, str(tmp_path / "films"))
+        film.reset(seed=0)
+        for _ in range(3):
+            film.step(env.action_space.sample())
+        film.close()
+        assert [file.suffix for file in (tmp_path / "films").iterdir()] == [".mp4"]
+
     def test_all_environments_in_one_picture(self):
         env = te.native(render_mode="rgb_array")
         env.reset(seed=0)
-        (first,) = env.render()
+        first = env.montage()
         env.step(env.action_space.sample())
-        (second,) = env.render()
+        second = env.montage()
         assert first.dtype == np.uint8
         assert first.shape == second.shape
         assert (first != second).any()

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surface_gym import checks, parallel
-from surface_gym.cli import typed
-from surface_gym.executors import WorkError
+from surface_gym.cli import parse_options
+from surface_gym.executors import WorkError, describe_error
 from surface_gym.registration import SHIPPED, TASKS
 
 if TYPE_CHECKING:
@@ -166,15 +166,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         _run(given)
     except (ValueError, WorkError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {describe_error(error)}")
     except KeyboardInterrupt:
         print("interrupted; --resume goes on with what is there", file=sys.stderr)
         sys.exit(INTERRUPTED)
 
 
 def _run(given: list[str]) -> None:
-    import tyro
     from rich.console import Console
 
-    config = tyro.cli(EvaluateConfig, prog=typed("evaluate"), args=given)
-    evaluate(config, Console())
+    evaluate(parse_options(EvaluateConfig, "evaluate", given), Console())

@@ -47,7 +47,9 @@ def compute(
             advance(done, len(known), f"{phase} {_describe(job)}")
             yield partial(without_report, job)
 
-    for place, rows in map_jobs(begin(), workers, grace=GRACE):
+    for place, rows in map_jobs(
+        begin(), workers, grace=GRACE, name=lambda place: _describe(remaining[place])
+    ):
         job = remaining[place]
         tables[job.key] = make_rows(rows)
         if file is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from surface_gym import checks
-from surface_gym.cli import typed
+from surface_gym.cli import parse_options
 from surface_gym.files import replacing
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def make_metadata(source: "Source") -> dict[str, str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Export; an error ends it with one line."""
-    config = tyro.cli(ExportConfig, prog=typed("export"), args=arguments)
+    config = parse_options(ExportConfig, "export", arguments)
     try:
         files, agreement = export(config.source(), config.out, config.observations)
     except ModuleNotFoundError:

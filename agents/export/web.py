@@ -40,8 +40,7 @@ from ..local_policy import LocalPolicy
 from ..module_places import find_places
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
-from ..rules import find_rules
-from ..rules.slopes import PRIORS
+from ..rules import find_prior, find_rules
 from ..rules.streams import OWN, SortEach
 from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
@@ -290,7 +289,7 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
         "kind": "parcels",
         **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
         **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
-        "heads": parcel_policy.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
+        "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
         "most": parcel_policy.MOST, "present": ta.COLUMN.present.place,
         "time": ta.COLUMN.time.place, "end": ta.COLUMN.to_the_end.place,
         "offset": ta.COLUMN.offset.place, "forward": ta.COLUMN.forward_speed.place,
@@ -339,7 +338,8 @@ def write_slope_policy(
     tensors = library.read_weights(library.read_files(source))
     config = EnvConfig(task, actions=policy.card.actions)
     if isinstance(policy, ParcelPolicy):
-        (prior,) = (each for each in find_rules(task) if each.make is PRIORS[task])
+        prior = find_prior(task)
+        assert prior is not None
         rule = write_rule(prior, folder)
         card = describe_parcel_network(tensors, rule, weights)
     else:

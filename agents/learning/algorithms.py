@@ -16,7 +16,7 @@ from surface_gym.registration import DEFAULT_SLOPE
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.sort import Sort
 
-from ..library import ALGORITHMS, QUEUE, Algorithm
+from ..library import ALGORITHMS, QUEUE, Algorithm, check_heads
 from .config import CPU, NOMINAL, ActionName, DeviceName, ParcelConfig, TrainConfig
 
 MOST_PARCELS = 12  # maximum parcels on a surface for policies of parcels or modules
@@ -175,8 +175,8 @@ class SchedulesConfig(TrainConfig):
 class ParcelsConfig(RolloutConfig):
     """Train one policy shared by all parcels of a stream, by PPO with a reward for each parcel.
 
-    The policy corrects the task's rule in `agents.rules.slopes.PRIORS`, if it has one. Then compare
-    the policy with the rule.
+    The policy corrects the task's rule with `is_prior`, if it has one. Then compare the policy with
+    the rule.
 
     Defaults are in agents/hyperparams/parcels.yml.
     """
@@ -189,6 +189,10 @@ class ParcelsConfig(RolloutConfig):
     """Kind of action, as in the environment."""
     hidden: tuple[int, ...] = (64,)
     """Units of all layers, one number."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.hidden)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,6 +270,7 @@ ALGORITHMS.register(
         lambda task: type(task) is Flow,
         f"{Flow().name!r}",
         {"gate": True, "queue": QUEUE},
+        ("config", "most_touches"),
     ),
 )
 ALGORITHMS.register(
@@ -279,6 +284,7 @@ ALGORITHMS.register(
         _shows_parcels,
         "one on a stream of parcels that shows which rows are `present`",
         {"max_parcels": MOST_PARCELS},
+        ("config",),
     ),
 )
 ALGORITHMS.register(
@@ -292,5 +298,6 @@ ALGORITHMS.register(
         lambda task: isinstance(task, TakeAwayTask),
         "one on a slope with a take-away",
         {"max_parcels": MOST_PARCELS},
+        ("config",),
     ),
 )

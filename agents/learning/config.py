@@ -16,7 +16,15 @@ from surface_gym.lines import Line
 from surface_gym.registration import DEFAULT_TASK, PERIODS, env_id
 from surface_gym.tasks.features import compute_digest
 
-from ..library import PolicyCard, card_algo, card_env_id, find_algorithm, find_task, task_kind
+from ..library import (
+    MOST_LAYERS,
+    PolicyCard,
+    card_algo,
+    card_env_id,
+    find_algorithm,
+    find_task,
+    task_kind,
+)
 from ..yaml_file import read_yaml
 
 PresetName = Literal["nominal", "lab"]
@@ -96,8 +104,8 @@ class TrainConfig:
         checks.positive("learning_rate", self.learning_rate)
         for units in self.hidden:
             checks.integer("hidden", units, least=1)
-        if not self.hidden:
-            raise ValueError("hidden must be at least one layer, got none")
+        if not 1 <= len(self.hidden) <= MOST_LAYERS:
+            raise ValueError(f"hidden must be 1 to {MOST_LAYERS} layers, got {len(self.hidden)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle by the algorithm's name, since its class may be in a user's file."""

@@ -405,7 +405,9 @@ def train_seeds(
 
         found: dict[int, TrainResult] = {}
         with suppress(KeyboardInterrupt):
-            found.update(map_jobs(jobs, workers, on_report))
+            found.update(
+                map_jobs(jobs, workers, on_report, name=lambda index: f"seed {runs[index][0].seed}")
+            )
         return [found[index] for index in sorted(found)]
 
 

@@ -5,12 +5,17 @@ from functools import partial
 
 from .base import ROLLING, RULES, Rule, UniformLayout, rule
 
-__all__ = ["ROLLING", "RULES", "Rule", "find_apart", "find_rules", "rule"]
+__all__ = ["ROLLING", "RULES", "Rule", "find_apart", "find_prior", "find_rules", "rule"]
 
 
 def find_apart() -> list[Rule]:
     """List rules in environments of their own: the whole path is observed, axes have any angle."""
     return [each for each in RULES.values() if each.is_apart]
+
+
+def find_prior(task: str) -> Rule | None:
+    """Return the rule of a task that PPO per parcel learns to correct; None if there is none."""
+    return next((each for each in RULES.values() if each.task == task and each.is_prior), None)
 
 
 def find_rules(task: str) -> list[Rule]:

@@ -42,6 +42,7 @@ class Rule:
     orientations: str | None = None  # "any": axes at any angle; None: the line's orientations
     # the task with a richer observation that the rule needs; None: the task itself
     observed_task: Callable[[Task], Task] | None = None
+    is_prior: bool = False  # whether PPO per parcel learns to correct it
 
     @property
     def is_apart(self) -> bool:

@@ -18,7 +18,6 @@ from ..base import Integers, Numbers, Singles
 from .base import rule
 from .slopes import (
     NOBODY,
-    PRIORS,
     Brakes,
     Slope,
     SlopeMemory,
@@ -252,7 +251,7 @@ def _lead_out(
             break
 
 
-@rule("pass and park", "sequence", actions="parcels")
+@rule("pass and park", "sequence", actions="parcels", is_prior=True)
 class PassAndPark(SlopeRule):
     """Let parcels leave in their order: who must wait is parked beside a passage."""
 
@@ -269,6 +268,3 @@ class PassAndPark(SlopeRule):
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         tables, slope, tuning, *more = super().arguments(tables, memory, halves)
         return (tables, slope, tuning, self._parking, *more)
-
-
-PRIORS.register("sequence", PassAndPark)

@@ -17,7 +17,6 @@ from .base import rule
 from .slopes import (
     HELD,
     NOBODY,
-    PRIORS,
     Brakes,
     Slope,
     SlopeMemory,
@@ -245,7 +244,7 @@ def choose_by_release(
             move(slope, tuning, parcels, order[i], count, place, speed, brakes, i, halves)
 
 
-@rule("time slots", "singulate", "merge", actions="parcels")
+@rule("time slots", "singulate", "merge", actions="parcels", is_prior=True)
 class TimeSlots(SlopeRule):
     """Give each parcel a time slot at the end, and brake those that would be early."""
 
@@ -268,7 +267,3 @@ class HoldAndRelease(SlopeRule):
 
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         return (*super().arguments(tables, memory, halves), self._hold)
-
-
-PRIORS.register("singulate", TimeSlots)
-PRIORS.register("merge", TimeSlots)

@@ -6,7 +6,6 @@ it.
 
 import copy
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,17 +16,12 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.take_away import COLUMN, TakeAwayTask
 from surface_gym.physics.types import GRAVITY
-from surface_gym.registry import Registry
 from surface_gym.sensors import Exact
 from surface_gym.tasks.features import read
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
 from .base import CompiledController
 
-# Rules by `actions="parcels"` that learned policies of parcels start from, by the task's name.
-PRIORS: Registry[Callable[[EnvConfig], BatchController]] = Registry(
-    "task", f"{__package__}.singulation", f"{__package__}.sequencing"
-)
 NOBODY = -1
 HELD = 0.1  # [m/s] slower than this, all modules may hold a parcel
 URGENT = 2.0  # [m] before the end, from where on both halves turn a parcel

@@ -12,9 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tyro
-
-from surface_gym.cli import typed
+from surface_gym.cli import parse_options
 
 from ..learning.config import current_option
 from .config import RuntimeConfig, find_token, parse_address
@@ -195,7 +193,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error prints one line."""
     given = map(current_option, sys.argv[1:] if arguments is None else arguments)
-    config = tyro.cli(RuntimeConfig, prog=typed("runtime"), args=list(given))
+    config = parse_options(RuntimeConfig, "runtime", list(given))
     from rich.console import Console
 
     try:

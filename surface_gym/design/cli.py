@@ -5,7 +5,9 @@ import sys
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from functools import reduce
 from importlib import import_module
+from operator import or_
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -19,7 +21,7 @@ from rich.table import Table as ScreenTable
 
 import surface_gym as sg
 from surface_gym import checks, design, files, parallel
-from surface_gym.cli import typed
+from surface_gym.cli import parse_options
 from surface_gym.design.flow_question import AskFlow
 from surface_gym.executors import WorkError
 
@@ -360,11 +362,15 @@ QUESTIONS: dict[str, Callable[..., Question | AskFlow]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error ends it with one line and status 2."""
-    question = tyro.extras.subcommand_cli_from_dict(
-        QUESTIONS,
-        prog=typed("design"),
+    kinds: Any = tuple(
+        Annotated[kind, tyro.conf.subcommand(name, prefix_name=False)]
+        for name, kind in QUESTIONS.items()
+    )
+    question = parse_options(
+        reduce(or_, kinds),
+        "design",
+        arguments,
         description="Which surface does a parcel of your own need, or a stream of them?",
-        args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     import_module("matplotlib.figure")  # is needed last, but a missing library is known first

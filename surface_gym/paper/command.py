@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from surface_gym.cli import typed
+from surface_gym.cli import parse_options
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PaperOptions:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a file that cannot be written ends it with a one-line error."""
-    options = tyro.cli(PaperOptions, prog=typed("paper"), args=arguments)
+    options = parse_options(PaperOptions, "paper", arguments)
     try:
         reproduce_and_report(options)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -423,7 +424,8 @@ UNSEEN = ("dummy", "offscreen")
 class Window:
     """Window that shows pictures at a frame rate, until the user or `close` closes it.
 
-    The first picture opens it. pygame has one window per process.
+    The first picture opens it. pygame has one window per process. Without a display, pictures are
+    drawn off screen, with a warning, as Gymnasium's own environments do.
 
     Args:
         title: title of the window.
@@ -466,8 +468,7 @@ class Window:
         try:
             pygame.display.init()
             if pygame.display.get_driver() in UNSEEN and "SDL_VIDEODRIVER" not in os.environ:
-                pygame.display.quit()
-                raise pygame.error("SDL found none")
+                warnings.warn("there is no display: the window is drawn off screen", stacklevel=2)
             screen = pygame.display.set_mode(size)
         except pygame.error as error:
             raise RuntimeError(f"a window needs a display: {error}") from error

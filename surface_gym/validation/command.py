@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from surface_gym.cli import typed
+from surface_gym.cli import parse_options
 from surface_gym.executors import WorkError
 from surface_gym.parallel import choose_workers, usable_cores
 
@@ -43,12 +43,8 @@ class ValidationOptions:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error prints one line and exits with status 2."""
-    options = tyro.cli(
-        ValidationOptions,
-        prog=typed("validation"),
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    settings = (tyro.conf.FlagCreatePairsOff,)
+    options = parse_options(ValidationOptions, "validation", arguments, config=settings)
     try:
         compare(options)
     except ModuleNotFoundError:

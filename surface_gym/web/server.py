@@ -8,10 +8,12 @@ import os
 import re
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import BoundedSemaphore
+from socket import SHUT_RDWR
+from threading import Lock
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
@@ -29,7 +31,8 @@ KINDS = {
 PLAIN = "application/octet-stream"
 ALWAYS = {
     "Cache-Control": "no-cache",
-    "Content-Security-Policy": "frame-ancestors 'self'",
+    "Content-Security-Policy": "script-src 'self' 'wasm-unsafe-eval'; object-src 'none'; "
+    "base-uri 'none'; frame-ancestors 'self'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
@@ -47,6 +50,7 @@ class Server(ThreadingHTTPServer):
     """
 
     daemon_threads = True  # an open connection does not delay the end
+    request_queue_size = CONNECTIONS
     allow_reuse_address = os.name != "nt"  # on Windows it would share a used port
 
     def __init__(
@@ -57,7 +61,8 @@ class Server(ThreadingHTTPServer):
     ) -> None:
         self._folders = [each.resolve() for each in folders]
         self._prepare = prepare
-        self._free = BoundedSemaphore(CONNECTIONS)
+        self._open: dict[Any, None] = {}  # connections, the oldest first
+        self._lock = Lock()
         if not 0 <= port < 2**16:
             raise ValueError(f"port must be from 0 to 65535, got {port}")
         try:
@@ -78,18 +83,23 @@ class Server(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in a thread of its own, or close it where there are too many."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """Answer a connection in its own thread; if there are too many, close the oldest."""
+        with self._lock:
+            if len(self._open) >= CONNECTIONS:
+                oldest = next(iter(self._open))
+                del self._open[oldest]
+                with suppress(OSError):  # its thread sees the end, and closes it
+                    oldest.shutdown(SHUT_RDWR)
+            self._open[request] = None
+        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Answer a connection until it is closed."""
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            with self._lock:
+                self._open.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print an error, except closed connections of browsers."""
@@ -128,7 +138,8 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_content=False)
 
     def _answer(self, with_content: bool) -> None:
-        if not _is_here(self.headers.get("Host", "")):
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1 or not _is_here(hosts[0]):
             self.send_error(HTTPStatus.FORBIDDEN, f"Only {' and '.join(NAMES)} are answered")
             return
         try:
@@ -151,9 +162,15 @@ class _Handler(BaseHTTPRequestHandler):
     def _begin(self, status: HTTPStatus, size: int, **headers: str) -> None:
         self.send_response(status)
         headers["Content-Length"] = str(size)
-        for name, value in {**headers, **ALWAYS}.items():
+        for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
+
+    def end_headers(self) -> None:
+        """End the headers of any answer, errors too."""
+        for name, value in ALWAYS.items():
+            self.send_header(name, value)
+        super().end_headers()
 
     def log_message(self, *_: Any) -> None:
         """Write no log."""

@@ -28,7 +28,7 @@ from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_fold
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, SortPurpose, least_speed
-from surface_gym.executors import Cluster, WorkError
+from surface_gym.executors import Cluster, WorkError, describe_error
 from surface_gym.parallel import choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
 from tests.agents.tuning.cheap import searched
@@ -102,7 +102,7 @@ def test_a_job_whose_process_dies_is_done_again_and_only_that(workers, tmp_path)
 def test_a_job_that_always_dies_ends_the_work(workers, monkeypatch):
     monkeypatch.setattr("surface_gym.parallel.MAX_LOSSES", 3)
     last = "exit code -9" if workers == 2 else "WorkerCrashed"
-    with pytest.raises(WorkError, match=f"a job has cost 3 processes; the last: {last}"):
+    with pytest.raises(WorkError, match=f"job 0 has cost 3 processes; the last: {last}"):
         dict(map_jobs([jobs.always_dies, partial(jobs.draws, 0)], workers))
 
 
@@ -110,6 +110,10 @@ def test_an_error_is_raised_here_and_says_where_it_came_from(workers):
     with pytest.raises(ValueError, match="seven") as raised:
         dict(map_jobs([partial(jobs.fails, "seven"), jobs.own_process], workers))
     assert "in fails" in str(raised.value.__cause__)
+    for count in (1, workers):
+        with pytest.raises(ValueError, match="seven") as raised:
+            dict(map_jobs([partial(jobs.fails, "seven")], count, name="seed {}".format))
+        assert describe_error(raised.value) == "seven (in seed 0)"
 
 
 @pytest.mark.parametrize("by", [KeyboardInterrupt, OSError])
