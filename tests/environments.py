@@ -2,21 +2,28 @@
 
 import copy
 import gc
+import os
 import pickle
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from numpy.typing import ArrayLike
 
 import surface_gym as sg
 from surface_gym import actions, registration, sensors
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core.batch import Batch
+from surface_gym.env import make_batch
+from surface_gym.parcel import Base
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.tasks.start import Start
 
@@ -136,7 +143,7 @@ def steps(env: gym.Env, seed: int, episodes: int = 1, longest: int = 200) -> Ite
 
 
 def assert_same(first: Any, second: Any, place: str = "") -> None:
-    """Equal to the bit, types included: arrays, tuples and dicts of them."""
+    """Equal to the bit, types included: arrays, tuples and dicts of them. nan equals nan."""
     assert type(first) is type(second), place
     if isinstance(first, dict):
         assert list(first) == list(second), place
@@ -152,7 +159,33 @@ def assert_same(first: Any, second: Any, place: str = "") -> None:
         assert first.dtype == second.dtype, place
         np.testing.assert_array_equal(first, second, place)
     else:
-        assert first == second, place
+        assert first == second or (first != first and second != second), place
+
+
+def run_python(*arguments: str, folder: Path | None = None, **environment: str) -> str:
+    """What Python prints in a process of its own; an error of it fails the test."""
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env={**os.environ, **environment},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def outside(base: Base, pose: ArrayLike, x: Any, y: Any, about: Any = (0.0, 0.0)) -> np.ndarray:
+    """The greatest F_lambda of Section 3.2 at points: at most 0 within a base.
+
+    Args:
+        base: base, of which the point `about` lies at the pose.
+        pose: (3,) [m, m, rad].
+        x: [m] of the points.
+        y: [m] of the points.
+        about: (2,) [m] in the base's own frame.
+    """
+    dx, dy = x - pose[0], y - pose[1]
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    own = cosine * dx + sine * dy + about[0], cosine * dy - sine * dx + about[1]
+    return base.functions(*own).max(axis=0)
 
 
 def growth(step: Callable[[], None], warm: int, steps: int) -> float:
@@ -189,6 +222,15 @@ def batch_with(start: Start, seed: int = 0, **settings: Any) -> Batch:
     batch = Batch(EnvConfig(**settings), 1)
     batch.reset_cache.seed(0, np.random.default_rng(seed))
     put(batch, start)
+    return batch
+
+
+def begun(config: EnvConfig, num_envs: int = 1, seed: int = 0, options: Any = ()) -> Any:
+    """A batch of environments that have begun, each by the next seed."""
+    batch = make_batch(config, num_envs)
+    for i in range(num_envs):
+        batch.seed(i, np.random.default_rng(seed + i))
+    batch.reset(np.arange(num_envs), options)
     return batch
 
 

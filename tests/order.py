@@ -72,8 +72,7 @@ OF_SLOPES = tuple(
 )
 # A policy that learns on each slope, and its results: Merge is tried each time.
 LEARNING_ON_SLOPES = (
-    "tests/agents/learning/test_local.py::test_a_policy_is_left_that_acts_in_its_task",
-    "tests/agents/learning/test_parcels.py::test_a_policy_is_left_that_acts_in_its_task",
+    "tests/agents/learning/test_slopes.py::test_a_policy_is_left_that_acts_in_its_task",
 )
 # Infos of each task in two processes of Gymnasium's; of Sort, Flow and Merge each time.
 OF_INFOS = (

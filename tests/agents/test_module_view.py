@@ -13,7 +13,7 @@ from surface_gym.layouts import LEAD_IN, LINE_Y, ROWS, lead_in_under, rows_under
 from surface_gym.lines import Pattern
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
-from tests.environments import PITCH
+from tests.environments import PITCH, outside
 
 NUM_ENVS = 40
 # Compiled as Python calls them.
@@ -109,10 +109,8 @@ def under_base(
     """Rotors (row, column) of a base's zone whose centres lie under it."""
     last = first + 15 if last is None else last
     rows = rows_under(np.ptp(base.outline[:, 1]), PITCH)
-    (x, y, theta), places = pose, np.indices((ROWS, last + 1)).reshape(2, -1)
-    dx, dy = PITCH * (places[1] + 0.5) - x, PITCH * (places[0] + 0.5) - y
-    cosine, sine = np.cos(theta), np.sin(theta)
-    inside = base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0) <= 0.0
+    places = np.indices((ROWS, last + 1)).reshape(2, -1)
+    inside = outside(base, pose, PITCH * (places[1] + 0.5), PITCH * (places[0] + 0.5)) <= 0.0
     on_line = np.abs(places[0] - (ROWS - 1) / 2) < rows / 2
     return set(map(tuple, places.T[inside & on_line & (places[1] >= first)].tolist()))
 

@@ -20,23 +20,10 @@ from surface_gym.agents.rules.singulation import TimeSlots
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import env_id
-from surface_gym.vector_env import SmartSurfaceVectorEnv
 
 CARD = PolicyCard(env_id("singulate"), "parcels", "parcels", 0.04, (8,))
 CONFIG = CARD.env_config()
 FEATURES, CHOICES = CONFIG.features, 4
-
-
-@pytest.fixture(scope="module")
-def tables() -> np.ndarray:
-    """Tables of some surfaces after some seconds, parcels in them."""
-    envs = SmartSurfaceVectorEnv(3, task="singulate", actions="parcels", duration=6.0)
-    observation, _ = envs.reset(seed=1)
-    for _ in range(80):
-        observation, *_ = envs.step(np.full((3, envs.single_action_space.shape[0]), 3))
-    found = np.array(observation)
-    assert (found[..., ta.COLUMN.present.place].sum(axis=1) > 2).all()
-    return found
 
 
 @pytest.fixture

@@ -33,6 +33,8 @@ BAD_MODULES: tuple[dict[str, Any], ...] = (
     {"algo": "ppo"}, {"task": "slow"}, {"actions": "halves"}, {"split_probability": 1.5},
     {"gamma": 1.1},
 )  # fmt: skip
+BAD_PARCELS = ({"task": "sort"}, {"actions": "modules"})
+BAD_LOCAL = ({"task": "sort"}, {"actions": "parcels"}, {"split_probability": 2.0})
 BAD_SCHEDULE: tuple[dict[str, Any], ...] = (
     {"task": "sort"}, {"actions": "halves"}, {"lines": 0}, {"batch_size": 0},
     {"gradient_steps": -1},
@@ -55,7 +57,9 @@ BAD_DQN: tuple[dict[str, Any], ...] = (
     + [(algorithms.PPOConfig, wrong) for wrong in BAD_PPO]
     + [(algorithms.DQNConfig, wrong) for wrong in BAD_DQN]
     + [(algorithms.ModulesConfig, wrong) for wrong in BAD_MODULES]
-    + [(algorithms.SchedulesConfig, wrong) for wrong in BAD_SCHEDULE],
+    + [(algorithms.SchedulesConfig, wrong) for wrong in BAD_SCHEDULE]
+    + [(algorithms.ParcelsConfig, wrong) for wrong in BAD_PARCELS]
+    + [(algorithms.LocalConfig, wrong) for wrong in BAD_LOCAL],
     ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
 )
 def test_bad_fields_are_named(kind, wrong) -> None:
@@ -107,6 +111,7 @@ def test_what_is_written_is_read_again(task, algo, tmp_path) -> None:
     )  # fmt: skip
     if isinstance(config, configs.ParcelConfig):
         config = replace(config, friction=0.35)
+    assert config.task == task
     whole = replace(config, seed=7, seeds=3, name="a", out=tmp_path)
     configs.write_hyperparams(whole, tmp_path / "own.yml")
     assert configs.defaults(task, algo, tmp_path / "own.yml") == config

@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from surface_gym import agents
 from surface_gym.agents.evaluation.stream_scenario import NEVER_SEEN, SHAPES_SEED
 from surface_gym.agents.learning import local, shared, slopes
 from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
 from surface_gym.agents.learning.local import LocalLearner
 from surface_gym.agents.learning.parcels import ParcelLearner
+from surface_gym.agents.learning.runs import train
+from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.parcel import assortment
 from tests.environments import ON_SLOPES
@@ -23,6 +26,19 @@ LOCAL = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8
 @pytest.fixture(autouse=True)
 def short(monkeypatch) -> None:
     monkeypatch.setattr(slopes, "DURATION", 4.0)
+    monkeypatch.setattr(local, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
+    monkeypatch.setattr(local, "BATCH", 200)
+
+
+@pytest.mark.parametrize("config", [TINY, LOCAL], ids=["parcels", "local"])
+@pytest.mark.parametrize("task", ON_SLOPES)
+def test_a_policy_is_left_that_acts_in_its_task(task, config, tmp_path) -> None:
+    assert train(replace(config, task=task), tmp_path).steps == 192
+    policy = agents.read(tmp_path)
+    assert (policy.card.task, policy.card.actions) == (task, config.actions)
+    env_config = EnvConfig(task, actions=config.actions, duration=2.0)
+    seen = np.zeros((2, *env_config.observation_space().shape), dtype=np.float32)
+    assert policy.predict(seen)[0].shape == (2, env_config.action_kind.size)
 
 
 def surfaces(task: str = "merge", num_envs: int = 6) -> slopes.Surfaces:
@@ -86,8 +102,7 @@ def test_where_nothing_leaves_for_long_an_episode_ends_as_a_jam(monkeypatch) -> 
 
 
 @pytest.mark.parametrize(("learner", "config"), [(ParcelLearner, TINY), (LocalLearner, LOCAL)])
-def test_only_the_critic_learns_at_first(learner, config, monkeypatch) -> None:
-    monkeypatch.setattr(local, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
+def test_only_the_critic_learns_at_first(learner, config) -> None:
     made = learner(replace(config, task="merge"))
     made.begin(0)
     samples = made.roll_out()
@@ -114,3 +129,82 @@ def test_the_best_network_so_far_is_kept(learner, config, monkeypatch) -> None:
         made.learn(SimpleNamespace(add_episodes=lambda _: None))
         kept.append(torch.equal(made.network.critic[0].weight, before))
     assert kept == [False, True, False, True]
+
+
+def test_returns_of_a_parcel_end_as_it_leaves() -> None:
+    """With a critic of zeros and all weight on the far, a return is the sum of what is to come."""
+    config = replace(TINY, task="merge", gamma=1.0, gae_lambda=1.0, n_steps=96)
+    learner = ParcelLearner(config)
+    for parameter in learner._learning.critic.parameters():
+        torch.nn.init.zeros_(parameter)
+    with torch.no_grad():
+        learner._learning.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
+    learner.begin(0)
+    made = learner._surfaces
+    rewards, departed, step = [], [], made.step
+
+    def watched(halves):
+        stepped = step(halves)
+        rewards.append(stepped.reward)
+        departed.append(stepped.departed)
+        return stepped
+
+    made.step = watched
+    tables, *_, returns = learner.roll_out()
+    returns = returns.reshape(96, 6, made.rows).numpy()
+    present = (tables[..., ta.COLUMN.present.place] > 0.5).reshape(96, 6, made.rows).numpy()
+    gone = np.stack(departed)
+    assert gone.any()
+    wanted, ahead = np.zeros_like(returns), np.zeros_like(returns[0])
+    for period in reversed(range(96)):
+        ahead = np.where(gone[period], 0.0, ahead) + rewards[period]
+        wanted[period] = ahead
+    np.testing.assert_allclose(returns[present], wanted[present], atol=1e-5)
+
+
+def test_imitation_comes_near_to_the_rule(monkeypatch) -> None:
+    monkeypatch.setattr(local, "ROUNDS", ((200, 0.0, 30),))
+    learner = LocalLearner(replace(LOCAL, task="merge", hidden=(32,)))
+    learner.begin(0)
+    passed, own, asked = map(torch.cat, zip(*learner._watch_rule(80, 0.0), strict=True))
+    share = torch.bincount(asked, minlength=4) / len(asked)
+    blind = -(share * share.log()).sum()  # [nat] of one that sees nothing
+    assert torch.nn.functional.nll_loss(learner._learning(passed, own), asked) < 0.8 * blind
+
+
+def test_every_module_has_the_return_of_its_parcel() -> None:
+    """With a critic of zeros and all weight on the far, it is the sum of what is to come."""
+    config = replace(LOCAL, task="merge", gamma=1.0, gae_lambda=1.0, n_steps=64)
+    learner = LocalLearner(config)
+    for parameter in learner._learning.critic.parameters():
+        torch.nn.init.zeros_(parameter)
+    with torch.no_grad():
+        learner._learning.actor[-1].bias[-1] = 20.0  # all roll, so that some leave
+    learner._rng = np.random.default_rng(0)
+    learner._number = learner._rng.random(learner._slots, dtype=np.float32)
+    made = learner._surfaces
+    made.begin(learner._rng)
+    learner._seen = learner._see()
+    rewards, departed, rows = [], [], [set(learner._seen.row.tolist())]
+    step, see = made.step, learner._see
+
+    def stepped(actions):
+        found = step(actions)
+        rewards.append(found.reward.ravel())
+        departed.append(found.departed.ravel())
+        return found
+
+    def seen():
+        found = see()
+        rows.append(set(found.row.tolist()))
+        return found
+
+    made.step, learner._see = stepped, seen
+    *_, returns = learner.roll_out()
+    assert np.any(departed)
+    wanted, ahead = [], np.zeros(learner._slots)
+    for period in reversed(range(64)):
+        ahead = np.where(departed[period], 0.0, ahead) + rewards[period]
+        wanted += ahead[sorted(rows[period])].tolist()
+    found = returns.numpy()
+    assert np.abs(found[:, np.newaxis] - np.array(wanted)).min(axis=1).max() < 1e-5

@@ -9,9 +9,9 @@ import surface_gym as sg
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rollout import Episodes, run_episodes
 from surface_gym.agents.rules import RULES, Rule
+from surface_gym.agents.scheduling.scheduler import begin_streams
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, TOUCHES, WRONG
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import LINE_Y
@@ -111,11 +111,7 @@ def zoned(stream: Stream = EVERYBODY, **config: Any) -> EnvConfig:
 
 def counts(controller: Any, config: EnvConfig, num_envs: int = 4) -> dict[str, int]:
     """Count the parcels of some episodes that left right and wrong, and touches of two."""
-    batch = StreamBatch(config, num_envs)
-    for i in range(num_envs):
-        batch.seed(i, np.random.default_rng((1, i)))
-    batch.reset(np.arange(num_envs))
-    state = None
+    batch, state = begin_streams(config, num_envs, 1), None
     while (batch.outcome == RUNNING).any():
         action, state = controller.predict(batch.observation, state)
         batch.step(config.action_kind.commands(action, num_envs))

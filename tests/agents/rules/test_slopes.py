@@ -18,6 +18,7 @@ from surface_gym.flow.sequence import shuffled
 from surface_gym.flow.state import JAM
 from surface_gym.flow.take_away import Stops, TakeAwayStatistics, bulk, slope_line
 from surface_gym.state import RUNNING
+from tests.environments import begun
 
 ALIGNMENT, TILT = math.radians(10.0), math.radians(8.0)
 MOUTH: dict[str, Any] = {"exits": "mouth", "alignment": ALIGNMENT}
@@ -26,10 +27,7 @@ MOUTH: dict[str, Any] = {"exits": "mouth", "alignment": ALIGNMENT}
 def played(make: Any, task: str, **arguments: Any) -> tuple[TakeAwayStatistics, StreamBatch]:
     given = {"duration": 120.0, **arguments}
     config = EnvConfig(task, actions="parcels", **given)
-    batch = StreamBatch(config, 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.array([0]))
-    rule, state = make(config), None
+    batch, rule, state = begun(config), make(config), None
     while batch.outcome[0] == RUNNING:
         action, state = rule.predict(batch.observation, state, np.array([state is None]))
         batch.step(config.action_kind.commands(action, 1))
@@ -104,15 +102,9 @@ def test_parcels_leave_in_their_order(window: int, rate: float) -> None:
 )
 def test_a_batch_is_led_as_each_of_it_alone(make: type[SlopeRule], task: str) -> None:
     config = EnvConfig(task, actions="parcels", duration=6.0)
-    rule, count = make(config), 3
-    together = StreamBatch(config, count)
-    alone = [StreamBatch(config, 1) for _ in range(count)]
-    for i in range(count):
-        together.seed(i, np.random.default_rng((7, i)))
-        alone[i].seed(0, np.random.default_rng((7, i)))
-        alone[i].reset(np.array([0]))
-    together.reset(np.arange(count))
-    state, states = None, [None] * count
+    rule, together = make(config), begun(config, 3, seed=7)
+    alone = [begun(config, seed=7 + i) for i in range(3)]
+    state, states = None, [None] * 3
     for _ in range(150):
         actions, state = rule.predict(together.observation, state)
         for i, batch in enumerate(alone):

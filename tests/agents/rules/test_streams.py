@@ -9,9 +9,9 @@ import pytest
 from surface_gym.agents import library
 from surface_gym.agents.rules import streams
 from surface_gym.agents.rules.streams import StreamEventRule
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.task import COLUMN, FEATURES
 from tests.agents.rules.runs import counts, gated, line
+from tests.environments import begun
 from tests.flow.flows import trace
 
 LEFT, RIGHT, ROLL = 2, 1, 3  # of the default orientations: -45, 45 and 90 deg
@@ -48,9 +48,7 @@ def test_a_thin_stream_is_sorted(make, touches) -> None:
 def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
     config = line(trace((0.0, "right"), (0.4, "left"), (0.8, "straight")), max_parcels=4)
     each, agent = streams.SortEach(config), library.load("sort-ppo", 0)
-    batch = StreamBatch(config, 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.array([0]))
+    batch = begun(config)
     met = set()
     for _ in range(30):
         seen = batch.observation[0]

@@ -9,10 +9,8 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym.agents.runtime import controller as runtime
-from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.estimator import StateEstimator
 from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Frame, Message, ParcelEntry
-from surface_gym.agents.runtime.simulator import SimulatedMachine
 from surface_gym.config import EnvConfig
 
 QUARTER_TURN = 0.05  # [s]
@@ -141,21 +139,3 @@ class LocalArranger:
 
 def nothing(now: float) -> None:
     """Between two periods."""
-
-
-class MuteWorld(SimulatedMachine):
-    """A simulated machine whose camera gives no frames for a while.
-
-    Args:
-        mute: [s] from when to when.
-        options: of `SimulatedMachine`.
-    """
-
-    def __init__(self, mute: tuple[float, float], options: WorldOptions) -> None:
-        super().__init__(CONFIG, 0, 0.0, options)
-        self._mute = mute
-
-    def _take_frame(self) -> Frame | None:
-        first, last = self._mute
-        frame = super()._take_frame()
-        return None if first <= self.now < last else frame

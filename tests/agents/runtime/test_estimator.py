@@ -10,8 +10,8 @@ import surface_gym as sg
 from surface_gym.agents.runtime import estimator as estimators
 from surface_gym.agents.runtime.protocol import Frame, ParcelEntry
 from surface_gym.config import EnvConfig
-from surface_gym.core.batch import Batch
 from tests.agents.runtime import made
+from tests.environments import begun
 
 CAMERA = sg.sensors.Camera(latency=0.0)
 AT = 100.0  # [s] when the parcel enters
@@ -32,9 +32,7 @@ def filtered() -> tuple[ParcelEntry, list[np.ndarray], list[Frame], list[np.ndar
     """What the environment's own filter makes of frames that are not late: the entry, and for each
     period the command, the frame at its end and the observation then.
     """
-    batch = Batch(replace(made.CONFIG, sensors=CAMERA, control_period=PERIOD), 1)
-    batch.seed(0, np.random.default_rng(3))
-    batch.reset(np.array([0]))
+    batch = begun(replace(made.CONFIG, sensors=CAMERA, control_period=PERIOD), seed=3)
     parcels = batch.parcels
     about = parcels.sensor_state[0, :6].copy()
     size = 2.0 * float(-batch.view(0).corners[:, 0].min())
@@ -171,10 +169,7 @@ def test_a_parcel_that_is_not_of_the_task_is_refused(held, changed, message) -> 
     ],
 )  # fmt: skip
 def test_a_goal_that_no_start_has_is_refused(task, goal) -> None:
-    batch = Batch(EnvConfig(task=task), 4)
-    for i in range(4):
-        batch.seed(i, np.random.default_rng(i))
-    batch.reset(np.arange(4))
+    batch = begun(EnvConfig(task=task), 4)
     for each in batch.parcels.goal:
         batch.task.check_goal(each)
     with pytest.raises(ValueError, match="goal"):

@@ -136,18 +136,6 @@ class TestOverASocket:
         assert max(loop.latencies.send) < 0.04 + 0.006
         assert LoopConfig().period == pytest.approx(0.04)
 
-    def test_a_mute_camera_brings_the_fixed_layout(self) -> None:
-        listener = socket.create_server(("127.0.0.1", 0))
-        server = MachineServer(
-            made.MuteWorld((0.2, 0.6), WorldOptions(pause=PAUSE)), "stop", listener
-        )
-        counts = self.run(server, 200).counts
-        server.close()
-        assert counts.watchdog == 1
-        # From 0.2 s without a frame on, with the camera's delay, until the first one after.
-        assert counts.by_fixed_layout == pytest.approx((0.4 - 0.2) / 0.04, abs=1)
-        assert counts.decisions > 5
-
     def test_it_serves_as_long_as_asked_and_stands_still_where_the_clock_ran_away(
         self, server
     ) -> None:

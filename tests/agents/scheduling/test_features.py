@@ -11,11 +11,11 @@ from surface_gym.agents.scheduling.features import ABOUT, DEVIATION, LEVELS, OPT
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.stream import Stream
 from surface_gym.layouts import box
 from surface_gym.state import RUNNING
 from tests.agents.rules.runs import gated
+from tests.environments import begun
 
 S_BOXES = Stream(Steady(9000.0), parcels=("S",), speeds=1.5)
 
@@ -32,9 +32,7 @@ class Watching(NetworkScheduler):
 
 def run(scheduler: NetworkScheduler, config: EnvConfig) -> Iterator[tuple[Any, np.ndarray]]:
     """Run an episode, and yield what the scheduler remembers and saw after each decision."""
-    batch, state = StreamBatch(config, 1), None
-    batch.seed(0, np.random.default_rng(4))
-    batch.reset(np.arange(1))
+    batch, state = begun(config, seed=4), None
     while (batch.outcome == RUNNING).any():
         table = batch.observation.copy()
         action, state = scheduler.predict(table, state)
