@@ -100,10 +100,8 @@ def play(env: SmartSurfaceEnv, choice: int, seed: int = 0) -> list[Step]:
 
 
 def batch_with(stream: Stream, **settings: Any) -> StreamBatch:
-    batch = StreamBatch(EnvConfig("flow", stream=stream, **{"line": SHORT, **settings}), 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.array([0]))
-    return batch
+    """A batch of one surface that has begun."""
+    return te.begun(EnvConfig("flow", stream=stream, **{"line": SHORT, **settings}))
 
 
 def set_down(batch: StreamBatch, poses: ArrayLike, velocities: ArrayLike | None = None) -> None:
@@ -141,19 +139,6 @@ def surface_of(settings: EnvConfig, angle: float) -> sg.Surface:
     level = settings.chosen_line.surface(axis, settings.site.rotor)
     task = settings.stream_task
     return dataclasses.replace(level, tilt=task.tilt, tilt_direction=task.tilt_direction)
-
-
-def assert_alike(first: Any, second: Any) -> None:
-    """Equal to the bit, where nan equals nan: figures of what has not happened are nan."""
-    te.assert_same(_comparable(first), _comparable(second))
-
-
-def _comparable(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _comparable(each) for name, each in value.items()}
-    if isinstance(value, tuple):
-        return tuple(_comparable(each) for each in value)
-    return "nan" if isinstance(value, float) and math.isnan(value) else value
 
 
 def box_of(parcel: sg.Parcel, pose: ArrayLike) -> tuple[float, float, float, float]:

@@ -128,7 +128,7 @@ class TestEpisodes:
         with pytest.raises(ValueError, match="action"):
             env.step(action)
         good = flows.same_choice(env, flows.ROLL)
-        flows.assert_alike(env.step(good), twin.step(good))
+        te.assert_same(env.step(good), twin.step(good))
 
     @pytest.mark.parametrize(
         ("options", "named"),
@@ -147,8 +147,8 @@ class TestEpisodes:
         with pytest.raises(ValueError, match=named):
             env.reset(seed=1, options=options)
         good = flows.same_choice(env, flows.ROLL)
-        flows.assert_alike(env.step(good), twin.step(good))
-        flows.assert_alike(env.reset(), twin.reset())
+        te.assert_same(env.step(good), twin.step(good))
+        te.assert_same(env.reset(), twin.reset())
 
     def test_a_reset_may_bring_a_stream_of_its_own(self) -> None:
         env, twin = flows.pair(duration=1.0)
@@ -158,7 +158,7 @@ class TestEpisodes:
         assert [names[place] for place in streams.exit[0, :2]] == ["left 1", "right 2"]
         assert streams.arrivals.tolist() == [2]
         env.reset(seed=0)
-        flows.assert_alike(env.reset(seed=0), twin.reset(seed=0))
+        te.assert_same(env.reset(seed=0), twin.reset(seed=0))
 
     def test_starts_differ_from_seed_to_seed_and_from_reset_to_reset(self) -> None:
         env, coming = flows.bare(actions="parcels"), []
@@ -181,9 +181,9 @@ class TestTwins:
         for _ in range(60):
             first = env.step(env.action_space.sample())
             second = twin.step(twin.action_space.sample())
-            flows.assert_alike(first, second)
+            te.assert_same(first, second)
             if first[2] or first[3]:
-                flows.assert_alike(env.reset(), twin.reset())
+                te.assert_same(env.reset(), twin.reset())
 
     def test_go_their_own_ways(self) -> None:
         env, reference = flows.pair()
@@ -193,7 +193,7 @@ class TestTwins:
             twin.step(flows.same_choice(twin, flows.PLUS_45))
         for _ in range(20):
             action = flows.same_choice(env, flows.MINUS_45)
-            flows.assert_alike(env.step(action), reference.step(action))
+            te.assert_same(env.step(action), reference.step(action))
 
 
 class TestMemory:
@@ -321,6 +321,7 @@ class TestBesideSingles:
     def test_each_environment_is_a_single_env(self, name: str, mode: AutoresetMode) -> None:
         settings, periods = BESIDE[name]
         one, other = vector_of(autoreset_mode=mode, **settings), singles_of(mode, **settings)
+        assert (type(one), one.spec.id) == (SmartSurfaceVectorEnv, FLOW)
         least = te.NUM_ENVS if name == "jams" else 2 * te.NUM_ENVS
         assert run_beside(one, other, mode, periods) >= least
 
@@ -356,12 +357,6 @@ class TestBatches:
 
 
 class TestVector:
-    @flows.every_kind
-    def test_make_vec_gives_the_native_one(self, kind: dict[str, Any]) -> None:
-        env = vector_of(**kind)
-        assert (type(env), env.spec.id) == (SmartSurfaceVectorEnv, FLOW)
-        assert env.reset(seed=0)[0] in env.observation_space
-
     def test_a_limit_of_ones_own_truncates(self) -> None:
         env = vector_of(actions="parcels", max_episode_steps=4)
         env.reset(seed=0)

@@ -17,14 +17,8 @@ STRAIGHT = Exit("straight", 0)
 def test_chutes_are_two_to_either_side_and_sides_as_long_as_the_line() -> None:
     exits = chutes()
     assert exits.names == ("left 1", "left 2", "right 1", "right 2", "straight")
-    expected = [
-        [1, 0.6, 2.8],
-        [1, 3.2, 5.8],
-        [-1, 0.6, 2.8],
-        [-1, 3.2, 5.8],
-        [0, -math.inf, math.inf],
-    ]
-    np.testing.assert_allclose(exits.table, expected)
+    spans = [[1, 0.6, 2.8], [1, 3.2, 5.8], [-1, 0.6, 2.8], [-1, 3.2, 5.8]]
+    np.testing.assert_allclose(exits.table, [*spans, [0, -math.inf, math.inf]])
     exits = sides(4.5)
     assert exits.names == ("left", "right", "straight")
     np.testing.assert_array_equal(exits.table[:2], [[1, 0.0, 4.5], [-1, 0.0, 4.5]])

@@ -14,7 +14,8 @@ from surface_gym.physics.types import Array
 from surface_gym.randomisation import Actuators
 from surface_gym.sensors import Camera
 from surface_gym.tasks.sort import FEATURES as SORT_FEATURES
-from tests.flow.flows import KINDS, ROLL, SHORT, assert_alike, bare, box_of
+from tests.environments import assert_same
+from tests.flow.flows import KINDS, ROLL, SHORT, bare, box_of
 
 NAMES = [feature.name for feature in FEATURES]
 FIRST_OF_ZONE = 0.5  # [m] after a lead-in of 5 columns
@@ -124,7 +125,7 @@ def test_a_queue_shows_who_is_behind_the_next_and_changes_nothing_else(name: str
         streams = env.batch.streams
         known: dict[int, Array] = {}
         for _ in range(env.config.periods):
-            assert_alike((seen[0][:5], *seen[1:]), same)
+            assert_same((seen[0][:5], *seen[1:]), same)
             assert seen[0] in env.observation_space
             first = int(streams.coming[0])
             waiting = list(range(first, min(first + 3, int(streams.due[0]))))

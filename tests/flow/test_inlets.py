@@ -13,6 +13,7 @@ from surface_gym.flow.inlets import Inlet, Inlets, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import VX, VY
+from tests import environments as te
 
 BOX = Parcel(Rectangle(0.3, 0.2))
 ALL_EDGES = Inlets(
@@ -21,11 +22,7 @@ ALL_EDGES = Inlets(
 
 
 def begun(stream: Stream, **arguments) -> StreamBatch:
-    config = EnvConfig("singulate", actions="parcels", stream=stream, **arguments)
-    batch = StreamBatch(config, 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.array([0]))
-    return batch
+    return te.begun(EnvConfig("singulate", actions="parcels", stream=stream, **arguments))
 
 
 def one_by(inlet: str, aside: float = 0.0, turned: float = 0.0) -> Stream:

@@ -1,8 +1,6 @@
 """Modules of a slope as agents in PettingZoo, and what each of them sees."""
 
-import importlib
 import math
-import sys
 import warnings
 from typing import Any
 
@@ -12,12 +10,12 @@ import pytest
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow import module_view as mv, take_away as ta
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.module_parallel_env import ModuleParallelEnv
 from surface_gym.flow.module_view import ModuleView
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.take_away import slope_line
 from surface_gym.tasks.features import columns
+from tests import environments as te
 from tests.environments import assert_same
 from tests.flow.flows import BRAKE, ROLL
 from tests.flow.test_take_away import TASKS
@@ -77,15 +75,6 @@ class TestTasks:
 
 
 class TestEnv:
-    def test_steps_out_of_turn_are_refused(self) -> None:
-        env = modules_of(duration=0.08)
-        for _ in range(2):
-            with pytest.raises(gym.error.ResetNeeded):
-                env.step({})
-            env.reset(seed=0)
-            while env.agents:
-                env.step(all_say(env, ROLL))
-
     def test_spaces(self) -> None:
         env = modules_of()
         assert len(env.possible_agents) == 140
@@ -137,21 +126,6 @@ class TestEnv:
             env.step(bad.get(actions, actions) if isinstance(actions, str) else actions)
         assert_same(env.step(all_say(env, ROLL)), twin.step(all_say(twin, ROLL)))
 
-    def test_it_says_what_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setitem(sys.modules, "pettingzoo", None)
-        for name in ("parallel_env", "module_parallel_env"):
-            monkeypatch.delitem(sys.modules, f"surface_gym.flow.{name}")
-        with pytest.raises(ImportError, match=r"surface_gym\[multi\]"):
-            importlib.import_module("surface_gym.flow.module_parallel_env")
-
-    def test_it_draws_as_the_single_env_does(self) -> None:
-        env = modules_of(render_mode="rgb_array")
-        env.reset(seed=0)
-        picture = env.render()
-        assert picture is not None
-        assert picture.ndim == 3
-        env.close()
-
 
 def table_of(config: EnvConfig, *parcels: dict[str, float]) -> np.ndarray:
     """A table with parcels 0.4 m x 0.2 m in its first rows, of some features."""
@@ -174,10 +148,7 @@ def neighbour(passed: np.ndarray, way: int) -> list[float]:
 class TestView:
     def test_modules_know_the_parcel_that_the_kernel_lets_claim_them(self) -> None:
         config = EnvConfig("singulate", actions="parcels", stream=ta.bulk(14_000.0))
-        batch, view = StreamBatch(config, 2), ModuleView(config)
-        for i in range(2):
-            batch.seed(i, np.random.default_rng(i))
-        batch.reset(np.arange(2))
+        batch, view = te.begun(config, 2), ModuleView(config)
         first_row, rows, first, columns = config.site.zone
         alike, borne = 0, 0
         for _ in range(100):

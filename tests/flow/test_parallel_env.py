@@ -20,6 +20,7 @@ from surface_gym.flow.take_away import bulk
 from surface_gym.sensors import Presence
 from tests.environments import TWINS, assert_same
 from tests.flow.flows import BRAKE, DENSE, KINDS, MINUS_45, ROLL, SHORT, bare, trace
+from tests.flow.test_module_parallel_env import modules_of
 from tests.flow.test_take_away import TASKS
 
 with warnings.catch_warnings():
@@ -75,9 +76,12 @@ class TestContract:
 
     def test_it_says_what_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "pettingzoo", None)
-        monkeypatch.delitem(sys.modules, "surface_gym.flow.parallel_env")
-        with pytest.raises(ImportError, match=r"surface_gym\[multi\]"):
-            importlib.import_module("surface_gym.flow.parallel_env")
+        names = [f"surface_gym.flow.{name}" for name in ("parallel_env", "module_parallel_env")]
+        for name in names:
+            monkeypatch.delitem(sys.modules, name)
+        for name in names:
+            with pytest.raises(ImportError, match=r"surface_gym\[multi\]"):
+                importlib.import_module(name)
 
     def test_bad_arguments_are_named(self) -> None:
         for name, value in (("max_parcels", 0), ("actions", "modules"), ("gate", True)):
@@ -261,14 +265,15 @@ class TestBadInput:
             call(env)
         assert_same(env.step(all_say(env, ROLL)), twin.step(all_say(twin, ROLL)))
 
-    def test_steps_out_of_turn_are_refused(self) -> None:
-        env = agents_of(duration=0.08)
+    @pytest.mark.parametrize("make", [agents_of, modules_of])
+    def test_steps_out_of_turn_are_refused(self, make: Any) -> None:
+        env = make(duration=0.08)
         for _ in range(2):
             with pytest.raises(gym.error.ResetNeeded):
                 env.step({})
             env.reset(seed=0)
             while env.agents:
-                env.step(all_say(env, ROLL))
+                env.step({agent: env.action_space(agent).sample() for agent in env.agents})
 
 
 def test_it_draws_as_the_single_env_does_and_without_a_mode_not_at_all() -> None:

@@ -21,6 +21,7 @@ from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk, bulk_parcels
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import GRAVITY, VX, X
+from tests import environments as te
 
 TASKS = [name for name, kind in registration.TASKS.items() if issubclass(kind, TakeAwayTask)]
 BOX = Parcel(Rectangle(0.4, 0.2))
@@ -33,11 +34,7 @@ def traced(*arrivals: tuple[float, float], aside: float = 0.0, turned: float = 0
 
 
 def begun(stream: Stream, task: str = "singulate", **arguments: Any) -> StreamBatch:
-    config = EnvConfig(task, actions="parcels", stream=stream, **arguments)
-    batch = StreamBatch(config, 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.array([0]))
-    return batch
+    return te.begun(EnvConfig(task, actions="parcels", stream=stream, **arguments))
 
 
 def rolled(batch: StreamBatch, seconds: float, choice: int = ROLL) -> StreamBatch:
