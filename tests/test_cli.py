@@ -1,7 +1,6 @@
 """`surface-gym`, the one command of the package, and `python -m` of its parts."""
 
 import runpy
-import subprocess
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -11,6 +10,7 @@ import pytest
 
 from surface_gym import __version__
 from surface_gym.cli import COMMANDS, main
+from tests.environments import run_python
 
 # The validation and the design ask for matplotlib when they draw, after their runs.
 MISSING = [
@@ -70,10 +70,8 @@ from surface_gym.cli import main
 
 def test_design_answers_without_torch(tmp_path):
     arguments = ["design", "columns", "--parcel", "S", "--draws", "2", "--out", str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, "-c", f"{WITHOUT}main({arguments!r})"], capture_output=True, text=True
-    )
-    assert (tmp_path / "columns.png").is_file(), done.stderr
+    run_python("-c", f"{WITHOUT}main({arguments!r})")
+    assert (tmp_path / "columns.png").is_file()
 
 
 def test_no_module_of_a_tool_needs_torch():
@@ -86,8 +84,8 @@ def test_no_module_of_a_tool_needs_torch():
         "    try: main([tool, '--help'])\n"
         "    except SystemExit: pass\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert all(f"usage: surface-gym {tool} [" in done.stdout for tool in tools), done.stderr
+    printed = run_python("-c", program)
+    assert all(f"usage: surface-gym {tool} [" in printed for tool in tools)
 
 
 def test_help_lists_all_commands_and_there_is_a_version(capsys):
@@ -126,14 +124,11 @@ def test_a_missing_library_is_reported_in_one_line(tmp_path):
         "    if there is None: del sys.modules[library]\n"
         "    else: sys.modules[library] = there\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path
-    )
-    assert done.stdout.splitlines() == [
+    assert run_python("-c", program, folder=tmp_path).splitlines() == [
         f"error: surface-gym {name} needs {library}, which is not installed: "
         f"pip install 'surface_gym[{COMMANDS[name].extra}]'"
         for name, library in MISSING
-    ], done.stderr
+    ]
 
 
 def test_another_missing_module_is_an_error(monkeypatch):

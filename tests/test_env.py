@@ -182,17 +182,6 @@ class TestMemory:
 
 
 class TestDrawing:
-    @te.every_id
-    def test_a_picture_of_what_happens(self, env_id):
-        env = te.bare(env_id, render_mode="rgb_array")
-        env.reset(seed=0)
-        first = env.render()
-        env.step(env.action_space.sample())
-        second = env.render()
-        assert first.dtype == second.dtype == np.uint8
-        assert first.shape == second.shape == (*first.shape[:2], 3)
-        assert (first != second).any()
-
     def test_it_changes_nothing(self):
         drawn, plain = te.bare(render_mode="rgb_array"), te.bare()
         for first, second in zip(te.steps(drawn, seed=2), te.steps(plain, seed=2), strict=True):

@@ -72,11 +72,7 @@ class TestPhysics:
 
 def on_rotors(layout: sg.Surface, size: str, run: sg.Trajectory, step: int) -> bool:
     """Whether a rotor lies under the box half a step after a step's start."""
-    x, y, theta = run.pose[step] + 0.0025 * run.velocity[step]
+    pose = run.pose[step] + 0.0025 * run.velocity[step]
     rows, columns = np.nonzero(layout.rotor)
-    dx, dy = te.ORIGIN + te.PITCH * columns - x, te.ORIGIN + te.PITCH * rows - y
-    cosine, sine = math.cos(theta), math.sin(theta)
-    functions = sg.layouts.box(size).base.functions(
-        cosine * dx + sine * dy, cosine * dy - sine * dx
-    )
-    return bool((functions <= 0.0).all(axis=0).any())
+    x, y = te.ORIGIN + te.PITCH * columns, te.ORIGIN + te.PITCH * rows
+    return bool((te.outside(sg.layouts.box(size).base, pose, x, y) <= 0.0).any())

@@ -180,18 +180,7 @@ def test_the_checkered_line_sorts_and_is_drawn(tmp_path, monkeypatch, capsys):
 
 class TestReinforce:
     ALGO = f"{ROOT}/examples/reinforce.py:REINFORCE"
-    OPTIONS = (
-        "--task",
-        "sort",
-        "--algo",
-        ALGO,
-        "--steps",
-        "600",
-        "--num-envs",
-        "4",
-        "--n-steps",
-        "20",
-    )
+    OPTIONS = f"--task sort --algo {ALGO} --steps 600 --num-envs 4 --n-steps 20".split()
 
     @pytest.fixture
     def run(self, tmp_path: Path) -> Path:
@@ -237,23 +226,9 @@ class TestReinforce:
 
 
 def test_a_task_on_streams_is_learned_without_a_rule(tmp_path):
-    options = (
-        "--task",
-        f"{ROOT}/examples/even.py:Even",
-        "--num-envs",
-        "6",
-        "--n-steps",
-        "8",
-        "--steps",
-        "96",
-        "--hidden",
-        "8",
-        "--batch-size",
-        "48",
-        "--n-epochs",
-        "1",
-    )
-    config = train_cli.parse_arguments(options).config
+    options = "--num-envs 6 --n-steps 8 --steps 96 --hidden 8 --batch-size 48 --n-epochs 1"
+    task = f"{ROOT}/examples/even.py:Even"
+    config = train_cli.parse_arguments(["--task", task, *options.split()]).config
     assert config is not None
     assert config.algo == "parcels"
     assert runs.train(config, tmp_path).steps == 96

@@ -1,7 +1,5 @@
 """Tasks, rewards and sensors of your own: they run, and an error names what is wrong."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -12,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 import surface_gym as sg
 from surface_gym.tasks import Sort
 from tests import own
-from tests.environments import assert_same, by_pickle, played_out, steps, terms
+from tests.environments import assert_same, by_pickle, played_out, run_python, steps, terms
 
 ROOT = Path(__file__).parent.parent
 
@@ -196,15 +194,8 @@ def test_the_cache_holds_and_notices_an_edit_of_a_users_file(tmp_path):
 
     def reward_and_compilations(prices: str) -> list[str]:
         (tmp_path / "prices.py").write_text(prices)
-        done = subprocess.run(
-            [sys.executable, "-B", str(tmp_path / "main.py")],
-            env={"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
+        cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+        return run_python("-B", str(tmp_path / "main.py"), **cache).split()
 
     dearer = PRICES.replace("2.0", "3.0").replace("0.5", "0.25")
     assert reward_and_compilations(PRICES) == ["2.5", "1"]

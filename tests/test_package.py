@@ -1,8 +1,6 @@
 """The package as a whole: what importing it brings, its names, pickles and copies."""
 
 import copy
-import subprocess
-import sys
 from dataclasses import fields
 
 import gymnasium as gym
@@ -14,7 +12,7 @@ from surface_gym import registration
 from surface_gym.cli import COMMANDS
 from surface_gym.flow.base import StreamTask
 from surface_gym.tasks import TASKS
-from tests.environments import IDS, TWINS, every_id
+from tests.environments import IDS, TWINS, every_id, run_python
 
 HEAVY = {
     "torch", "pygame", "matplotlib", "stable_baselines3", "mujoco", "rich", "tyro", "pandas", "ray",
@@ -44,13 +42,8 @@ BY_TASK = ("train", "runtime")
     ids=["import", "simulate", *COMMANDS],
 )
 def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    loaded = done.stdout.splitlines()[-1].split()
+    printed = run_python("-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)")
+    loaded = printed.splitlines()[-1].split()
     assert set(loaded) & HEAVY <= needed
     compiles = program in (SIMULATE, *map(HELP.format, BY_TASK))
     assert compiles or "numba" not in loaded

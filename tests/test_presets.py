@@ -14,6 +14,7 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera, Exact
 from surface_gym.tasks import Slow
+from tests.environments import outside
 
 LAB = PRESETS["lab"]
 BOTH = ("parcel", "rotors")
@@ -182,14 +183,10 @@ def _rotors(
 ) -> np.ndarray:
     """What `observe=("rotors",)` shows: elements under the base, by `Base.functions`."""
     line = settings.chosen_line
-    x, y, theta = pose
     column, row = np.meshgrid(np.arange(line.columns), np.arange(line.rows))
-    dx = line.origin[0] + line.pitch_x * column - x
-    dy = line.origin[1] + line.pitch_y * row - y
-    cosine, sine = math.cos(theta), math.sin(theta)
-    own_x = cosine * dx + sine * dy + base.centroid[0]
-    own_y = cosine * dy - sine * dx + base.centroid[1]
-    under = base.functions(own_x, own_y).max(axis=0) <= 0.0
+    x, y = line.origin[0] + line.pitch_x * column, line.origin[1] + line.pitch_y * row
+    dx, dy = x - pose[0], y - pose[1]
+    under = outside(base, pose, x, y, base.centroid) <= 0.0
     rotor = line.site(base, settings.zone).rotor
     shown: list[float] = []
     for quadrant in QUADRANTS:

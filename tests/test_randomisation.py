@@ -116,14 +116,6 @@ class TestLaws:
         assert (x, y, theta) == (0.3, 1.0 + drawn.aside, 0.1 + drawn.turned)
         assert tuple(batch.view(0).truth[3:]) == pytest.approx((1.0, 0.2, 0.3))
 
-    def test_all_of_it_at_once_follows_from_the_generator(self):
-        first, second = draws(count=20, **SPREADS), draws(count=20, **SPREADS)
-        for one, other in zip(first, second, strict=True):
-            assert (one.parcel, one.aside, one.turned) == (other.parcel, other.aside, other.turned)
-            assert one.friction == other.friction
-            np.testing.assert_array_equal(one.stiffness, other.stiffness)
-        assert len({each.friction for each in first}) == 20
-
     @pytest.mark.parametrize("name", SPREADS)
     def test_bad_spreads_are_named(self, name):
         most = {"mass": 0.999, "size": 0.999, "stiffness": 2.1, "lateral": 1e9, "heading": 3.2}

@@ -20,11 +20,12 @@ from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops
 from surface_gym.lines import Pattern
+from surface_gym.registration import env_id
 from surface_gym.rendering import Scene, SceneParcel
 from surface_gym.scenes import GLIDE, TRAIL, Renderer, exit_marks, inlet_marks
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.start import Start
-from tests.environments import FLOW, HEPTAGON, PARCELS, batch_with as batch_at, put
+from tests.environments import FLOW, HEPTAGON, PARCELS, STREAMS, batch_with as batch_at, begun, put
 from tests.flow import flows
 from tests.flow.flows import BOX, PLUS_45, ROLL, SHORT, bare, same_choice, trace, truths
 
@@ -34,11 +35,7 @@ THREE = (Exit("left", 1, 0.5, 2.0), Exit("right", -1), Exit("straight", 0))
 
 def pair_of(parcel: sg.Parcel, task: str = "sort") -> Batch:
     """Two environments with one parcel each."""
-    batch = Batch(EnvConfig(task=task), 2)
-    for i in (0, 1):
-        batch.reset_cache.seed(i, np.random.default_rng(i))
-    batch.reset(np.arange(2), [{"speed": 1.0, "parcel": parcel}] * 2)
-    return batch
+    return begun(EnvConfig(task=task), 2, options=[{"speed": 1.0, "parcel": parcel}] * 2)
 
 
 def shown(batch: BaseBatch, i: int = 0) -> Scene:
@@ -256,9 +253,7 @@ def sloping(task: str, rate: float = 3600.0, **settings: Any) -> tuple[StreamBat
     """A slope of one environment that has just begun, with an S-box a second by default."""
     window = settings.pop("window", 1)
     stream = settings.pop("stream", Stream(Steady(rate), speeds=0.8, window=window))
-    batch = StreamBatch(EnvConfig(task, stream=stream, duration=60.0, **settings), 1)
-    batch.seed(0, np.random.default_rng(0))
-    batch.reset(np.arange(1))
+    batch = begun(EnvConfig(task, stream=stream, duration=60.0, **settings))
     return batch, opened(batch)
 
 
@@ -327,16 +322,6 @@ class TestSlopes:
         assert runs == [True, False, True]
         assert shown(stream_of((0.0, "left"))).traffic.runs is None
 
-    @pytest.mark.parametrize("task", ["singulate", "merge", "sequence"])
-    def test_each_has_pictures(self, task):
-        env = gym.make(f"SmartSurface/{task.capitalize()}-v0", render_mode="rgb_array")
-        env.reset(seed=0)
-        before: Any = env.render()
-        env.step(env.action_space.sample())
-        after: Any = env.render()
-        assert before.shape == after.shape
-        assert (before != after).any()
-
 
 class TestReadings:
     def test_axes_zone_and_tilt_are_the_surfaces(self):
@@ -379,9 +364,11 @@ class TestReadings:
 
 
 class TestEnvironments:
-    @pytest.mark.parametrize("actions", ["modules", "parcels"])
-    def test_a_picture_a_step(self, actions):
-        env = bare(actions=actions, render_mode="rgb_array")
+    @pytest.mark.parametrize(
+        ("task", "actions"), [*((task, "modules") for task in STREAMS), ("flow", "parcels")]
+    )
+    def test_a_picture_a_step(self, task, actions):
+        env: Any = gym.make(env_id(task), actions=actions, render_mode="rgb_array")
         env.reset(seed=1)
         before = env.render()
         assert before.dtype == np.uint8

@@ -1,9 +1,6 @@
 """`simulate` against a finer step and other solvers, its ends, and bad arguments."""
 
 import math
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
@@ -14,6 +11,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.surface import Surface
+from tests.environments import run_python
 
 BOX = sg.layouts.box("S")
 START = sg.layouts.start("S")
@@ -199,14 +197,9 @@ def test_a_new_process_gives_the_same_bits():
     )
     names: dict[str, Any] = {}
     exec(code, names)
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code + "print(run.pose.tobytes().hex())"],
-        env={**os.environ, "PYTHONHASHSEED": "17"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == names["run"].pose.tobytes().hex()
+    code += "print(run.pose.tobytes().hex())"
+    printed = run_python("-W", "error", "-c", code, PYTHONHASHSEED="17")
+    assert printed.strip() == names["run"].pose.tobytes().hex()
 
 
 def test_a_run_leaves_its_arguments_as_they_were():

@@ -11,6 +11,7 @@ import surface_gym as sg
 from surface_gym.physics.friction import TOLERANCE
 from surface_gym.physics.step import RESTART_SPEED
 from surface_gym.trajectory import Trajectory, repeat
+from tests.environments import outside
 from tests.strategies import scenes
 
 G = 9.81  # [m/s^2]
@@ -206,17 +207,12 @@ class TestContacts:
         for k in range(1, len(run.time), 10):
             states = run.run.states[k - 1]
             place = states[:3] + lead * (run.time[k] - run.time[k - 1]) * states[3:6]
-            cosine, sine = math.cos(place[2]), math.sin(place[2])
-            dx, dy = x - place[0], y - place[1]
-            centre = TRIANGLE.centre_of_mass
-            inside = TRIANGLE.base.functions(
-                cosine * dx + sine * dy + centre[0], cosine * dy - sine * dx + centre[1]
-            ).max(axis=0)
+            under = outside(TRIANGLE.base, place, x, y, TRIANGLE.centre_of_mass) <= 1e-9
             contacts = run.contacts.of_step(k)
-            np.testing.assert_array_equal(contacts.element, np.argwhere(inside <= 1e-9))
-            np.testing.assert_array_equal(contacts.rotor, surface.rotor[inside <= 1e-9])
+            np.testing.assert_array_equal(contacts.element, np.argwhere(under))
+            np.testing.assert_array_equal(contacts.rotor, surface.rotor[under])
             np.testing.assert_array_equal(contacts.time, run.time[k])
-            expected = np.column_stack([x[inside <= 1e-9], y[inside <= 1e-9]])
+            expected = np.column_stack([x[under], y[under]])
             np.testing.assert_array_equal(contacts.place, expected)
 
     def test_the_steps_together_are_the_record(self):

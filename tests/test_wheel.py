@@ -1,13 +1,13 @@
 """The wheel, which holds one package and no other's name, used outside the checkout."""
 
-import os
 import subprocess
-import sys
 import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from tests.environments import run_python
 
 ROOT = Path(__file__).parents[1]
 BUILD = (
@@ -16,21 +16,8 @@ BUILD = (
 )
 
 
-def run(folder: Path, *arguments: str, **environment: str) -> str:
-    """Run Python in a folder and return what it prints; an error of it fails the test."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def build(kind: str, source: Path, folder: Path) -> Path:
-    return folder / run(source, "-c", BUILD, kind, str(folder)).splitlines()[-1]
+    return folder / run_python("-c", BUILD, kind, str(folder), folder=source).splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +55,8 @@ def installed(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_installed(installed: Path, *arguments: str) -> str:
-    return run(installed.parent, "-W", "error", *arguments, PYTHONPATH=str(installed))
+    place = {"folder": installed.parent, "PYTHONPATH": str(installed)}
+    return run_python("-W", "error", *arguments, **place)
 
 
 def test_it_brings_every_file_of_the_packages_and_nothing_else(checkout, installed):

@@ -18,7 +18,17 @@ from surface_gym.physics.types import COM_X, COM_Y, HALF_LENGTH, RADIUS
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.sort import FEATURES
 from surface_gym.tasks.start import Start
-from tests.environments import ACTIONS, HEPTAGON, ORIGIN, PARCELS, PITCH, TRIANGLE, batch_with, put
+from tests.environments import (
+    ACTIONS,
+    HEPTAGON,
+    ORIGIN,
+    PARCELS,
+    PITCH,
+    TRIANGLE,
+    batch_with,
+    outside,
+    put,
+)
 
 # [m, m, rad] before, in and behind the zone, left and right of the line's middle.
 POSES = [
@@ -106,17 +116,12 @@ class TestOccupancy:
     def test_is_of_modules_that_obey_under_the_parcel(self, name: str, pose: Pose) -> None:
         parcel = PARCELS[name]
         batch = batch_at(pose, parcel, actions="window", actuators=Actuators(stuck=((9, 9),)))
-        x, y, theta = batch.parcels.sensed[0, :3]
+        pose = x, y, _ = batch.parcels.sensed[0, :3]
         rows, columns = np.indices((5, 5))
         rows += whole_row(y) - 2
         columns += math.floor((x - ORIGIN) / PITCH + 0.5) - 2
-        dx, dy = ORIGIN + PITCH * columns - x, ORIGIN + PITCH * rows - y
-        cosine, sine = math.cos(theta), math.sin(theta)
-        centre_x, centre_y = parcel.base.centroid
-        functions = parcel.base.functions(
-            centre_x + cosine * dx + sine * dy, centre_y + cosine * dy - sine * dx
-        )
-        under = (functions <= 0.0).all(axis=0)
+        places = ORIGIN + PITCH * columns, ORIGIN + PITCH * rows
+        under = outside(parcel.base, pose, *places, parcel.base.centroid) <= 0.0
         inside = (columns >= 0) & (columns < 30)
         obeys = np.zeros((5, 5), dtype=bool)
         obeys[inside] = batch.view(0).obeys[rows[inside], columns[inside]]

@@ -6,9 +6,6 @@ The simulator is chosen as Numba is imported, so the comparison runs in a proces
 """
 
 import json
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -21,6 +18,7 @@ from surface_gym.flow.batch import list_figures
 from surface_gym.flow.task import Flow
 from surface_gym.vector_env import make_device_env
 from tests.cuda.cases import CASES, STREAMS, needs_numba_cuda, sample_actions
+from tests.environments import run_python
 
 LIMIT, PERIODS = 5, 12  # control periods of an episode, and of a comparison
 COUNTS = {**dict.fromkeys(CASES, 3), **dict.fromkeys(STREAMS, 2)}  # of environments
@@ -31,16 +29,8 @@ HOST_ONLY = {*FIGURES, *(f"_{name}" for name in FIGURES)}
 
 @pytest.fixture(scope="module")
 def differences():
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-m", "tests.cuda.test_simulated"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},
-    )
-    assert done.returncode == 0, done.stderr
-    found: dict[str, list[str]] = json.loads(done.stdout)
-    return found
+    module = "tests.cuda.test_simulated"
+    return json.loads(run_python("-W", "error", "-m", module, NUMBA_ENABLE_CUDASIM="1"))
 
 
 @needs_numba_cuda

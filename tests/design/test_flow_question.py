@@ -1,8 +1,6 @@
 """`surface-gym design flow`: its flags, and its answer from end to end."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ from surface_gym.agents.scheduling import design
 from surface_gym.design import cli
 from surface_gym.design.flow_question import parse_exits, parse_mix
 from surface_gym.flow.exits import Exit, Exits
+from tests.environments import run_python
 
 
 def test_a_mix_has_names_sizes_and_odds():
@@ -81,6 +80,6 @@ def test_its_help_imports_neither_numba_nor_agents():
         "except SystemExit: pass\n"
         "print([x for x in ('numba', 'matplotlib', 'surface_gym.agents') if x in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "--mix" in done.stdout
-    assert done.stdout.endswith("[]\n"), done.stderr
+    printed = run_python("-c", code)
+    assert "--mix" in printed
+    assert printed.endswith("[]\n")

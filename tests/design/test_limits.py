@@ -21,6 +21,7 @@ from surface_gym.design.limits import (
 )
 from surface_gym.paper.runs import SlowingLayout, load_targets
 from surface_gym.physics.types import GRAVITY
+from tests.environments import outside
 
 TARGETS = load_targets()
 FINE = 0.0005  # [s]
@@ -116,14 +117,8 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
     surface = line.surface(arrangement.layout.axis)
     run = sg.simulate(surface, parcel, line.start(parcel), (speed, 0.0, 0.0), duration=4.0)
     at_x, at_y = np.meshgrid(surface.x, surface.y)
-    rotors = np.column_stack([at_x[surface.rotor], at_y[surface.rotor]])
-    for x, y, theta in run.pose:
-        c, s = np.cos(theta), np.sin(theta)
-        along, across = (rotors - (x, y)).T
-        within = parcel.base.functions(c * along + s * across, c * across - s * along)
-        if within.max(axis=0).min() > 0.0:
-            return True
-    return False
+    rotors = at_x[surface.rotor], at_y[surface.rotor]
+    return any(outside(parcel.base, pose, *rotors).min() > 0.0 for pose in run.pose)
 
 
 @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")

@@ -1,7 +1,5 @@
 """Runs of Section 5: columns under a box, and steps in which Eq. (1) has no solution."""
 
-import math
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -10,6 +8,7 @@ from surface_gym import layouts
 from surface_gym.paper import runs
 from surface_gym.paper.runs import COARSE, NONE, SlowingLayout, rotor_columns, tipping_share
 from surface_gym.trajectory import Trajectory
+from tests.environments import outside
 
 GRAVITY = 9.81
 HEIGHT = 0.1  # [m] of the centre of mass
@@ -18,11 +17,8 @@ HEIGHT = 0.1  # [m] of the centre of mass
 def missed_moments(surface, pose, acceleration):
     """[m] by how much no forces N >= 0 of the given sum meet the moments of Eq. (1)."""
     x, y = np.meshgrid(surface.x, surface.y)
-    dx, dy = (x - pose[0]).ravel(), (y - pose[1]).ravel()
-    cosine, sine = math.cos(pose[2]), math.sin(pose[2])
-    base = layouts.box("S").base
-    under = base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0) <= 0.0
-    arms = np.stack([dx[under], dy[under]])
+    under = outside(layouts.box("S").base, pose, x, y) <= 0.0
+    arms = np.stack([x[under] - pose[0], y[under] - pose[1]])
     load = -HEIGHT * np.array(acceleration) / GRAVITY
     count = arms.shape[1]
     # Shares of the weight, and the largest miss, which is made small.
@@ -71,10 +67,8 @@ def test_much_of_the_tipping_is_chatter(reproduction):
 def columns_by_base_functions(surface, size, pose):
     """Section 3.2's F_lambda <= 0, asked of every rotor of the surface."""
     x, y = np.meshgrid(surface.x, surface.y)
-    dx, dy = x - pose[0], y - pose[1]
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    inside = layouts.box(size).base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx)
-    columns = np.nonzero((inside.max(axis=0) <= 0.0) & surface.rotor)[1]
+    inside = outside(layouts.box(size).base, pose, x, y) <= 0.0
+    columns = np.nonzero(inside & surface.rotor)[1]
     return (columns.min(), columns.max()) if len(columns) else (NONE, NONE)
 
 

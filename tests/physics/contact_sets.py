@@ -7,6 +7,7 @@ import numpy as np
 import surface_gym as sg
 from surface_gym.physics import types as ph
 from surface_gym.physics.references import dual_normal_forces
+from tests.environments import outside
 
 WEIGHT = 9.81  # [m/s^2] normal load / mass
 PITCH = 0.1  # [m]
@@ -66,9 +67,7 @@ def make_grid(gravity_x: float = 0.0, gravity_y: float = 0.0) -> ph.Grid:
 
 def scan(surface: sg.Surface, parcel: sg.Parcel, pose: Any) -> np.ndarray:
     """(rows, columns) the largest F_lambda of Section 3.2 at each element."""
-    x, y = np.meshgrid(surface.x - pose[0], surface.y - pose[1])
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return parcel.base.functions(cosine * x + sine * y, cosine * y - sine * x).max(axis=0)
+    return outside(parcel.base, pose, *np.meshgrid(surface.x, surface.y))
 
 
 def draw_arms(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -99,21 +99,6 @@ def test_a_parcel_that_nothing_holds_leans_with_all_its_weight_on_one_that_is_he
     assert np.abs(meeting.velocity).max() < 1e-5
 
 
-def test_on_a_slope_to_the_side_it_leans_as_on_one_ahead() -> None:
-    tilt, dt = math.radians(10.0), 0.005
-    rotor = np.tile(np.arange(40) >= 20, (20, 1)).T
-    surface = sg.Surface(
-        np.full((40, 20), math.pi / 2), rotor, mu_support=0.0, tilt=tilt, tilt_direction=math.pi / 2
-    )
-    parcel = sg.Parcel(sg.Rectangle(0.4, 0.4), mass=3.0, com_height=0.0)
-    meeting = Meeting(surface, [parcel] * 2, [(1.0, 1.8, 0.0), (1.0, 2.2, 0.0)], side_friction=0.3)
-    for _ in range(20):
-        touches = meeting.step(dt)
-    force = parcel.mass * G * math.sin(tilt)
-    assert touches == [(0, 1, pytest.approx(force * dt, rel=1e-3))]
-    assert np.abs(meeting.velocity).max() < 1e-5
-
-
 @pytest.mark.parametrize("light", [1e-3, 1e-1, 1.0])
 def test_however_light_the_one_that_is_held_the_other_does_not_press_on(light: float) -> None:
     who = [sg.Parcel(sg.Rectangle(0.4, 0.4), mass, com_height=0.0) for mass in (10.0, light)]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 import surface_gym as sg
+from tests.environments import outside
 
 ROLL, MINUS_45, PLUS_45, BRAKE = 3, 2, 1, 0
 
@@ -43,16 +44,10 @@ def contradicts(env: Any, parcel: str, tolerance: float) -> np.ndarray:
     base = sg.layouts.box(parcel).base
     rows, columns = np.indices(bodies.rotor.shape[1:])
     x, y = elements.x0 + elements.pitch_x * columns, elements.y0 + elements.pitch_y * rows
-
-    def outside(motion: np.ndarray) -> np.ndarray:
-        dx, dy = x - motion[0], y - motion[1]
-        cosine, sine = np.cos(motion[2]), np.sin(motion[2])
-        return base.functions(cosine * dx + sine * dy, cosine * dy - sine * dx).max(axis=0)
-
     found = []
     for i in range(env.num_envs):
-        covered = outside(parcels.truth[i]) <= 0.0
-        beyond = outside(parcels.sensed[i])
+        covered = outside(base, parcels.truth[i], x, y) <= 0.0
+        beyond = outside(base, parcels.sensed[i], x, y)
         wrong = np.where(covered, beyond, -beyond) > tolerance
         found.append((wrong & bodies.rotor[parcels.body[i] if len(bodies.rotor) > 1 else 0]).any())
     return np.array(found)

@@ -17,6 +17,7 @@ from surface_gym.sensors.base import LEARNED
 from surface_gym.sensors.camera import FRAME_SIZE, FRAMES, SPREADS, TAKEN
 from surface_gym.sensors.kalman import CONSTANT, DECAY, DOUBT, EFFECT, LAST
 from surface_gym.tasks import Slow
+from tests.environments import begun
 from tests.flow import flows
 from tests.sensors.runs import BRAKE, PLUS_45, ROLL, all_say, errors, rms
 
@@ -36,9 +37,8 @@ def test_a_jump_is_seen_after_the_latency_and_not_before(late: int) -> None:
         frame_rate=50.0, latency=late * period, position_noise=1e-4, angle_noise=1e-4, entry=SURE,
         acceleration_density=10.0,
     )  # fmt: skip
-    batch = Batch(EnvConfig(actions="halves", sensors=camera, control_period=period), 1)
-    batch.reset_cache.seed(0, np.random.default_rng(0))
-    batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 0.5, "parcel": "S", "side": 1}])
+    config = EnvConfig(actions="halves", sensors=camera, control_period=period)
+    batch = begun(config, options=[{"speed": 0.5, "parcel": "S", "side": 1}])
     roll = np.full((1, 2), ROLL)
     for _ in range(8):
         batch.step(roll)
@@ -151,9 +151,8 @@ def in_the_zone(axes: tuple[int, ...]) -> Batch:
     frame comes.
     """
     unseen = AdaptiveCamera(frame_rate=0.1)
-    batch = Batch(EnvConfig("slow", actions="halves", sensors=unseen, control_period=0.005), 1)
-    batch.reset_cache.seed(0, np.random.default_rng(0))
-    batch.reset(np.zeros(1, dtype=np.int64), [{"speed": 2.0, "parcel": "B"}])
+    config = EnvConfig("slow", actions="halves", sensors=unseen, control_period=0.005)
+    batch = begun(config, options=[{"speed": 2.0, "parcel": "B"}])
     for _ in range(104):
         batch.step(np.full((1, 2), ROLL))
     batch.step(np.array([axes]))

@@ -1,8 +1,6 @@
 """A custom task in the playground: the script that the page saves gives the same run."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import pytest
 from surface_gym.agents.library import find_task
 from surface_gym.web.build import CAMERA, write_own, write_task
 from surface_gym.web.scene import TaskScene
+from tests.environments import run_python
 from tests.web.conftest import Site, copy_newer, wait_for
 
 REACH = Path(__file__).parents[2] / "examples" / "reach.py"
@@ -56,10 +55,7 @@ def test_its_script_gives_the_same_end_in_another_process(own, site, visit, tmp_
         page.click("#python")
     script = tmp_path / "scene.py"
     saved.value.save_as(script)
-    done = subprocess.run(
-        [sys.executable, script.name], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    words = done.stdout.split()
+    words = run_python(script.name, folder=tmp_path).split()
     over, *numbers = page.evaluate(
         """(({ run }) => [run.over, run.rewards, run.time,
              ...run.machine.view('parcels.truth')])(playground.shown[0])"""
