@@ -1,6 +1,6 @@
 """Pages of the notebooks with what their cells show: `python docs/notebook_pages.py`.
 
-Each notebook is run from the first cell to the last, in two to four minutes together.
+Each notebook is run from the first cell to the last, in about a minute.
 """
 
 import argparse

@@ -34,6 +34,8 @@ STREAMS = {
     "sequence": f"{SINGULATE} {MATERIAL_FLOW}",
 }
 LONGEST_DEFAULT = 60  # characters of a default in a table
+# A history that tells no more than the id.
+FIRST_VERSION = re.compile(r"\n*### Version history\n\n- `?v0`?: first version\.\n*")
 # Lines from a prompt to the next empty one, and the heading above them, if any.
 EXAMPLE = re.compile(r"(?:^### Example\n\n)?^ *>>> .*(?:\n.+)*\n\n", re.MULTILINE)
 
@@ -44,7 +46,7 @@ def _opening(kind: type[Any], title: str, *top: str) -> str:
     found = EXAMPLE.search(text)
     if found is None:
         raise ValueError(f"the docstring of {kind.__name__} must have an example")
-    first, rest = EXAMPLE.sub("", text).split("\n\n", 1)
+    first, rest = FIRST_VERSION.sub("\n\n", EXAMPLE.sub("", text)).split("\n\n", 1)
     lines = textwrap.dedent(found[0].removeprefix("### Example\n\n")).strip()
     example = f"```pycon\n{lines}\n```"
     return _join(f"# {title}", *top[:1], first, *top[1:], example, rest).strip()
@@ -79,6 +81,7 @@ def _overview(task: str) -> str:
             ),
             ("Import", "`import gymnasium, surface_gym`"),
             ("Make", f'`gymnasium.make("{env_id(task)}")`'),
+            ("Version", "v0, the first"),
         ),
     )
 
@@ -143,11 +146,6 @@ def _comment(source: list[str], at: int) -> str:
 ENVIRONMENT = "[the environment](environment.md)."
 
 
-def _terms(terms: Iterable[str]) -> str:
-    listed = ", ".join(f"`{term}`" for term in terms)
-    return f"{listed}, each in `info` as `reward_` and its name."
-
-
 def _join(*parts: str) -> str:
     return "\n\n".join(parts) + "\n"
 
@@ -165,12 +163,9 @@ def page(name: str) -> str:
         "## Observation",
         _feature_table(task.features),
         'With `actions="window"` 25 more follow: the occupancy of the window.',
-        "## Reward terms",
-        _terms(task.terms),
-        "## Options of `reset`",
-        ", ".join(f"`{option}`" for option in task.options),
         "## Arguments of the task",
         _argument_table(task_class),
+        "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ".",
         f"Episodes are truncated after {limit} control periods, {limit * period:g} s.",
         f"Actions, sensors and the environment's own arguments: {ENVIRONMENT}",
     )
@@ -197,8 +192,6 @@ def stream_page(name: str) -> str:
         _opening(kind, title, _film(name, f"A stream of {title}"), _overview(name)),
         "## Features of a row",
         _feature_table(kind.features),
-        "## Reward terms",
-        _terms(kind.terms),
         "## Arguments of the task",
         _argument_table(kind),
         f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}",

@@ -22,6 +22,7 @@ from surface_gym.agents.library import find_task
 from surface_gym.agents.rules import find_rules
 from surface_gym.extend import GYRATION, MASS
 from surface_gym.tasks import Sort
+from tests.docs.reading import code_blocks
 from tests.environments import played_out
 
 ROOT = Path(__file__).parent.parent
@@ -36,8 +37,8 @@ def run_example(example: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
-def test_the_page_shows_it_as_it_is(file):
-    assert f"```python\n{file.read_text()}```" in (ROOT / "docs" / "extending.md").read_text()
+def test_the_page_shows_it(file):
+    assert ("python", file.read_text()) in code_blocks("docs/extending.md")
 
 
 @pytest.mark.parametrize(

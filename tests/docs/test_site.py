@@ -134,7 +134,7 @@ def site(tmp_path_factory):
     needed("latex2mathml")
     copy = tmp_path_factory.mktemp("checkout")
     ignored = shutil.ignore_patterns("__pycache__", "shipped")
-    for folder in ("docs", "surface_gym", "agents"):
+    for folder in ("docs", "surface_gym", "agents", "examples"):
         shutil.copytree(ROOT / folder, copy / folder, ignore=ignored)
     shutil.copy(ROOT / "mkdocs.yml", copy)
     build = [sys.executable, "-m", "zensical", "build", "--strict"]
