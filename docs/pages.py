@@ -33,6 +33,7 @@ STREAMS = {
     "merge": f"{SINGULATE} {MATERIAL_FLOW}",
     "sequence": f"{SINGULATE} {MATERIAL_FLOW}",
 }
+WIDTH = 120  # characters of a line
 LONGEST_DEFAULT = 60  # characters of a default in a table
 # A history that tells no more than the id.
 FIRST_VERSION = re.compile(r"\n*### Version history\n\n- `?v0`?: first version\.\n*")
@@ -49,7 +50,30 @@ def _opening(kind: type[Any], title: str, *top: str) -> str:
     first, rest = FIRST_VERSION.sub("\n\n", EXAMPLE.sub("", text)).split("\n\n", 1)
     lines = textwrap.dedent(found[0].removeprefix("### Example\n\n")).strip()
     example = f"```pycon\n{lines}\n```"
-    return _join(f"# {title}", *top[:1], first, *top[1:], example, rest).strip()
+    return _join(f"# {title}", *top[:1], _wrap(first), *top[1:], example, _wrap(rest)).strip()
+
+
+def _wrap(text: str) -> str:
+    """Break a docstring's lines as those of the other pages; tables and code stay."""
+    blocks = []
+    for block in text.split("\n\n"):
+        if block.startswith(("|", "#", "    ", "```")):
+            blocks.append(block)
+            continue
+        entries = re.split(r"\n(?=- )", block)
+        blocks.append(
+            "\n".join(
+                textwrap.fill(
+                    " ".join(entry.split()),
+                    width=WIDTH,
+                    subsequent_indent="  " if entry.startswith("- ") else "",
+                    break_long_words=False,
+                    break_on_hyphens=False,
+                )
+                for entry in entries
+            )
+        )
+    return "\n\n".join(blocks)
 
 
 def _film(name: str, caption: str) -> str:
@@ -91,16 +115,21 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _feature_table(features: Iterable[Feature]) -> str:
+def _feature_table(features: Iterable[Feature], without: tuple[Feature, ...] = ()) -> str:
     rows = (
         (str(place), each.name, each.meaning, each.formula, f"{each.low:g}", f"{each.high:g}")
         for place, each in enumerate(features)
+        if each not in without
     )
     return _table(("place", "feature", "value", "shown", "least", "most"), rows)
 
 
-def _argument_table(kind: type[Any]) -> str:
-    """Tabulate a dataclass's fields, their defaults and the comments behind or above them."""
+def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:
+    """Tabulate a dataclass's fields, their defaults and the comments behind or above them.
+
+    Fields that another class has with the same default are left out.
+    """
+    same = {} if without is None else vars(without())
     source = [
         line.strip()
         for each in kind.__mro__
@@ -110,6 +139,8 @@ def _argument_table(kind: type[Any]) -> str:
     rows, usual = [], kind()
     for field in fields(kind):
         if not field.init and kind is not EnvConfig:
+            continue
+        if field.name in same and same[field.name] == getattr(usual, field.name):
             continue
         places = [
             at
@@ -184,16 +215,34 @@ def environment_page() -> str:
     )
 
 
+def base_of(name: str) -> str | None:
+    """Return the task to whose page a page leads for most features and arguments, if any."""
+    return "singulate" if STREAMS[name].startswith(SINGULATE) else None
+
+
 def stream_page(name: str) -> str:
     """Write the Markdown page of a task's environment of many parcels."""
     kind, title = registration.TASKS[name], env_id(name)
     assert issubclass(kind, StreamTask)
+    base = base_of(name)
+    features, arguments = [_feature_table(kind.features)], [_argument_table(kind)]
+    if base is not None:
+        other = registration.TASKS[base]
+        features = [
+            f"All [features of {base.capitalize()}]({base}.md#features-of-a-row), and:",
+            _feature_table(kind.features, other.features),
+        ]
+        arguments = [
+            f"All [arguments of {base.capitalize()}]({base}.md#arguments-of-the-task); these have "
+            "other defaults:",
+            _argument_table(kind, other),
+        ]
     return _join(
         _opening(kind, title, _film(name, f"A stream of {title}"), _overview(name)),
         "## Features of a row",
-        _feature_table(kind.features),
+        *features,
         "## Arguments of the task",
-        _argument_table(kind),
+        *arguments,
         f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}",
         STREAMS[name],
     )

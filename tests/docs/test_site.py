@@ -1,9 +1,8 @@
-"""The site: its notebooks run, its reference shows examples and fields, it builds without a warning
+"""The site: its reference shows examples and fields, it builds without a warning
 and asks no other host for anything.
 """
 
 import html
-import json
 import os
 import re
 import shutil
@@ -17,7 +16,6 @@ import surface_gym
 from surface_gym import agents, design
 from tests.docs.reading import DOCS, ROOT
 
-NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 # What a page of the site loads by itself; a link that a reader may follow is none.
 LOADED = re.compile(
     r'<(?:script|img|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="([^"]+)'
@@ -66,26 +64,6 @@ def test_an_example_is_fenced_and_fields_are_listed_with_their_comments(tmp_path
     }
 
 
-def test_what_cells_show_becomes_text_tables_and_pictures(monkeypatch):
-    monkeypatch.syspath_prepend(DOCS)
-    from notebook_pages import page
-
-    red = {"text/plain": "Figure", "image/png": "cmVk"}
-    outputs = [{"text": "\x1b[1m2 s\x1b[0m\n"}, {"data": {"text/markdown": "| a |"}}, {"data": red}]
-    text, pictures = page(
-        "tour",
-        [
-            {"cell_type": "markdown", "source": "# A tour"},
-            {"cell_type": "code", "source": "look()", "outputs": outputs},
-        ],
-    )
-    title, link, *rest = text.rstrip("\n").split("\n\n")
-    assert (title, "(tour.ipynb)" in link) == ("# A tour", True)
-    assert rest[:3] == ["```py\nlook()\n```", "```output\n2 s\n```", "| a |"]
-    assert rest[3:] == ["![What the cell above shows](tour-1.png)"]
-    assert pictures == {"tour-1.png": b"red"}
-
-
 def test_a_page_that_asks_for_a_replay_gets_it():
     """The recordings are made by `python docs/replays.py`."""
     markdown = needed("markdown")
@@ -96,35 +74,6 @@ def test_a_page_that_asks_for_a_replay_gets_it():
     shown = markdown.markdown(text, extensions=[makeExtension()])
     assert shown.count("srcdoc=") == 3
     assert not ASKED.search(shown)
-
-
-@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
-class TestNotebook:
-    def test_it_is_stored_without_results(self, file):
-        cells = json.loads(file.read_text())["cells"]
-        assert all(not cell.get("outputs") for cell in cells)
-        assert all(cell.get("execution_count") is None for cell in cells)
-
-    def test_its_page_shows_its_cells_and_their_pictures(self, file):
-        """If not: `python docs/notebook_pages.py`."""
-        cells = json.loads(file.read_text())["cells"]
-        text = file.with_suffix(".md").read_text()
-        end = 0
-        for cell in cells:
-            source = "".join(cell["source"])
-            shown = source if cell["cell_type"] == "markdown" else f"```py\n{source}\n```"
-            end = text.index(shown, end) + len(shown)
-        shown = set(re.findall(r"\]\((\S+\.png)\)", text))
-        assert shown == {picture.name for picture in file.parent.glob(f"{file.stem}-*.png")}
-        assert shown
-        assert "```output\n" in text
-
-    def test_it_runs(self, file, tmp_path, monkeypatch):
-        nbclient, nbformat, _ = map(needed, ("nbclient", "nbformat", "ipykernel"))
-        monkeypatch.setenv("PYTHONPATH", str(ROOT))
-        notebook = nbformat.read(file, as_version=4)
-        options = {"timeout": 300, "resources": {"metadata": {"path": tmp_path}}}
-        nbclient.NotebookClient(notebook, kernel_name="python3", **options).execute()
 
 
 @pytest.fixture(scope="module")
