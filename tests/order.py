@@ -87,7 +87,6 @@ NIGHTLY = (
         for task in ("stop", "track", "slow", "orient")
     ),
     "tests/agents/export/test_kernels.py::test_states_are_equal_to_the_bit_on_the_baseline",
-    "tests/docs/test_site.py::TestNotebook::test_it_runs",
     "tests/docs/test_site.py::TestSite",
     "tests/parallel/test_jobs.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
     "tests/parallel/test_jobs.py::test_a_design_s_answer_is_the_same",

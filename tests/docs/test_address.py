@@ -12,7 +12,11 @@ from tests.docs.reading import DOCS, ROOT
 ADDRESS = "https://github.com/Some-Owner/surface-gym"
 TO_A_REPOSITORY = re.compile(r"https://(?:[\w-]+\.)?github\.(?:com|io)/[^\s\"')\]]+")
 # Repositories of others that pages lead to.
-OTHERS = ("https://github.com/citation-file-format", "https://github.com/Farama-Foundation")
+OTHERS = (
+    "https://github.com/citation-file-format",
+    "https://github.com/Farama-Foundation",
+    "https://github.com/OWNER/NAME",  # the form of an address
+)
 
 
 @pytest.fixture
