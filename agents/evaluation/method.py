@@ -18,7 +18,7 @@ from surface_gym.tasks import Task
 from surface_gym.tasks.benchmark import Benchmark, StreamBenchmark
 
 from .. import library
-from ..base import Controller, find_axes
+from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, preset_name, task_name
 from ..planning.receding_horizon import RecedingHorizon
@@ -86,18 +86,16 @@ def find_benchmark(task: str) -> Benchmark | StreamBenchmark:
 
 def start_benchmark(task: str) -> Benchmark:
     """Return the benchmark of a task of one parcel."""
-    found = find_benchmark(task)
-    if not isinstance(found, Benchmark):
-        raise ValueError(f"task must be one of a single parcel, got {task!r}")
-    return found
+    if isinstance(found := find_benchmark(task), Benchmark):
+        return found
+    raise ValueError(f"task must be one of a single parcel, got {task!r}")
 
 
 def stream_benchmark(task: str) -> StreamBenchmark:
     """Return the benchmark of a task on streams."""
-    found = find_benchmark(task)
-    if not isinstance(found, StreamBenchmark):
-        raise ValueError(f"task must be one on streams of parcels, got {task!r}")
-    return found
+    if isinstance(found := find_benchmark(task), StreamBenchmark):
+        return found
+    raise ValueError(f"task must be one on streams of parcels, got {task!r}")
 
 
 def is_on_streams(task: str) -> bool:
@@ -225,20 +223,20 @@ def rivals(methods: Iterable[Method]) -> list[Method]:
     return [*first, *(learned or others[-1:])][:2]
 
 
-class RollOn:
+class RollOn(BatchController):
     """Controller that lets every parcel of a stream roll."""
+
+    _shape = (None, None)
 
     def __init__(self, config: EnvConfig, _seed: int = 0) -> None:
         self._size = config.action_kind.size
         self._choice = find_axes(config).roll
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:  # fmt: skip
-        """Return 90 deg for every parcel; see `Controller`."""
+    def _predict(
+        self, batch: Any, state: Any, episode_start: Any, *, deterministic: bool
+    ) -> tuple[Any, None]:
         del state, episode_start, deterministic
-        return np.full((*np.shape(observation)[:-2], self._size), self._choice), None
+        return np.full((len(batch), self._size), self._choice), None
 
 
 def _of_rule(rule: Rule, task: str) -> Method:

@@ -35,24 +35,19 @@ _PAGE = Template("""<!DOCTYPE html>
 :root { color-scheme: light; }
 body { font: 16px/1.55 system-ui, sans-serif; color: #212730; background: #fff;
   max-width: 72rem; margin: 0 auto; padding: 2rem 1.2rem 5rem; }
-h1 { font-size: 1.9rem; margin: 0 0 .4rem; }
-h2 { font-size: 1.35rem; margin: 3.2rem 0 .3rem; padding-top: 1.6rem;
-  border-top: 1px solid #dde1e6; }
+h2 { margin: 3.2rem 0 .3rem; padding-top: 1.6rem; border-top: 1px solid #dde1e6; }
 p, li { max-width: 46rem; }
-.caption { color: #5c6672; }
+.caption, th, figcaption, dd { color: #5c6672; }
 nav a { margin-right: 1rem; color: #21618c; }
 .wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums;
-  margin: 1rem 0; }
+table, figcaption, dl { font-size: .86rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: 1rem 0; }
 th, td { padding: .32rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed;
   white-space: nowrap; }
-th { color: #5c6672; font-weight: 600; white-space: normal; vertical-align: bottom; }
+th { white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
-tbody tr:hover { background: #f5f7f9; }
 img, video { max-width: 100%; height: auto; margin: .6rem 0; }
-figcaption { color: #5c6672; font-size: .86rem; }
-figure { margin: 1.2rem 0; }
-dl { font-size: .86rem; } dt { font-weight: 600; } dd { margin: 0 0 .4rem 0; color: #5c6672; }
+dt { font-weight: 600; } dd { margin: 0 0 .4rem 0; }
 </style>
 </head>
 <body>

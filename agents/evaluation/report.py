@@ -197,14 +197,13 @@ def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder:
     return [*pictures, write_example(both, folder)]
 
 
-def write_trajectories(methods: Sequence[Method], file: Path) -> bool:
-    """Draw trajectories by entry speed for tasks with a grid of starts; return whether drawn."""
+def write_trajectories(methods: Sequence[Method], file: Path) -> None:
+    """Draw trajectories by entry speed for tasks with a grid of starts."""
     grid = start_benchmark(methods[0].task).grid
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)
         episodes = {each.name: exact.run(each, each.seeds[0])[0] for each in methods}
         plots.draw_trajectories(grid, episodes, file)
-    return grid is not None
 
 
 def start_player(method: Method, rng: np.random.Generator) -> Player:
@@ -269,6 +268,7 @@ def _draw_streams(
         shown = [
             each for each in methods if each.name in ON_FILM and first.throughput(each.name, name)
         ]
+        shown = shown[-(extent.rungs or len(shown)) :]
         if not shown:
             return pictures
         rate = NEAR * first.throughput(shown[-1].name, name)

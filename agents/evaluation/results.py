@@ -264,10 +264,8 @@ def _check_numbers(table: pd.DataFrame) -> None:
         values = table[name].to_numpy(dtype=np.float64)
         wrong = np.flatnonzero(np.isinf(values) | ((values < 0.0) & (name == "seed")))
         if len(wrong):
-            allowed = "at least 0" if name == "seed" else "finite"
-            raise ValueError(
-                f"{name} must be {allowed}, got {values[wrong[0]]:g} in line {wrong[0] + 2}"
-            )
+            allowed, place = "at least 0" if name == "seed" else "finite", wrong[0]
+            raise ValueError(f"{name} must be {allowed}, got {values[place]:g} in line {place + 2}")
 
 
 def write_results(table: pd.DataFrame, file: Path) -> None:

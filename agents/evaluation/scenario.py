@@ -37,13 +37,14 @@ class Extent:
     searched: int | None = None  # maximum starts of methods that search; None: their own
     presets: tuple[str, ...] | None = None  # presets of streams; None: all
     film: float = 20.0  # [s] maximum duration of a stream's film
+    rungs: int | None = None  # maximum rungs in a film; None: all
 
 
 WHOLE = Extent()
 # `--quick`: the same tables with fewer episodes.
 QUICK = Extent(
     starts=12, level_starts=12, seeds=1, replications=2, duration=20.0, offers=1, levels=1,
-    searched=2, presets=("exact",), film=3.0,
+    searched=2, presets=("exact",), film=3.0, rungs=2,
 )  # fmt: skip
 
 

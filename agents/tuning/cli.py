@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from surface_gym import files, parallel
 from surface_gym.cli import TRAIN, command_line
 
-from .sweep import SearchConfig, differences, read_sweep
-
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from .sweep import SearchConfig
 
 FILE = "sweep.yml"  # in a search's folder
 
@@ -45,8 +45,10 @@ def search(
     console.print(f"{folder} holds {study.PAGE}{best}", soft_wrap=True)
 
 
-def open_folder(file: Path, folder: Path, task: str | None = None) -> SearchConfig:
+def open_folder(file: Path, folder: Path, task: str | None = None) -> "SearchConfig":
     """Read the request of a search and keep it in the search's folder, which is made if need be."""
+    from .sweep import differences, read_sweep
+
     sweep = read_sweep(file, task)
     kept = folder / FILE
     if kept.is_file():

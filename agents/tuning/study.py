@@ -5,13 +5,12 @@ to prune its own trial. A trial trains for a short time with intermediate evalua
 score uses fresh starts that are equal for all trials.
 """
 
-import json
 import math
 import sqlite3
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import optuna
-from optuna import distributions as ranges
 from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvingPruner
 from optuna.samplers import BaseSampler, RandomSampler, TPESampler
@@ -41,7 +39,7 @@ from ..learning.config import ParcelConfig, config_of_seed, write_hyperparams
 from ..learning.runs import StopTraining, read_curve, train
 from ..learning.sb3 import make_training_envs
 from ..library import find_task, read
-from .sweep import Choices, NumberRange, SearchConfig
+from .sweep import SearchConfig
 
 FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
 STARTS = 512  # that a policy is judged on
@@ -73,42 +71,33 @@ def open_study(sweep: SearchConfig, folder: Path) -> Iterator[optuna.Study]:
     Trials that were interrupted with an earlier process are repeated.
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    storage, study = _open_storage(folder / FILE)
-    try:
+    file = folder / FILE
+    with ExitStack() as opened:
+        try:
+            if file.exists():
+                _check_file(file)
+            storage = optuna.storages.RDBStorage(f"sqlite:///{file.resolve().as_posix()}")
+            opened.callback(storage.engine.dispose)
+            opened.callback(storage.remove_session)
+            study = optuna.create_study(
+                storage=storage, study_name="search", direction="maximize", load_if_exists=True
+            )
+            for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+                study.tell(trial.number, state=TrialState.FAIL)
+                study.enqueue_trial(trial.params)
+        except (sqlite3.Error, SQLAlchemyError, optuna.exceptions.OptunaError, *DAMAGE) as error:
+            raise ValueError(f"{file} holds no search: {describe_damage(error)}") from None
         study.sampler = make_sampler(sweep, len(study.get_trials(deepcopy=False)))
         study.pruner = make_pruner(sweep)
         yield study
-    finally:
-        _close(storage)
 
 
-def _open_storage(file: Path) -> tuple[optuna.storages.RDBStorage, optuna.Study]:
-    """Open the file of a study, or raise an error that names the problem."""
-    storage = None
-    try:
-        if file.exists():
-            check_plain(file, ARCHIVE)
-            with closing(sqlite3.connect(file)) as tables:
-                (found,) = tables.execute("PRAGMA quick_check(1)").fetchone()
-            if found != "ok":
-                raise ValueError(found)
-        storage = optuna.storages.RDBStorage(f"sqlite:///{file.resolve().as_posix()}")
-        study = optuna.create_study(
-            storage=storage, study_name="search", direction="maximize", load_if_exists=True
-        )
-        for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            study.tell(trial.number, state=TrialState.FAIL)
-            study.enqueue_trial(trial.params)
-        return storage, study
-    except (sqlite3.Error, SQLAlchemyError, optuna.exceptions.OptunaError, *DAMAGE) as error:
-        if storage is not None:
-            _close(storage)
-        raise ValueError(f"{file} holds no search: {describe_damage(error)}") from None
-
-
-def _close(storage: optuna.storages.RDBStorage) -> None:
-    storage.remove_session()
-    storage.engine.dispose()
+def _check_file(file: Path) -> None:
+    check_plain(file, ARCHIVE)
+    with closing(sqlite3.connect(file)) as tables:
+        (found,) = tables.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise ValueError(found)
 
 
 def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
@@ -131,14 +120,6 @@ def describe_state(trial: FrozenTrial) -> str:
     return str(trial.user_attrs.get(REASON, trial.state.name.lower()))
 
 
-def plain_params(sweep: SearchConfig, trial: FrozenTrial | optuna.Trial) -> dict[str, Any]:
-    """Return the drawn values in the form of a configuration."""
-    return {
-        name: json.loads(trial.params[name]) if isinstance(values, Choices) else trial.params[name]
-        for name, values in sorted(sweep.space.items())
-    }
-
-
 def optimize(
     sweep: SearchConfig, study: optuna.Study, workers: Workers, console: Console, run: "RunTrial"
 ) -> None:
@@ -148,26 +129,22 @@ def optimize(
         run: function that runs a trial; defined in a module, so that other processes find it.
     """
     done = finished_trials(study)
-    distributions = {name: _distribution(values) for name, values in sorted(sweep.space.items())}
     asked: list[optuna.Trial] = []
     bars = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
+        TextColumn("{task.description}"), BarColumn(),
         TextColumn("{task.completed:.0f} of {task.total:.0f}  {task.fields[note]}"),
-        TimeElapsedColumn(),
-        console=console,
-    )
+        TimeElapsedColumn(), console=console,
+    )  # fmt: skip
     total = bars.add_task("trials", total=sweep.trials, completed=len(done), note=_note(done))
     rows = []
 
     def jobs() -> Iterator[partial[TrialResult]]:
         for _ in range(sweep.trials - len(done)):
-            trial = study.ask(distributions)
+            trial = study.ask(dict(sorted(sweep.space.items())))
             asked.append(trial)
             rows.append(bars.add_task(f"trial {trial.number}", total=sweep.max_reports, note=""))
-            states = tuple(_STATES.values())
-            past = tuple(study.get_trials(deepcopy=False, states=states))
-            yield partial(run, sweep, plain_params(sweep, trial), past)
+            past = tuple(study.get_trials(deepcopy=False, states=tuple(_STATES.values())))
+            yield partial(run, sweep, sweep.plain_params(trial.params), past)
 
     def on_report(index: int, reported: tuple[int, float]) -> None:
         number, value = reported
@@ -235,14 +212,14 @@ def _train_and_score(
     """Train with one of the seeds, and score the policy."""
     run, pruned = config_of_seed(config, sweep.seed + place), False
     spacing = sweep.steps / (sweep.evaluations + 1)
-    left = list(range(1, sweep.evaluations + 1))
+    remaining = list(range(1, sweep.evaluations + 1))
     with TemporaryDirectory() as name:
         folder = Path(name)
 
         def on_progress(steps: int, _success: float) -> None:
             nonlocal pruned
-            while left and steps >= left[0] * spacing:
-                number = place * sweep.evaluations + left.pop(0)
+            while remaining and steps >= remaining[0] * spacing:
+                number = place * sweep.evaluations + remaining.pop(0)
                 value = read_curve(folder)[-1][sweep.metric]
                 if not np.isnan(value) and prune(number, value):  # nan: no episode has ended yet
                     pruned = True
@@ -297,14 +274,6 @@ def make_pruner(sweep: SearchConfig) -> BasePruner:
     return NopPruner()
 
 
-def _distribution(values: NumberRange | Choices) -> ranges.BaseDistribution:
-    if isinstance(values, Choices):  # as text, since Optuna takes no lists
-        return ranges.CategoricalDistribution([json.dumps(choice) for choice in values.choices])
-    if isinstance(values.low, int) and isinstance(values.high, int):
-        return ranges.IntDistribution(values.low, values.high, values.log)
-    return ranges.FloatDistribution(values.low, values.high, values.log)
-
-
 def _note(trials: list[FrozenTrial]) -> str:
     best = best_trial(trials)
     return "" if best is None else f"best {best.value:.3f}, trial {best.number}"
@@ -323,29 +292,46 @@ def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None
     """
     trials = finished_trials(study)
     best, shares = best_trial(trials), importance(sweep, study)
-    of_ended = optuna.create_study(direction="maximize")  # without those that were interrupted
-    of_ended.add_trials(trials)
-    _save(plots.plot_optimization_history, folder / "history.png", of_ended)
-    _save(plots.plot_intermediate_values, folder / "curves.png", of_ended)
-    if shares is not None:
-        evaluator, names = PedAnovaImportanceEvaluator(target_quantile=BEST_SHARE), sorted(shares)
-        file = folder / "importance.png"
-        _save(plots.plot_param_importances, file, of_ended, evaluator=evaluator, params=names)
-    if best is not None:
-        config = sweep.config(plain_params(sweep, best))
-        # As long as the task is usually learned: few steps are for trials alone.
-        usual = replace(config, steps=sweep.default.steps, seed=sweep.default.seed)
-        write_hyperparams(usual, folder / BEST)
+    finished = optuna.create_study(direction="maximize")
+    finished.add_trials(trials)
+    _save(plots.plot_optimization_history, folder / "history.png", finished)
+    _save(plots.plot_intermediate_values, folder / "curves.png", finished)
     sections = [
         f"# Search of hyper-parameters: {sweep.task}, {sweep.algo}",
         _request(sweep, trials),
-        *_best(sweep, best),
-        "![](history.png)\n\n![](curves.png)",
-        "## Importance",
-        *_importance(shares),
-        "## Trials",
-        _trials(sweep, trials),
     ]
+    if best is not None:
+        # As long as the task is usually learned: few steps are for trials alone.
+        params, usual = sweep.plain_params(best.params), sweep.default
+        config = replace(sweep.config(params), steps=usual.steps, seed=usual.seed)
+        write_hyperparams(config, folder / BEST)
+        given = ("--task", sweep.task, "--algo", sweep.algo, "--hyperparams", BEST)
+        sections += [
+            f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
+            markdown(["hyper-parameter", "value"], [[k, _text(v)] for k, v in params.items()]),
+            f"`{command_line(TRAIN, *given)}` trains with it for {usual.steps:,} control periods, "
+            "as long as the task is usually learned.",
+        ]
+    sections += ["![](history.png)\n\n![](curves.png)", "## Importance"]
+    if shares is None:
+        sections.append(
+            f"It takes {MIN_COMPLETE} complete trials, the best quarter of them better than the "
+            "others, to tell what is important."
+        )
+    else:
+        evaluator = PedAnovaImportanceEvaluator(target_quantile=BEST_SHARE)
+        options: dict[str, Any] = {"evaluator": evaluator, "params": sorted(shares)}
+        _save(plots.plot_param_importances, folder / "importance.png", finished, **options)
+        sections += [
+            "How much each decides whether a complete trial is among the best quarter (PED-ANOVA). "
+            "With so few trials it is a hint.",
+            "![](importance.png)",
+            markdown(
+                ["hyper-parameter", "importance"],
+                [[name, f"{100.0 * share:.0f} %"] for name, share in shares.items()],
+            ),
+        ]
+    sections += ["## Trials", _trials(sweep, trials)]
     (folder / PAGE).write_text("\n\n".join(sections) + "\n")
 
 
@@ -395,43 +381,13 @@ def _request(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
     )
 
 
-def _best(sweep: SearchConfig, best: FrozenTrial | None) -> list[str]:
-    if best is None:
-        return []
-    command = command_line(TRAIN, "--task", sweep.task, "--algo", sweep.algo, "--hyperparams", BEST)
-    params = plain_params(sweep, best)
-    return [
-        f"## Best: trial {best.number}, {sweep.metric} {best.value:.4g}",
-        markdown(["hyper-parameter", "value"], [[name, _text(v)] for name, v in params.items()]),
-        f"`{command}` trains with it for {sweep.default.steps:,} control periods, as long as the "
-        "task is usually learned.",
-    ]
-
-
-def _importance(shares: dict[str, float] | None) -> list[str]:
-    if shares is None:
-        return [
-            f"It takes {MIN_COMPLETE} complete trials, the best quarter of them better than the "
-            "others, to tell what is important."
-        ]
-    return [
-        "How much each decides whether a complete trial is among the best quarter (PED-ANOVA). "
-        "With so few trials it is a hint.",
-        "![](importance.png)",
-        markdown(
-            ["hyper-parameter", "importance"],
-            [[name, f"{100.0 * share:.0f} %"] for name, share in shares.items()],
-        ),
-    ]
-
-
 def _trials(sweep: SearchConfig, trials: Sequence[FrozenTrial]) -> str:
     rows = []
     for trial in trials:
         value = trial.value if trial.state == TrialState.COMPLETE else None
         latest = trial.intermediate_values.get(max(trial.intermediate_values, default=0))
         state = describe_state(trial).replace("|", "/")
-        values = [_text(each) for each in plain_params(sweep, trial).values()]
+        values = [_text(each) for each in sweep.plain_params(trial.params).values()]
         rows.append([str(trial.number), state, _text(value), _text(latest), *values])
     return markdown(
         ["trial", "state", sweep.metric, "latest on the way", *sorted(sweep.space)], rows

@@ -1,11 +1,13 @@
 """The request of a search, as its YAML file has it."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+from optuna import distributions as optuna
 
 from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage
@@ -23,48 +25,6 @@ OF_THE_SEARCH = ("task", "algo", "device", "seed", "seeds", "steps", "out", "nam
 ROLLOUT = ("num_envs", "n_steps", "batch_size")  # which must go together
 
 
-@dataclass(frozen=True)
-class NumberRange:
-    """Numbers from `low` to `high`, integers if both are."""
-
-    low: float
-    high: float
-    log: bool = False  # drawn evenly by logarithm
-
-    def __post_init__(self) -> None:
-        for name in ("low", "high"):
-            checks.number(name, getattr(self, name))
-        if self.low >= self.high:
-            raise ValueError(f"low must be less than high, {self.high!r}, got {self.low!r}")
-        if checks.one_of("log", self.log, (True, False)):
-            checks.positive("low where log is true", self.low)
-
-    @property
-    def ends(self) -> tuple[Any, ...]:
-        return self.low, self.high
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Some values."""
-
-    choices: list[Any]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.choices, list) or len(self.choices) < 2:
-            raise ValueError(f"choices must be a list of two or more, got {self.choices!r}")
-        try:
-            texts = [json.dumps(choice) for choice in self.choices]
-        except TypeError as error:
-            raise ValueError(f"choices must be plain values, got {error}") from None
-        if len(set(texts)) < len(texts):
-            raise ValueError(f"choices must differ, got {self.choices!r}")
-
-    @property
-    def ends(self) -> tuple[Any, ...]:
-        return tuple(self.choices)
-
-
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
     """Configuration of a search; `space` and `fixed` name fields of the algorithm."""
@@ -80,7 +40,7 @@ class SearchConfig:
     sampler: str = "tpe"
     pruner: str = "median"
     startup_trials: int = 8  # before the sampler and the median pruner start
-    space: dict[str, NumberRange | Choices] = field(default_factory=dict)
+    space: dict[str, optuna.BaseDistribution] = field(default_factory=dict)
     # values that differ from the task's defaults
     fixed: dict[str, Any] = field(default_factory=dict)
 
@@ -109,7 +69,7 @@ class SearchConfig:
         any_batch = {"batch_size": 1} if any(name in self.space for name in ROLLOUT) else {}
         self._try("fixed", any_batch)
         for name, values in self.space.items():
-            for value in values.ends:
+            for value in _extremes(values):
                 if name == "batch_size":
                     checks.integer("space: batch_size", value, least=1)
                 else:
@@ -134,6 +94,15 @@ class SearchConfig:
             for name, value in {**self.fixed, **params}.items()
         }
         return replace(self.default, **chosen, steps=self.steps, seed=self.seed, seeds=1)
+
+    def plain_params(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values that Optuna drew in the form of a configuration."""
+        return {
+            name: json.loads(drawn[name])
+            if isinstance(values, optuna.CategoricalDistribution)
+            else drawn[name]
+            for name, values in sorted(self.space.items())
+        }
 
     def _try(self, where: str, params: Mapping[str, Any]) -> None:
         try:
@@ -176,17 +145,42 @@ def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
         {RENAMED.get(name, name): value for name, value in plain.get(part, {}).items()}
         for part in ("space", "fixed")
     )
-    space = {name: _values(name, values) for name, values in space.items()}
+    space = {name: _distribution(name, values) for name, values in space.items()}
     return SearchConfig(**{**plain, "space": space, "fixed": fixed})
 
 
-def _values(name: str, values: Any) -> NumberRange | Choices:
+def make_choices(choices: Sequence[Any]) -> optuna.CategoricalDistribution:
+    """Make a distribution of any plain values, kept as text, since Optuna takes no lists."""
+    try:
+        texts = [json.dumps(each) for each in choices] if isinstance(choices, list) else []
+    except TypeError:
+        texts = []
+    if len(set(texts)) < max(2, len(texts)):
+        raise ValueError(
+            f"choices must be a list of two or more different plain values, got {choices!r}"
+        )
+    return optuna.CategoricalDistribution(texts)
+
+
+def _extremes(values: optuna.BaseDistribution) -> list[Any]:
+    if isinstance(values, optuna.IntDistribution | optuna.FloatDistribution):
+        return [values.low, values.high]
+    assert isinstance(values, optuna.CategoricalDistribution)
+    return [json.loads(str(each)) for each in values.choices]
+
+
+def _distribution(name: str, values: Any) -> optuna.BaseDistribution:
+    """Make the distribution of a name in `space`."""
     given = set(values) if isinstance(values, dict) else set()
     try:
         if given == {"choices"}:
-            return Choices(**values)
+            return make_choices(**values)
         if {"low", "high"} <= given <= {"low", "high", "log"}:
-            return NumberRange(**values)
+            for end in ("low", "high"):
+                checks.number(end, values[end])
+            checks.one_of("log", values.get("log", False), (True, False))
+            whole = isinstance(values["low"], int) and isinstance(values["high"], int)
+            return optuna.IntDistribution(**values) if whole else optuna.FloatDistribution(**values)
         raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
     except ValueError as error:
         raise ValueError(f"space: {name}: {error}") from None

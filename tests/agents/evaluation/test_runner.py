@@ -30,7 +30,7 @@ def apart_from_time(table: pd.DataFrame) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class Counted(Scenario):
+class CountingScenario(Scenario):
     """Two episodes that say how often they were played."""
 
     file: Path
@@ -51,7 +51,7 @@ class Counted(Scenario):
 
 def counted_jobs(file: Path, names: str) -> list[ScenarioJob]:
     methods = [Method(name, "slow", lambda *_: None, seeds=(0, 1)) for name in names]
-    return make_jobs([Counted("slow", "exact", WHOLE, file)], methods)
+    return make_jobs([CountingScenario("slow", "exact", WHOLE, file)], methods)
 
 
 def test_processes_make_no_difference(tmp_path) -> None:

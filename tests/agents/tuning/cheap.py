@@ -6,12 +6,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial
 from rich.console import Console
 
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.study import TrialResult
-from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
+from surface_gym.agents.tuning.sweep import SearchConfig, make_choices
 from surface_gym.executors import Report
 from surface_gym.parallel import Workers
 
@@ -19,8 +20,8 @@ QUIET = Console(quiet=True)
 SMALL = SearchConfig(
     task="slow", trials=14, steps=40_000, evaluations=3, seed=2, startup_trials=4,
     space={
-        "learning_rate": NumberRange(1e-4, 1e-2, log=True), "n_epochs": NumberRange(1, 9),
-        "hidden": Choices([[8], [8, 8]]),
+        "learning_rate": FloatDistribution(1e-4, 1e-2, log=True), "n_epochs": IntDistribution(1, 9),
+        "hidden": make_choices([[8], [8, 8]]),
     },
 )  # fmt: skip
 

@@ -17,6 +17,7 @@ import matplotlib
 import numpy as np
 import optuna
 import pytest
+from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial, TrialState, create_trial
 from rich.console import Console
 
@@ -28,7 +29,7 @@ from surface_gym.agents.library import read
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.cli import open_folder, search
-from surface_gym.agents.tuning.sweep import Choices, NumberRange, SearchConfig
+from surface_gym.agents.tuning.sweep import SearchConfig, make_choices
 from surface_gym.executors import Report
 from surface_gym.tasks.benchmark import DRAWN
 from tests.agents.tuning.cheap import QUIET, SMALL, cheap_trial, searched
@@ -55,7 +56,7 @@ class TestTrials:
         trials = searched(sweep, tmp_path)
         assert [each.number for each in trials] == list(range(40))
         for each in trials:
-            params = study.plain_params(sweep, each)
+            params = sweep.plain_params(each.params)
             assert 1e-4 <= params["learning_rate"] <= 1e-2
             assert params["n_epochs"] in range(1, 10)
             assert params["hidden"] in ([8], [8, 8])
@@ -191,7 +192,7 @@ def stopping(
 
 SWEEP = SearchConfig(
     task="slow", steps=30_000, evaluations=2, startup_trials=1, metric="return",
-    space={"learning_rate": NumberRange(1e-4, 1e-2), "n_steps": Choices([24, 32, 64])},
+    space={"learning_rate": FloatDistribution(1e-4, 1e-2), "n_steps": make_choices([24, 32, 64])},
     fixed={"hidden": [8], "n_epochs": 1},
 )  # fmt: skip
 PARAMS = {"learning_rate": 1e-3, "n_steps": 32}
@@ -254,7 +255,7 @@ class TestTrial:
         ],
     )
     def test_other_algorithms(self, algo, task, fixed) -> None:
-        space = {"gamma": Choices([0.9, 0.99])}
+        space = {"gamma": make_choices([0.9, 0.99])}
         sweep = SearchConfig(
             algo=algo, task=task, steps=20_000, evaluations=1, space=space, fixed=fixed
         )
@@ -399,7 +400,7 @@ class TestReport:
             assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
         config = defaults(REPORTED.task, REPORTED.algo, tmp_path / "best.yml")
         usual = defaults(REPORTED.task, REPORTED.algo)
-        found = REPORTED.config(study.plain_params(REPORTED, best))
+        found = REPORTED.config(REPORTED.plain_params(best.params))
         assert config == replace(found, steps=usual.steps, seed=usual.seed)
 
     def test_without_a_complete_trial_there_is_no_best(self, trials, tmp_path) -> None:
@@ -420,8 +421,8 @@ class TestReport:
 def test_what_counts_has_the_largest_share(tmp_path) -> None:
     space = {
         **SMALL.space,
-        "learning_rate": NumberRange(1e-4, 1e-2),
-        "gae_lambda": NumberRange(0.0, 1.0),
+        "learning_rate": FloatDistribution(1e-4, 1e-2),
+        "gae_lambda": FloatDistribution(0.0, 1.0),
     }
     sweep = SearchConfig(trials=30, pruner="none", sampler="random", space=space)
     trials = searched(sweep, tmp_path)
