@@ -18,7 +18,7 @@ from .results import KEY, Key, make_rows, read_results, write_results
 from .robustness import FEWER
 from .scenario import Row, ScenarioJob
 
-GRACE = 1.0  # [s] short, since rows of interrupted jobs are lost
+GRACE = 0.0  # [s] for interrupted jobs, whose rows are lost
 EVERY = 5.0  # [s] between lines of progress where there is no terminal
 SLOW_BY = 0.75  # [-] share of the jobs after which no slow job begins
 Advance = Callable[[int, int, str], None]  # called with finished jobs, all jobs, and the latest job

@@ -116,7 +116,8 @@ def stream_tables(task: str, results: Results) -> list[Table]:
 
 def ladder_tables(found: Capacities) -> list[Table]:
     """Make the table of hardware, capacity on all streams, touches and turns by method."""
-    leaders, rows = {offer: found.leader(offer) for offer in found.offers}, []
+    leaders = {offer: found.leader(offer) for offer in found.offers}
+    rows: list[dict[str, str]] = []
 
     def row(name: str, hardware: str, cells: Sequence[str], *more: str) -> None:
         values = (hardware, *cells, *(more or (NOTHING, NOTHING)))
@@ -255,9 +256,11 @@ def offer_tables(task: str, results: Results) -> list[Table]:
 
 def _find_ahead(rates: dict[str, Numbers]) -> str | None:
     """Find the method that is significantly ahead of every other."""
-    best = max(rates, key=lambda name: rates[name].mean(), default=None)
+    if len(rates) < 2:
+        return None
+    best = max(rates, key=lambda name: float(rates[name].mean()))
     others = [rates[best] - each for name, each in rates.items() if name != best]
-    return best if others and all(map(is_ahead, others)) else None
+    return best if all(map(is_ahead, others)) else None
 
 
 def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:

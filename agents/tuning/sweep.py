@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from optuna import distributions as optuna
+from optuna import distributions as ranges
 
 from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage
@@ -40,7 +40,7 @@ class SearchConfig:
     sampler: str = "tpe"
     pruner: str = "median"
     startup_trials: int = 8  # before the sampler and the median pruner start
-    space: dict[str, optuna.BaseDistribution] = field(default_factory=dict)
+    space: dict[str, ranges.BaseDistribution] = field(default_factory=dict)
     # values that differ from the task's defaults
     fixed: dict[str, Any] = field(default_factory=dict)
 
@@ -99,7 +99,7 @@ class SearchConfig:
         """Return the values that Optuna drew in the form of a configuration."""
         return {
             name: json.loads(drawn[name])
-            if isinstance(values, optuna.CategoricalDistribution)
+            if isinstance(values, ranges.CategoricalDistribution)
             else drawn[name]
             for name, values in sorted(self.space.items())
         }
@@ -149,7 +149,7 @@ def _read(plain: dict[str, Any], task: str | None) -> SearchConfig:
     return SearchConfig(**{**plain, "space": space, "fixed": fixed})
 
 
-def make_choices(choices: Sequence[Any]) -> optuna.CategoricalDistribution:
+def make_choices(choices: Sequence[Any]) -> ranges.CategoricalDistribution:
     """Make a distribution of any plain values, kept as text, since Optuna takes no lists."""
     try:
         texts = [json.dumps(each) for each in choices] if isinstance(choices, list) else []
@@ -159,17 +159,17 @@ def make_choices(choices: Sequence[Any]) -> optuna.CategoricalDistribution:
         raise ValueError(
             f"choices must be a list of two or more different plain values, got {choices!r}"
         )
-    return optuna.CategoricalDistribution(texts)
+    return ranges.CategoricalDistribution(texts)
 
 
-def _extremes(values: optuna.BaseDistribution) -> list[Any]:
-    if isinstance(values, optuna.IntDistribution | optuna.FloatDistribution):
+def _extremes(values: ranges.BaseDistribution) -> list[Any]:
+    if isinstance(values, ranges.IntDistribution | ranges.FloatDistribution):
         return [values.low, values.high]
-    assert isinstance(values, optuna.CategoricalDistribution)
+    assert isinstance(values, ranges.CategoricalDistribution)
     return [json.loads(str(each)) for each in values.choices]
 
 
-def _distribution(name: str, values: Any) -> optuna.BaseDistribution:
+def _distribution(name: str, values: Any) -> ranges.BaseDistribution:
     """Make the distribution of a name in `space`."""
     given = set(values) if isinstance(values, dict) else set()
     try:
@@ -180,7 +180,7 @@ def _distribution(name: str, values: Any) -> optuna.BaseDistribution:
                 checks.number(end, values[end])
             checks.one_of("log", values.get("log", False), (True, False))
             whole = isinstance(values["low"], int) and isinstance(values["high"], int)
-            return optuna.IntDistribution(**values) if whole else optuna.FloatDistribution(**values)
+            return ranges.IntDistribution(**values) if whole else ranges.FloatDistribution(**values)
         raise ValueError(f"must be {{low, high, log}} or {{choices}}, got {values!r}")
     except ValueError as error:
         raise ValueError(f"space: {name}: {error}") from None
