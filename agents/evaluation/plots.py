@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -220,7 +220,7 @@ class Style(NamedTuple):
 
     label: str  # label in the legend; may be shared
     colour: str
-    dashes: str = "-"
+    dashes: Literal["-", "--", "-.", ":", "None"] = "-"
     width: float = 1.6  # [pt]
     marker: str = "o"  # marker for levels that are names
     above: int = 2  # drawing order

@@ -44,6 +44,7 @@ from .scenario import (
     STARTS,
     WHOLE,
     Extent,
+    Scenario,
     ScenarioJob,
     StartScenario,
     make_jobs,
@@ -83,10 +84,11 @@ class Selection:
         """List the jobs of the comparison, streams first."""
         jobs = []
         for task in sorted(self.tasks, key=lambda each: not is_on_streams(each)):
-            if is_on_streams(task):
-                scenarios = stream_scenarios(task, self.extent, self.groups)
-            else:
-                scenarios = start_scenarios(task, self.extent)
+            scenarios: Sequence[Scenario] = (
+                stream_scenarios(task, self.extent, self.groups)
+                if is_on_streams(task)
+                else start_scenarios(task, self.extent)
+            )
             jobs += make_jobs(scenarios, self.methods(task))
         return jobs
 

@@ -27,7 +27,7 @@ from .scenario import SEED, WHOLE, Extent, Row, Scenario, ScenarioJob, make_jobs
 
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab on streams, never tuned on
 # [-] required share of correct deliveries for a sustained rate
-LEAST_RIGHT = {"exact": 0.999, "camera": 0.995}
+LEAST_CORRECT = {"exact": 0.999, "camera": 0.995}
 IN_ORDER = 0.999  # [-] required share of correct departures at one of several rates
 PRECISION = 1.02  # [-] ratio between a failing and a sustained rate
 LEAST = 1.0 / 16.0  # [-] smallest tried rate relative to the entry limit
@@ -146,15 +146,15 @@ class StreamScenario(Scenario):
         return [{**row, **fixed} for row in rows or [nothing] * count]
 
     def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
-        config, least = self.config(method, rate), LEAST_RIGHT[self.preset]
+        config, least = self.config(method, rate), LEAST_CORRECT[self.preset]
         rows = self._measure(method, config, controller, least)
         return rows if rows and is_sustained(rows, least) else None
 
     def _measure(
-        self, method: Method, config: EnvConfig, controller: Controller, least_right: float = 0.0
+        self, method: Method, config: EnvConfig, controller: Controller, least_correct: float = 0.0
     ) -> list[Row]:
         warm_up = self.benchmark.warm_up
-        batch = play_stream(config, controller, self.episodes(method), warm_up, least_right)
+        batch = play_stream(config, controller, self.episodes(method), warm_up, least_correct)
         return [] if batch is None else measure_stream(batch, warm_up)
 
 
@@ -205,19 +205,19 @@ def counted_time(duration: float, rate: float, warm_up: float) -> float:
 
 def play_stream(
     config: EnvConfig, controller: Controller, count: int, warm_up: float = 0.0,
-    least_right: float = 0.0,
+    least_correct: float = 0.0,
 ) -> StreamBatch | None:  # fmt: skip
     """Run replications of a stream to the end.
 
     Args:
-        least_right: [-] required share of correct deliveries; returns None as soon as it is out of
+        least_correct: [-] required share of correct deliveries; returns None once it is out of
             reach, or after a jam.
     """
     batch = begin_streams(config, count, SEED)
     if isinstance(controller, RecedingHorizon):
         controller.watch(batch)
     begin = config.stream_task.duration - _counted(config, warm_up)
-    most_wrong = (1.0 - least_right) * int(batch.streams.arrivals.sum())
+    most_wrong = (1.0 - least_correct) * int(batch.streams.arrivals.sum())
     fresh = np.ones(count, dtype=np.bool_)
     state, period = None, 0
     while (batch.outcome == RUNNING).any():
@@ -225,7 +225,7 @@ def play_stream(
         batch.step(config.action_kind.commands(action, count))
         fresh[:] = False
         period += 1
-        if least_right and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
+        if least_correct and period % CHECK_EVERY == 0 and _is_lost(batch, begin, most_wrong):
             return None
     return batch
 
@@ -291,10 +291,10 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     return rows
 
 
-def is_sustained(rows: Sequence[Row], least_right: float) -> bool:
+def is_sustained(rows: Sequence[Row], least_correct: float) -> bool:
     """Return whether there are no jams and enough correct deliveries."""
     correct, delivered = (sum(row[name] for row in rows) for name in ("correct", "delivered"))
-    return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_right
+    return not any(row["jam"] for row in rows) and correct / max(1, delivered) >= least_correct
 
 
 def find_capacity(

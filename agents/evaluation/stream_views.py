@@ -12,7 +12,7 @@ from ..library import task_label
 from .ladder import BOUNDED, SCHEDULER, STEPS, ZONES
 from .method import PLANNED, PLANNER, stream_benchmark
 from .results import Results, Sample, half_interval, is_ahead
-from .stream_scenario import LEAST_RIGHT, QUIET, STREAM_PRESETS, UNSEEN
+from .stream_scenario import LEAST_CORRECT, QUIET, STREAM_PRESETS, UNSEEN
 from .tables import NOTHING, Table, bold, number, tabulate
 from .views import NAME, format_value
 
@@ -144,19 +144,21 @@ def ladder_tables(found: Capacities) -> list[Table]:
         if not np.isnan(best).all():
             row(BEST.format(name), NOTHING, [number(each, ".0f") for each in best])
     row(ENTRANCE, NOTHING, [number(found.bound(offer), ".0f") for offer in found.offers])
-    bounds = f"No controller can exceed the row “{ENTRANCE}”"
+    samples = [found.find(name, offer) for name in found.names for offer in found.offers]
+    replications = max(len(each.rates) for each in samples if each is not None)
+    bounds = f"No controller exceeds the row “{ENTRANCE}”."
     if any(each[NAME].startswith(BEST.format("")) for each in rows):
-        bounds += (
-            "; no schedule of a rung's maneuvers can exceed what is best known for it, on a long "
-            "stream, but other maneuvers might"
-        )
+        bounds += " No schedule of a rung's maneuvers exceeds the best known rate on a long stream."
     return tabulate(
         _title("ladder of hardware", found),
-        f"{_meaning(found)} In bold what is above every other method by more than that "
-        "interval. Actuators turn axes, of a module, a column or a zone; all deliver through the "
-        "same 6 m of line. A layout that is arranged once and for all sorts nothing: it leads all "
-        "parcels one way. Touches per 1000 deliveries, and actuators' turns per parcel, are the "
-        f"means of all streams. {_zones(found)}{bounds}.",
+        "Correct deliveries per hour at the highest steady rate with at least "
+        f"{100.0 * LEAST_CORRECT[found.preset]:g} % correct deliveries and no jam, with Student's "
+        f"95 % interval over {replications} replications. Parcels go at equal odds to the "
+        f"{_exits(found)}. {STREAM_PRESETS[found.preset].meaning} Bold marks a rate above every "
+        "other by more than the interval. An actuator turns the axes of a module, a column or a "
+        "zone, on 6 m of line. A fixed layout would lead all parcels one way. Touches per 1000 "
+        "deliveries and turns of an actuator per parcel are means over all streams. "
+        f"{_zones(found)}{bounds}",
         rows,
     )
 
@@ -201,8 +203,8 @@ def step_tables(found: Capacities) -> list[Table]:
 
     return tabulate(
         _title("what a rung has over another", found),
-        "difference of capacities [parcels/h], with Student's 95 % interval of the replications "
-        f"in pairs, since they met the same parcels; {_exits(found)}",
+        "difference of capacities [parcels/h], with Student's 95 % interval over pairs of "
+        f"replications with the same parcels; {_exits(found)}",
         [
             {"rungs": f"{name} over {other}"}
             | {offer: text(name, other, offer) for offer in found.offers}
@@ -221,18 +223,6 @@ def _exits(found: Capacities) -> str:
     return f"exits “{found.group}”: {EXITS.get(found.group, found.group)}"
 
 
-def _meaning(found: Capacities) -> str:
-    samples = [found.find(name, offer) for name in found.names for offer in found.offers]
-    replications = max(len(each.rates) for each in samples if each is not None)
-    return (
-        f"Right deliveries an hour, at equal odds to the {_exits(found)}. They are those of the "
-        "highest steady rate at which "
-        f"{100.0 * LEAST_RIGHT[found.preset]:g} % of deliveries are right and nothing jams, "
-        f"with Student's 95 % interval over {replications} replications. "
-        f"{STREAM_PRESETS[found.preset].meaning}"
-    )
-
-
 def offer_tables(task: str, results: Results) -> list[Table]:
     """Make the table of deliveries by method, offered stream and preset."""
     benchmark = stream_benchmark(task)
@@ -247,8 +237,8 @@ def offer_tables(task: str, results: Results) -> list[Table]:
             for name, sample in samples.items():
                 rate, bound = _rate(sample), number(sample.constant("bound"), ".0f")
                 row = {"scenario": offer.name, "preset": preset, "method": name}
-                row["right an hour"] = bold(rate) if name == ahead else rate
-                row["right"] = f"{100.0 * sample.share_correct:.2f} %"
+                row["correct per hour"] = bold(rate) if name == ahead else rate
+                row["correct"] = f"{100.0 * sample.share_correct:.2f} %"
                 row |= {c.label: format_value(c, c.value(sample, sample)) for c in columns}
                 rows.append(row | {"jams": f"{sample.jams:.1f}", "bound": bound})
     return tabulate(f"{task_label(task)} on streams", _describe(benchmark, shown), rows, keys=3)
@@ -266,19 +256,19 @@ def _find_ahead(rates: dict[str, Numbers]) -> str | None:
 def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
     count = max((len(each.rates) for each in samples), default=0)
     seconds = max((each.constant("counted") for each in samples), default=0.0)
-    planner = (
-        f" The planner knows the true state and all that will come, plays the first {PLANNED} "
-        "streams alone, and is not compared for the bold."
-        if any(each.kind == PLANNER for each in samples)
-        else ""
-    )
+    planner = ""
+    if any(each.kind == PLANNER for each in samples):
+        planner = (
+            f" The planner knows the true state and all arrivals. It runs on {PLANNED} streams "
+            "only, and is not compared for the bold."
+        )
     return (
-        f"{count} streams of {seconds:g} s that are the same for all methods; "
-        f"{benchmark.description}. Parcels that leave rightly per hour, with Student's "
-        "95 % interval; bold marks results that are significantly best (95 % confidence, paired). "
-        f"{'; '.join(f'{each.label}: {each.meaning}' for each in benchmark.columns)}; streams that "
-        f"jammed, so that nothing moved or nothing left in the last {QUIET:g} s; and the rate that "
-        f"nobody exceeds.{planner} Agents are the mean of their seeds."
+        f"{count} streams of {seconds:g} s, the same for all methods; {benchmark.description}. "
+        "Correct deliveries per hour have Student's 95 % interval; agents have the mean over their "
+        "seeds. Bold marks results that are significantly best (95 % confidence, paired). "
+        f"{'; '.join(f'{each.label}: {each.meaning}' for each in benchmark.columns)}; jams: "
+        f"streams in which nothing moved, or nothing left in the last {QUIET:g} s; bound: a rate "
+        f"that no controller exceeds.{planner}"
     )
 
 
@@ -304,12 +294,12 @@ def unseen_tables(task: str, results: Results) -> list[Table]:
     agent = ", ".join(sorted(agents))
     table = Table(
         f"{task_label(task)}: {agent} beside the scheduler where it never trained",
-        "Right deliveries an hour, offered as much as the entrance takes, with Student's 95 % "
-        "interval, the mean of the agent's seeds; touches per 1000 deliveries; the agent's rate "
-        "over the scheduler's, in pairs of the same parcels, in bold where the interval does not "
-        "hold 1; and of how many seeds the interval alone is above 1. Both choose in a trial how "
-        "close parcels follow each other: without a touch, or with at most 50 per 1000 deliveries "
-        "where modules are stuck and where speeds differ, and 100 in the lab.",
+        "Correct deliveries per hour at the entry limit, with Student's 95 % interval, mean over "
+        "the agent's seeds; touches per 1000 deliveries. The ratio is of the same parcels; bold "
+        "marks an interval without 1. Seeds ahead have an interval of their own above 1. Both "
+        "choose in a trial how close parcels follow each other: without a touch, or with at most "
+        "50 per 1000 deliveries where modules are stuck and where speeds differ, and 100 in the "
+        "lab.",
         (
             "scenario", "scheduler", "touches", agent, "touches", "agent / scheduler",
             "seeds ahead", "entrance",

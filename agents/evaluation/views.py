@@ -122,8 +122,8 @@ def decision_tables(tasks: Sequence[str], results: Results) -> list[Table]:
     names = dict.fromkeys(name for task in tasks for name in results.methods(task, STARTS))
     return tabulate(
         "decisions",
-        "time of one decision in one environment [us], decided many at a time, median; it differs "
-        "from run to run, as nothing else here does",
+        "time of one decision in one environment [us], decided many at a time, median; only these "
+        "numbers differ from run to run",
         [{NAME: k} | {task: number(us.get(k), ".1f") for task, us in times.items()} for k in names],
     )
 
