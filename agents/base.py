@@ -97,7 +97,7 @@ def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
 
 
 def time_for(line: sg.lines.Line, columns: int) -> float:
-    """Return the factor [-] of the time limit for a number of zone columns."""
+    """Return the factor [-] by which the time limit grows with the number of zone columns."""
     return max(1.0, columns / line.zone_columns)
 
 

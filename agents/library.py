@@ -197,7 +197,7 @@ class PolicyCard:
 
     @property
     def task(self) -> str:
-        """The task's name; the class of a user's task."""
+        """Name of the task; for a custom task, its class."""
         known = {env_id(name): name for name in TASKS}
         return known.get(self.env_id, self.env_id.removeprefix(OWN))
 
@@ -228,7 +228,7 @@ class TrainedPolicy(BatchController, ABC):
 
     Args:
         card: of the policy.
-        config: of its environment.
+        config: configuration of its environment.
     """
 
     def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
@@ -253,7 +253,7 @@ class PolicyFiles:
     folder: Path
     weights: bytes
     card: bytes
-    # Algorithms that a user has named by their files, for other processes.
+    # Custom algorithms by their files, for other processes.
     algorithms: tuple[str, ...] = field(default_factory=lambda: tuple(_NAMED))
 
 

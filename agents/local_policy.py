@@ -88,7 +88,7 @@ class LocalPolicy(SlopePolicy):
     """A trained policy of modules on a slope.
 
     Args:
-        config: of the environment.
+        config: configuration of the environment.
     """
 
     def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:

@@ -1,4 +1,4 @@
-"""Places of Sort's modules under a parcel, as a compiled function, which the page calls as well.
+"""Positions of Sort's modules under a parcel, as a compiled function for Python and the page.
 
 The parcel's outline, and the rows of its line, are inferred from the environment's observation.
 """
@@ -19,18 +19,18 @@ from .rules.decoding import ABSENT, Sight, see_line
 
 EXACT = 1e-6  # [m] lengths that differ by less are equal: observations are single precision
 ELLIPSE = math.pi / 4.0  # share of a rectangle that the ellipse in it fills
-ROUND = 0.08  # pitches that a disc, turned, may look narrower than a square; half a gap in rows
-LEAST_ROWS = 2.0  # of a line amid supports
-MARGIN = 0.01  # [m] a module this near to the base may bear it
+ROUND = 0.08  # [pitches] apparent loss of width of a turned disc; half a gap between rows
+LEAST_ROWS = 2.0  # minimum rows of a line between supports
+MARGIN = 0.01  # [m] modules closer than this to the base count as under it
 BESIDE, ACROSS = 0.3, 0.15  # [m] scales of a module's place beside the parcel and the line
-PLACE_SIZE = 9  # features of a module's place,
-AHEAD, ASIDE = 6, 7  # of these, where it is from the parcel's centre along the line and across it
+PLACE_SIZE = 9  # number of features of a module's place
+AHEAD, ASIDE = 6, 7  # features: position relative to the parcel's centre, along and across the line
 
 
 class Shown(NamedTuple):
-    """How the outline of a base is shown, and what a line has."""
+    """How an environment observes the outline of a base, and dimensions of its line."""
 
-    is_observed: int  # 1: the outline is; 0: it is inferred from the clearance
+    is_observed: int  # 1: the outline is observed; 0: it is inferred from the clearance
     clearance: Column
     length: Column
     width: Column
@@ -43,7 +43,7 @@ class Shown(NamedTuple):
 
 
 def find_shown(config: EnvConfig) -> Shown:
-    """Find how an environment shows the outline of a base."""
+    """Describe how an environment observes the outline of a base."""
     line, columns = config.chosen_line, config.columns
     names = ("clearance", "length", "width", "fill", "sine of phase x", "cosine of phase x")
     shown: list[Any] = [int("parcel" in config.observe)]
@@ -54,18 +54,18 @@ def find_shown(config: EnvConfig) -> Shown:
 
 
 class Outline(NamedTuple):
-    """Outline of a base between a rectangle and the ellipse in it, and where it is."""
+    """Outline of a base, between a rectangle and its inscribed ellipse, and its position."""
 
     length: float  # [m] half of it
     width: float  # [m] half of it
     roundness: float  # [-] 0: a rectangle, 1: an ellipse
-    rows: float  # of the line that the parcel runs on
+    rows: float  # rows of the parcel's line
     x: float  # [m] of its centre past the zone's first edge
 
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Count the rows of a line under which `pairs` of rows fit; else the layout's."""
+    """Infer the line's rows from the base width in `pairs` of rows; the default is the layout's."""
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
 
@@ -87,7 +87,9 @@ def find_outline(
     theta: float,
     offset: float,
 ) -> Outline:
-    """Read or infer the outline of a base; `theta` and `offset` with the asked side at y > 0."""
+    """Read or infer the outline of a base; `theta` and `offset` are mirrored so that the goal is at
+    y > 0.
+    """
     if shown.is_observed != 0:
         length, width = read(row, shown.length), read(row, shown.width)
         roundness = min(1.0, max(0.0, (1.0 - read(row, shown.fill)) / (1.0 - ELLIPSE)))
@@ -98,7 +100,7 @@ def find_outline(
         in_pitch = 0.5 + phase / (2.0 * math.pi)  # from a column's first edge
         x = sight.pitch_x * (np.rint(x / sight.pitch_x - in_pitch) + in_pitch)
         return Outline(length, width, roundness, rows, x)
-    # The clearance lacks the half line and the half extent of the base across it. A wider base has
+    # The clearance excludes the half line and the base's half extent across it. A wider base has
     # a wider line, so that both follow.
     length, pitch = seen.half_length, sight.pitch_y
     cosine, sine = abs(math.cos(theta)), abs(math.sin(theta))
@@ -117,9 +119,9 @@ def find_outline(
 
 @linked
 def find_distance(outline: Outline, along: float, across: float) -> float:
-    """Compute the signed distance [m] of a place in a base's frame; negative under the base.
+    """Compute the signed distance [m] from a base to a position in its frame; negative inside.
 
-    Beyond an ellipse that is no disc it is an upper bound.
+    It is an upper bound beyond an ellipse that is not a disc.
     """
     length, width, roundness = outline.length, outline.width, outline.roundness
     straight = max(abs(along) - length, abs(across) - width)
@@ -132,12 +134,12 @@ def find_places(
     observations: Singles, sight: Sight, shown: Shown, env: Integers, index: Integers,
     place: Singles,
 ) -> int:  # fmt: skip
-    """Find the modules that bear a parcel, now or a period later; return how many there are.
+    """Find the modules under a parcel, now or a period later; return their number.
 
     Args:
-        env: (modules,) the environment of each, which is written to.
-        index: (modules,) its place in the action.
-        place: (modules, PLACE_SIZE) its place under the parcel, with the asked side at y > 0.
+        env: (modules,) output: environment of each module.
+        index: (modules,) output: its index in the action.
+        place: (modules, PLACE_SIZE) output: its position under the parcel, with the goal at y > 0.
     """
     count, columns, period = 0, sight.x.shape[0], shown.period
     for i in range(observations.shape[0]):
@@ -154,7 +156,6 @@ def find_places(
         for k in range(columns * sight.y.shape[0]):
             row = mirror * sight.y[k // columns]
             x, y = sight.x[k % columns] - outline.x, row - offset
-            # Only the line's rotors bear.
             is_there = abs(row) < 0.5 * sight.pitch_y * outline.rows
             if not is_there or abs(x) >= close or abs(y) >= close:
                 continue

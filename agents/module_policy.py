@@ -94,13 +94,13 @@ class SortModuleView:
         return SortModuleObservations(observations[:, self._shared], env, place, index)
 
     def room(self, num_envs: int) -> tuple[Integers, Integers, Singles]:
-        """Make room for the modules that may bear a parcel."""
+        """Allocate arrays for the modules that may be under a parcel."""
         modules = num_envs * self._size
         places = np.zeros((modules, PLACE_SIZE), dtype=np.float32)
         return np.zeros(modules, dtype=np.int64), np.zeros(modules, dtype=np.int64), places
 
     def begin(self) -> tuple[Any, ...]:
-        """List what `find_places` takes in one environment."""
+        """Return the arguments of `find_places` for one environment."""
         observations = np.zeros((1, self._features), dtype=np.float32)
         return observations, self._sight, self._shown, *self.room(1)
 

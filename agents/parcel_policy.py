@@ -150,7 +150,7 @@ class Proposer:
     """The rule corrected by a policy, if its task has one.
 
     Args:
-        config: of the environment.
+        config: configuration of the environment.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -195,7 +195,7 @@ class SlopePolicy(TrainedPolicy):
     Args:
         network: network of the policy.
         card: card of the policy.
-        config: of the environment.
+        config: configuration of the environment.
     """
 
     def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig) -> None:
@@ -220,7 +220,7 @@ class ParcelPolicy(SlopePolicy):
     the largest pending share. For example, braking in every other control period is half braking.
 
     Args:
-        config: of the environment.
+        config: configuration of the environment.
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:

@@ -28,11 +28,11 @@ class Episodes:
 
     @property
     def decision_time(self) -> float:
-        """Median time [s] of a decision for one environment: the first decision may compile."""
+        """Median time [s] of a decision for one environment; the median excludes compilation."""
         return float(np.median(self.decision_times))
 
     def path(self, start: int) -> Numbers:
-        """Return the true poses (periods + 1, 3) [m, m, rad] of one episode, the last included."""
+        """Return the true poses (periods + 1, 3) [m, m, rad] of one episode, including the last."""
         poses = self.pose[:, start]
         return poses[~np.isnan(poses[:, 0])]
 
@@ -97,7 +97,7 @@ def run_sequentially(
 ) -> Episodes:
     """Run one start after the other, with the same results as `run_episodes`.
 
-    For slow controllers: `run_episodes` would also decide for finished environments.
+    It suits slow controllers: `run_episodes` would also decide for finished environments.
     """
     runs = [run_episodes(controller, config, [start], seed + k) for k, start in enumerate(starts)]
     return Episodes(
@@ -115,7 +115,7 @@ def run_sequentially(
 
 
 def stack_poses(paths: Sequence[Numbers]) -> Numbers:
-    """Stack paths (poses, 3) into poses (longest, paths, 3), nan after the end of each."""
+    """Stack paths (poses, 3) into poses (longest, paths, 3); NaN after the end of a path."""
     pose = np.full((max(map(len, paths)), len(paths), 3), np.nan)
     for k, path in enumerate(paths):
         pose[: len(path), k] = path

@@ -119,7 +119,7 @@ class SchedulePolicy(TrainedPolicy):
     The first call tests maneuvers, and chooses the price of a touch, which takes seconds.
 
     Args:
-        config: of the environment, with a gate and actions "parcels".
+        config: configuration of the environment, with a gate and actions "parcels".
         most_touches: [-] allowed touches per delivery in the trial, which determines the price.
     """
 

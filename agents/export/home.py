@@ -1,8 +1,8 @@
-"""The comparison on the site's home page: one stream of boxes on two lines, each with its schedule.
+"""The home page's comparison: the same stream of boxes on two lines, each with its own scheduler.
 
-It writes `home.bin`, a stream with all boxes yet to come, and `home.json`, its layout. The module
-is `flow.wasm`: the same kernel, whatever the exits, the gate and the boxes. The function of the
-schedulers is another module, with a memory for each line.
+Writes `home.bin`, the stream with all boxes yet to arrive, and `home.json`, its layout. The page
+runs `flow.wasm`, since one kernel serves all exits, gates and boxes. The schedulers share a second
+module, with one memory per line.
 """
 
 import json
@@ -26,30 +26,30 @@ from ..scheduling.scheduler import Scheduler
 from .rules import write, write_machine
 
 FILES = ("home.bin", "home.json")
-BOXES = 1000  # that come within an hour; a page lets them come as fast as its reader asks
-SEED = 0  # of their kinds and exits
+BOXES = 1000  # number of boxes in an hour; the page scales the arrival rate
+SEED = 0  # seed of the boxes' kinds and exits
 
 
 def find_methods() -> list[Method]:
-    """Find the methods that both lines have in the comparison, the upper line's first."""
+    """Return the compared methods of both lines, the upper line first."""
     named = {each.name: each for each in ladder()}
     return [named[ARRANGED], named[MODULES]]
 
 
 def make_config(method: Method) -> EnvConfig:
-    """Configure the line of a method."""
+    """Return the configuration of a method's line."""
     return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
 
 
 @lru_cache(maxsize=1)
 def make_schedulers() -> tuple[Scheduler, ...]:
-    """Make the scheduler of each line; takes seconds."""
+    """Make the scheduler of each line. It takes seconds."""
     made = [method.controller(make_config(method), 0) for method in find_methods()]
     return tuple(each for each in made if isinstance(each, Scheduler))
 
 
 def place_stream(config: EnvConfig) -> StreamBatch:
-    """Place the stream: the same boxes, at the same times, on every line."""
+    """Make the stream: the same boxes at the same times on every line."""
     batch = StreamBatch(config, 1)
     batch.seed(0, np.random.default_rng(SEED))
     batch.place_drawn(np.zeros(1, dtype=np.int64))
@@ -57,11 +57,11 @@ def place_stream(config: EnvConfig) -> StreamBatch:
 
 
 def write_home(folder: Path, obeying: dict[str, Any]) -> None:
-    """Write the comparison beside the modules of a site.
+    """Write the comparison's files to the folder of a site.
 
     Args:
-        folder: of the site.
-        obeying: describes the function that finds the parcel that each module of Flow obeys.
+        folder: folder of the site.
+        obeying: card of the function that assigns parcels to Flow's modules.
     """
     batch = place_stream(make_config(find_methods()[0]))
     image = make_image(batch.make_kernel(), batch.arguments)

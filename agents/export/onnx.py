@@ -1,8 +1,8 @@
 """Policies as ONNX graphs.
 
-`agents.module_policy` computes what a module sees with arrays whose size depends on the
-observation. A graph needs it for all modules at once, so this file computes it again, for NumPy and
-for graphs alike. An export fails if the two differ.
+A graph computes the views of all modules at once. `agents.module_policy` selects modules by the
+observation, so it cannot be exported. This file repeats its computation for NumPy and for graphs.
+An export fails if the two differ.
 """
 
 import math
@@ -25,7 +25,7 @@ from ..module_places import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
 from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
 OPSET = 17  # version of ONNX's operators
-IR_VERSION = 8  # of the file format, which goes with it
+IR_VERSION = 8  # version of the file format for this OPSET
 OBSERVATION, CHOICES, ANGLES = "observation", "choices", "angles"
 _ACTIVATIONS = {"tanh": "Tanh", "relu": "Relu"}
 _OPERATORS: dict[Any, str] = {
@@ -123,7 +123,7 @@ class Graph:
 
 
 class GraphArray(NDArrayOperatorsMixin):
-    """An array in a graph; NumPy's functions and operators on it add nodes."""
+    """An array in a graph; NumPy's functions and operators add nodes."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         self.graph, self.name = graph, name
@@ -131,7 +131,7 @@ class GraphArray(NDArrayOperatorsMixin):
     def __array_ufunc__(self, function: Any, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or options:
             return NotImplemented
-        if function is np.arctan:  # onnxruntime has it in single precision alone
+        if function is np.arctan:  # onnxruntime has it in single precision only
             single = self.graph.cast(self._node_name(inputs[0]), "FLOAT")
             return GraphArray(self.graph, self.graph.cast(self.graph.add("Atan", single), "DOUBLE"))
         return self._added(_OPERATORS[function], inputs)
@@ -165,8 +165,8 @@ def add_network_decision(graph: Graph, decision: NetworkDecision) -> str:
     return graph.add("Where", mirrored, image, choices)
 
 
-EDGE = 1e-9  # numbers of moderate size that differ by less are the same but for round-off
-_LEAST_COSINE = math.cos(0.5 * math.pi)  # [-] of an angle as near to a right one as doubles come
+EDGE = 1e-9  # differences below this are round-off
+_LEAST_COSINE = math.cos(0.5 * math.pi)  # [-] cosine of the double closest to a right angle
 _COMPARISONS = (np.less, np.less_equal, np.greater, np.greater_equal)
 _APART = ("side", "time")  # features that modules do not see
 
@@ -314,7 +314,7 @@ def _angle(sine: Any, cosine: Any) -> Any:
     level = (sine <= 0.0) & (sine >= 0.0)
     behind = np.where(level, straight, 2.0 * np.arctan((length - cosine) / sine))
     rough = np.where(cosine > 0.0, 2.0 * np.arctan(sine / (length + cosine)), behind)
-    # A graph's arc tangent is of single precision: what is left of the angle, by its sine.
+    # A graph's arc tangent has single precision; the sine gives the rest of the angle.
     left = (sine * np.cos(rough) - cosine * np.sin(rough)) / length
     return np.where(length > 0.0, rough + left, 0.0)
 
@@ -367,7 +367,7 @@ class ModulesDecision:
         """Return for each module whether round-off may change its choice; see `NetworkDecision`."""
         doubts: list[Any] = []
         columns = observations.astype(np.float64).T[..., np.newaxis]
-        with np.errstate(divide="ignore", invalid="ignore"):  # of what is not chosen
+        with np.errstate(divide="ignore", invalid="ignore"):  # in branches that are not chosen
             own, bearing, _ = seen_by_modules(
                 self.config, [DoubtArray(column, doubts, exact=True) for column in columns]
             )

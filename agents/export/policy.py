@@ -1,4 +1,4 @@
-"""The policy that is exported, as plain arrays: where it comes from, its network, its decision."""
+"""The exported policy as plain arrays: training, network and decision."""
 
 import shlex
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """The training of an agent, as far as its folder describes it."""
+    """The training of an agent, as described in its folder."""
 
-    preset: str  # that it was trained for
-    command: str | None = None  # that trains it; None: not known
-    results: tuple[tuple[str, float], ...] = ()  # [-] success under presets; empty: not known
+    preset: str  # preset of the training
+    command: str | None = None  # training command; None: unknown
+    results: tuple[tuple[str, float], ...] = ()  # [-] success rate by preset; empty: unknown
 
     @property
     def presets(self) -> tuple[Preset, ...]:
@@ -131,7 +131,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Layers one after the other, with one activation between them and none at the end."""
+    """Consecutive linear layers with one activation between them."""
 
     layers: tuple[Layer, ...]
     activation: str  # "tanh" or "relu"
@@ -155,7 +155,7 @@ class Network:
 
 
 def read_network(modules: nn.Module) -> Network:
-    """Read the weights of modules that follow each other."""
+    """Read the weights of consecutive modules."""
     leaves = [each for each in modules.modules() if not list(each.children())]
     linear, between = leaves[::2], leaves[1::2]
     kinds = {type(each) for each in between}
@@ -183,10 +183,10 @@ def to_array(weights: torch.Tensor) -> Singles:
 
 
 def are_close(scores: Numbers, tie: float) -> Booleans:
-    """Tell whether the best two of scores (..., options) are too close to tell apart.
+    """Return whether the best two scores (..., options) differ by less than round-off.
 
     Args:
-        tie: greatest distance, as a share of the largest score (at least 1).
+        tie: largest difference of a tie, relative to the largest absolute score (at least 1).
     """
     best = np.sort(scores, axis=-1)
     scale = np.maximum(1.0, np.abs(scores).max(axis=-1))
@@ -195,7 +195,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """Turns the choice for y > 0 back into the world if the asked side is y < 0."""
+    """Mirror of choices made for y > 0, if the asked side is y < 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation
@@ -204,10 +204,10 @@ class Symmetry:
 
 @dataclass(frozen=True, eq=False)
 class NetworkDecision:
-    """The decision of PPO and DQN: the best score of each group says what some parts choose."""
+    """The decision of PPO and DQN: the best score of each group sets the choices of its parts."""
 
     network: Network
-    options: Integers  # (options, parts of a group) the choices that an option stands for
+    options: Integers  # (options, parts of a group) choices of each option
     groups: int
     angles: tuple[float, ...]  # [rad] of the orientations on offer
     symmetry: Symmetry | None  # None: the observation is not mirrored
@@ -221,7 +221,7 @@ class NetworkDecision:
         return self.groups * self.options.shape[1]
 
     def in_doubt(self, observations: Singles, tie: float) -> Booleans:
-        """Tell for each part whether single precision may decide either way."""
+        """Return for each part whether round-off may change its choice."""
         scores = self.network.scores(observations.astype(np.float64))
         close = are_close(scores.reshape(len(observations), self.groups, -1), tie)
         parts = close.repeat(self.options.shape[1], axis=1)
@@ -245,10 +245,10 @@ def network_decision(source: Source) -> NetworkDecision:
         hidden = module.get_submodule("mlp_extractor.policy_net")
         network = read_network(nn.Sequential(hidden, module.get_submodule("action_net")))
     orientations, symmetry = config.chosen_orientations, None
-    if config.task.mirrored:  # as `Policy`: a goal at y < 0 is shown in a mirror
+    if config.task.mirrored:  # a goal at y < 0 is observed in a mirror
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
-    if kind.space().shape == ():  # one number decides for all parts
+    if kind.space().shape == ():  # one choice for all parts
         options, groups = kind.commands(np.arange(network.outputs), network.outputs), 1
     else:
         options, groups = np.arange(kind.choices)[:, np.newaxis], kind.size

@@ -1,7 +1,7 @@
-"""Rules for the playground: their compiled functions, and the memory of each as an episode begins.
+"""Rules for the playground: compiled functions with their initial memory, and fixed layouts.
 
-A rule that is registered is there, and its function is compiled to WebAssembly. Rules that arrange
-axes once are there by the layouts that they choose; a rule that searches is not.
+Every registered rule with a compiled function is exported to WebAssembly. Rules with fixed axes are
+exported as layouts. Rules that search are left out.
 """
 
 from itertools import groupby
@@ -23,12 +23,12 @@ from ..rules import Rule, find_rules
 from ..rules.base import CompiledController, FixedRule
 
 Card = dict[str, Any]  # as `page/rule.js` reads it
-Runs = list[list[int]]  # a choice, and how many modules in a row have it
-WINDOW = "window"  # kind of action that moves with the parcel
+Runs = list[list[int]]  # run-length encoding: a choice, and the number of successive modules
+WINDOW = "window"
 
 
 def write_rules(task: str, folder: Path) -> dict[str, Card]:
-    """Write a task's rules that have a compiled function; describe them by name."""
+    """Write a task's rules that have a compiled function; return their cards by name."""
     found = {}
     for rule in find_rules(task):
         config = configure(rule)
@@ -39,13 +39,13 @@ def write_rules(task: str, folder: Path) -> dict[str, Card]:
 
 
 def configure(rule: Rule, **others: Any) -> EnvConfig:
-    """Configure the page's environment of a rule, in which modules obey one by one."""
+    """Return the configuration of a rule on the page, where modules obey individually."""
     actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
     return EnvConfig(rule.task, actions=actions, **others)
 
 
 def write_rule(rule: Rule, folder: Path) -> Card:
-    """Write a rule as it begins an episode."""
+    """Write a rule with its memory at the start of an episode; return its card."""
     config = configure(rule)
     made: Any = rule.make(config)
     has_halves = config.actions == "parcels"
@@ -61,7 +61,7 @@ def write_rule(rule: Rule, folder: Path) -> Card:
 
 
 def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
-    """Write a compiled function, and a memory of it, as `page/machine.js` loads them."""
+    """Write a compiled function and its memory, for `page/machine.js`."""
     compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
     image = make_image(kernel, arguments)
     write(folder / f"agent-{name}.bin", image.block)
@@ -70,7 +70,7 @@ def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Pat
 
 
 def find_camera_numbers(rule: Rule) -> dict[str, float]:
-    """Find, by name, the numbers of a rule that are others where a camera senses the parcels."""
+    """Return a rule's parameters that differ with a camera, by name."""
     exact, camera = (
         name_arguments(made.kernel, made.begin())
         for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
@@ -80,7 +80,7 @@ def find_camera_numbers(rule: Rule) -> dict[str, float]:
 
 
 def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
-    """Collect, by the rule's name, the layouts that rules choose for the starts of the seeds."""
+    """Return the layouts that rules choose for the starts of the seeds, by the rule's name."""
     rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
     made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
     fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
@@ -97,6 +97,6 @@ def _pack(choices: list[int]) -> Runs:
 
 
 def write(file: Path, content: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file atomically."""
     with replacing(file) as part:
         part.write_bytes(content)

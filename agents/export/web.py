@@ -46,11 +46,11 @@ from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
 from .rules import Card, configure, find_layouts, write, write_machine, write_rule, write_rules
 
-ALGOS = {  # what each chooses for
+ALGOS = {  # kind of decision by algorithm
     "ppo": ("halves", "quadrants"), "dqn": ("halves", "quadrants"), "modules": ("modules",),
 }  # fmt: skip
 SLOPE_ALGOS = ("parcels", "local")
-# What finds whom modules obey reads, of what differs between the moments and seeds of a stream.
+# Inputs of the assignment of modules that vary within a stream.
 OBEYING_READS = (
     "parcels.sensed",
     "parcels.body",
@@ -59,32 +59,32 @@ OBEYING_READS = (
     "bodies.edges",
     "bodies.corners",
 )
-RUN = "run"  # in place of a run's name, which an address might not hold
+RUN = "run"  # in place of a run's name, which may be invalid in a URL
 CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
 
 
 class Weights:
-    """Numbers of networks, one after the other."""
+    """Concatenated weights of networks."""
 
     def __init__(self) -> None:
         self._arrays: list[Singles] = []
         self._size = 0
 
     def add(self, values: Any) -> int:
-        """Add an array; return the place [floats] where it begins."""
+        """Add an array; return its first index [floats]."""
         self._arrays.append(np.asarray(values, dtype="<f4").ravel())
         self._size += self._arrays[-1].size
         return self._size - self._arrays[-1].size
 
     def add_layer(self, weights: Any, bias: Any) -> list[int]:
-        """Add a layer's weights (outputs, inputs) and bias; return inputs, outputs and place."""
+        """Add a layer's weights (outputs, inputs) and bias; return inputs, outputs and index."""
         outputs, inputs = weights.shape
         place = self.add(weights)
         self.add(bias)
         return [inputs, outputs, place]
 
     def add_layers(self, tensors: dict[str, Any], name: str) -> list[list[int]]:
-        """Add the layers of a part of a network, in the order of their numbers."""
+        """Add the numbered layers of a part of a network in order."""
         found = [each.removesuffix(".weight") for each in tensors if each.endswith(".weight")]
         layers = [each for each in found if each.partition(".")[0] == name]
         return [
@@ -93,12 +93,12 @@ class Weights:
         ]
 
     def to_bytes(self) -> bytes:
-        """Write all of them."""
+        """Return all weights as bytes."""
         return b"".join(each.tobytes() for each in self._arrays)
 
 
 def describe_policy(source: Source, weights: Weights) -> Card:
-    """Describe a policy for `page/policy.js`, and add its weights."""
+    """Return the card of a policy for `page/policy.js`, and add its weights."""
     decision, config = network_decision(source), source.config
     card = {
         "layers": [weights.add_layer(each.weights, each.bias) for each in decision.network.layers],
@@ -117,8 +117,9 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 
 
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
-    """Describe a policy of Sort's modules for `page/sorting.js`, and add its weights; write the
-    function that finds what the modules see.
+    """Return the card of a policy of Sort's modules for `page/sorting.js`, and add its weights.
+
+    Writes the function that computes the modules' observations.
     """
     config, tensors = source.config, source.weights
     view = module_policy.SortModuleView(config)
@@ -138,7 +139,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
 
 
 def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
-    """Describe a policy of single parcels, and add its weights."""
+    """Return the card of a policy of single parcels, and add its weights."""
     if isinstance(source.policy, ModulePolicy):
         return describe_modules_policy(source, weights, folder)
     return describe_policy(source, weights)
@@ -147,10 +148,9 @@ def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
 def write_policies(
     tasks: Sequence[str], weights: Weights, folder: Path
 ) -> dict[str, dict[str, Card]]:
-    """Describe the policies of single parcels by task and name, and add their weights.
+    """Return the cards of policies for single parcels by task and name, and add their weights.
 
-    Those of a site's tasks that observe groups of features have larger networks, each in a file of
-    its own.
+    Policies with optional groups of features have larger networks, so each has its own file.
     """
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
@@ -167,9 +167,9 @@ def write_policies(
 
 
 def is_shown(card: library.PolicyCard) -> bool:
-    """Whether a policy is one of single parcels that does what the page can.
+    """Return whether the page can run a policy of single parcels.
 
-    It may observe all groups of features; modules in Sort see none of them.
+    The policy may observe all groups of features; module policies of Sort observe none.
     """
     return card.actions in ALGOS.get(card.algo, ()) and (card.algo != "modules" or not card.observe)
 
@@ -177,16 +177,14 @@ def is_shown(card: library.PolicyCard) -> bool:
 def write_run(
     run: Path, name: str | None, task: str | None, folder: Path, package: Path
 ) -> tuple[str, str]:
-    """Write the agents of the package's folder, and the policy of a run, into a folder.
+    """Write the package's agents and the policy of a run to a folder; return task and policy names.
 
     Args:
-        run: folder of `train.py`, with a policy that acts on what the page shows.
-        name: of the task's files; None: the run's task.
-        task: as on the command line; a file in it is run.
-        folder: where to write.
-        package: that has agents, unless they are yet to be written.
-
-    Returns: name of the task's files, and of the policy.
+        run: folder of a training run whose policy decides from the page's observation.
+        name: base name of the task's files; None: the run's task.
+        task: task on the command line, possibly in a file, which is executed.
+        folder: output folder.
+        package: folder with the package's agents, written first if they are missing.
     """
     own = task if task is not None and ":" in task else None
     first = next(iter(policy_folders(run).values()))
@@ -198,7 +196,7 @@ def write_run(
     weights, agents = read_agents(package)
     there = agents.setdefault(of_task, {})
     if isinstance(policy, ParcelPolicy | LocalPolicy):
-        for module in package.glob("agent-*.wasm"):  # not to compile them again
+        for module in package.glob("agent-*.wasm"):  # avoids a second compilation
             shutil.copyfile(module, folder / module.name)
         there["obeying"] = write_obeying(of_task, folder)
         described = write_slope_policy(RUN, policy, first, folder)
@@ -211,13 +209,13 @@ def write_run(
 
 
 def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
-    """Write the rules that are registered for a user's task, among the agents of the package.
+    """Write the registered rules of a custom task, with the package's agents.
 
     Args:
-        task: of the user's; only one that is registered has rules.
-        name: of the task's files.
-        folder: where to write.
-        package: that has agents, unless they are yet to be written.
+        task: custom task; only registered tasks have rules.
+        name: base name of the task's files.
+        folder: output folder.
+        package: folder with the package's agents, written first if they are missing.
     """
     rules = write_rules(task.name, folder) if task.name in TASKS else {}
     if not rules:
@@ -231,7 +229,7 @@ def write_own_rules(task: Task, name: str, folder: Path, package: Path) -> None:
 
 
 def read_agents(package: Path) -> tuple[Weights, dict[str, Any]]:
-    """Read the weights and the agents of a folder; none are there before they are written."""
+    """Read weights and cards of a folder's agents; empty if they are not written yet."""
     weights = Weights()
     if not (package / AGENTS[1]).is_file():
         return weights, {}
@@ -245,7 +243,7 @@ def _write_beside(agents: dict[str, Any], weights: Weights, folder: Path, packag
 
 
 def _check_run(card: library.PolicyCard) -> None:
-    """Raise a ValueError unless a policy sees what the page shows, and decides as often."""
+    """Raise a ValueError unless a policy has the page's observation and control period."""
     if not (is_shown(card) or card.algo in SLOPE_ALGOS):
         raise ValueError(
             f"run must hold a policy of {', '.join((*SLOPE_ALGOS, *ALGOS))}, on halves or "
@@ -260,9 +258,9 @@ def _check_run(card: library.PolicyCard) -> None:
 
 
 def describe_each(rule: SortEach) -> Card:
-    """Describe a policy of single parcels that acts for each parcel of a stream.
+    """Return the card of a single-parcel policy that acts for every parcel of a stream.
 
-    Its weights belong to its own task.
+    Its weights are in the files of its own task.
     """
     return {
         "kind": "each", "present": COLUMN.present.place, "waits": COLUMN.waits.place,
@@ -283,7 +281,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
-    """Describe a policy of parcels, which corrects a rule, and add its weights."""
+    """Return the card of a parcel policy that corrects a rule, and add its weights."""
     return {
         **rule,
         "kind": "parcels",
@@ -297,7 +295,7 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 
 
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
-    """Describe a policy of modules, and add its weights and the numbers that they agree on."""
+    """Return the card of a module policy, and add its weights and shared random numbers."""
     return {
         "kind": "modules",
         "actor": weights.add_layers(tensors, "actor"),
@@ -309,7 +307,7 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
 
 
 def write_stream_agents(task: str, folder: Path) -> dict[str, Card]:
-    """Write the rules and the shipped agents of a task on a stream; describe them by name."""
+    """Write the rules and shipped agents of a stream task; return their cards by name."""
     found = write_rules(task, folder)
     for rule in find_rules(task):
         made = rule.make(configure(rule))
@@ -329,10 +327,10 @@ def write_slope_policy(
     """Write a trained policy on a slope.
 
     Args:
-        name: of its file of weights.
-        policy: whose files are in `source`.
-        source: folder of its files.
-        folder: where to write.
+        name: name of the file of weights.
+        policy: trained policy.
+        source: folder of the policy's files.
+        folder: output folder.
     """
     task, weights = policy.card.task, Weights()
     tensors = library.read_weights(library.read_files(source))
@@ -354,7 +352,7 @@ def write_slope_policy(
 
 
 def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
-    """Write the agents of the tasks that a site has; return them by task."""
+    """Write the agents of a site's tasks; return their cards by task."""
     site = json.loads((folder / SITE).read_text())
     weights = Weights()
     policies = write_policies(site["tasks"], weights, folder)
@@ -378,7 +376,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
 def _write_all(
     site: dict[str, Any], agents: dict[str, dict[str, Any]], weights: Weights, folder: Path
 ) -> None:
-    """Write the agents, and that a site has them."""
+    """Write the agents, and list them in the site's description."""
     write(folder / AGENTS[0], weights.to_bytes())
     write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
     write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())
@@ -395,7 +393,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not (folder / SITE).is_file():
         parser.error(f"folder must be one that `surface-gym web` has written, got {folder}")
     agents = write_agents(folder)
-    if DEFAULT_STREAM in agents:  # whose module both lines of the home page run
+    if DEFAULT_STREAM in agents:  # the home page runs its module
         write_home(folder, agents[DEFAULT_STREAM]["obeying"])
 
 

@@ -33,7 +33,7 @@ RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
-    """Network of the modules' policy and of the parcels' value, and its training."""
+    """Training of the modules' policy and the parcels' value, in one network."""
 
     most_kl = 0.01
 
@@ -57,7 +57,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         return see_modules(self._view, self._surfaces.see().tables)
 
     def _imitate(self) -> None:
-        """Learn to choose as the rule does, where it leads and then where the network leads."""
+        """Imitate the rule: first in its own episodes, then in the network's (DAgger)."""
         optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
         shown: list[tuple[torch.Tensor, ...]] = []
         for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
@@ -75,7 +75,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
         self._surfaces.infos.clear()
 
     def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
-        """Collect what some modules saw, with what the rule chooses for each."""
+        """Collect observations of some modules, labelled with the rule's choices."""
         surfaces, rng = self._surfaces, self._rng
         surfaces.begin(rng)
         found: list[tuple[torch.Tensor, ...]] = []
@@ -98,7 +98,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw choices (modules,), and return them with the logarithm of each one's probability."""
+        """Draw choices (modules,), and return them with their log probabilities."""
         rng, parcels = self._rng, len(seen.row)
         new = rng.random(self._slots) < 1.0 / HOLD
         self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
@@ -142,7 +142,7 @@ class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
 
     @torch.no_grad()
     def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
-        """Compute expected returns (rows,) of the parcels in all rows, 0 where there is none."""
+        """Return expected returns (rows,) of parcels; 0 in empty rows."""
         value = np.zeros(rows)
         value[seen.row] = self._learning.value(seen.passed).numpy()
         return value

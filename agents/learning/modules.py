@@ -1,4 +1,4 @@
-"""Shared-policy PPO per module, by the likelihood of all choices in an environment together."""
+"""Shared-policy PPO per module, with the joint likelihood of all choices in an environment."""
 
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ class ModulesNetwork(torch.nn.Module):
 
 
 class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
-    """Networks of the modules' policy and value, and their training.
+    """Training of the modules' policy and value.
 
-    A slot is an environment: its modules earn one reward, and their choices are one sample.
+    A slot is an environment, since its modules share one reward. Their choices are one sample.
     """
 
     value_coef = 1.0  # the networks share no weights
@@ -90,7 +90,7 @@ class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
         self.infos += infos
         after = np.zeros(len(ended))
         timed = [i for i in np.nonzero(ended)[0] if infos[i]["TimeLimit.truncated"]]
-        if timed:  # these could have gone on
+        if timed:  # truncated episodes have a value
             after[timed] = self._compute_values(
                 np.stack([infos[i]["terminal_observation"] for i in timed])
             )

@@ -1,4 +1,4 @@
-"""Shared-policy PPO per parcel: one network for all, which corrects the rule of its task if any."""
+"""Shared-policy PPO per parcel: one network corrects the rule of its task, if there is one."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from .slopes import SlopeObservations, StreamLearner, Surfaces, training_configs
 
 
 class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
-    """Network of the parcels' policy and value, and its training; a sample is a whole table."""
+    """Training of the parcels' policy and value; a sample is a whole table."""
 
     most_kl = 0.03
 
@@ -62,7 +62,7 @@ class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
         return self._compute_values(self._seen)
 
     def _compute_values(self, seen: SlopeObservations) -> Numbers:
-        """Compute the expected returns of all rows; 0 where there is no parcel."""
+        """Return the expected returns of all rows; 0 in empty rows."""
         value = np.zeros(seen.proposed.size)
         if value.size:
             found = self._learning(*map(torch.from_numpy, seen))

@@ -1,7 +1,7 @@
-"""Shared-policy PPO: one network decides for all agents, be they parcels or modules.
+"""Shared-policy PPO: one network decides for all agents (parcels or modules).
 
-An environment has agent slots, and a reward for each. A sample is a decision that one reward or
-several slots' rewards count for, such as a module's choice, or the choices for a table of parcels.
+An environment has agent slots with one reward each. A sample is one decision: a module's choice, or
+the choices for a whole table of parcels. It may earn the rewards of several slots.
 """
 
 import copy
@@ -22,18 +22,18 @@ from .algorithms import RolloutConfig
 from .learner import learning_rate
 from .runs import Curve
 
-SMOOTH = 0.97  # [-] of the score of all rollouts before the last
+SMOOTH = 0.97  # [-] weight of earlier rollouts in the smoothed score
 
 
 class Decision(NamedTuple):
-    """Choices in a control period, of all environments."""
+    """Choices of all environments in a control period."""
 
     actions: Integers
     value: Numbers  # (slots,) expected return of every agent slot
     samples: tuple[torch.Tensor, ...]  # (samples, ...) inputs of the network
     slot: Integers  # (samples, ...) agent slot whose return counts for a choice
     present: torch.Tensor  # (samples, ...) whether an agent is in the slot
-    log_prob: torch.Tensor  # (samples, ...) of the choice
+    log_prob: torch.Tensor  # (samples, ...) log probability of the choice
 
 
 class SlotOutcome(NamedTuple):
@@ -41,7 +41,7 @@ class SlotOutcome(NamedTuple):
 
     reward: Numbers
     ended: Booleans  # whether the agent or its episode has ended
-    after: Numbers  # expected return of an agent whose episode is only out of time; else 0
+    after: Numbers  # expected return of a truncated agent; else 0
 
 
 class Evaluation(NamedTuple):
@@ -57,16 +57,16 @@ Config = TypeVar("Config", bound=RolloutConfig)
 
 
 class SharedLearner(ABC, Generic[Network, Config]):
-    """A network that all agents share, with actor and critic, and its training by PPO.
+    """Training by PPO of one network, actor and critic, that all agents share.
 
     Args:
-        config: of the run.
-        network: to train; parameters of its critic begin with "critic".
+        config: configuration of the run.
+        network: network to train; parameter names of its critic begin with "critic".
     """
 
     value_coef: ClassVar[float] = 0.5  # weight of the critic's loss
     adam_eps: ClassVar[float] = 1e-8
-    most_kl: ClassVar[float] = math.inf  # [nat] a pass moves the policy before it is the last
+    most_kl: ClassVar[float] = math.inf  # [nat] KL divergence that ends the passes over a rollout
     critic_first: ClassVar[int] = 0  # rollouts in which only the critic learns
     _rng: np.random.Generator
 
@@ -77,8 +77,8 @@ class SharedLearner(ABC, Generic[Network, Config]):
         self._optimiser = torch.optim.Adam(
             network.parameters(), config.learning_rate, eps=self.adam_eps
         )
-        self._score = self._best = -math.inf  # [1/s] rewards of an environment, smoothed
-        self.infos: list[dict[str, Any]] = []  # of the episodes that have ended
+        self._score = self._best = -math.inf  # [1/s] smoothed reward rate of an environment
+        self.infos: list[dict[str, Any]] = []  # infos of ended episodes
         self.steps = 0
 
     @property
@@ -132,29 +132,31 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
     @abstractmethod
     def begin(self, seed: int) -> None:
-        """Begin to learn, all that is drawn from a seed."""
+        """Begin training; the seed sets all random numbers."""
 
     @abstractmethod
     def _decide(self) -> Decision:
-        """Decide for all environments as they are seen."""
+        """Decide for all environments, given their current observations."""
 
     @abstractmethod
     def _move(self, actions: Integers) -> SlotOutcome:
-        """Step all environments by a control period, and see them."""
+        """Step all environments by a control period, and observe them."""
 
     @abstractmethod
     def _value(self) -> Numbers:
-        """Compute the expected returns (slots,) of all agents as they are seen."""
+        """Return the expected returns (slots,) of all agents."""
 
     @abstractmethod
     def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
-        """Evaluate the choices of samples by the network as it is now."""
+        """Evaluate the choices of samples with the current network."""
 
     @torch.no_grad()
     def roll_out(self) -> list[torch.Tensor]:
-        """Collect samples, to which all tensors have a row each: what `_evaluate` takes, whether
-        agents are present, the logarithm of the probability of their choices, normalised
-        advantages, and returns.
+        """Collect samples as tensors with one row each.
+
+        Returns:
+            Inputs of `_evaluate`, presence of agents, log probabilities of their choices,
+                normalised advantages, and returns.
         """
         decisions: list[Decision] = []
         outcomes: list[SlotOutcome] = []
@@ -190,14 +192,16 @@ class SharedLearner(ABC, Generic[Network, Config]):
         ]
 
     def _rate(self, rewards: Numbers) -> None:
-        """Rate the policy by the rewards (periods, slots) of a rollout."""
+        """Rate the policy by a rollout's rewards (periods, slots)."""
         seconds = len(rewards) * self._config.num_envs * self._config.control_period
         score = float(rewards.sum()) / seconds
         before = self._score if math.isfinite(self._score) else score
         self._score = SMOOTH * before + (1.0 - SMOOTH) * score
 
     def step(self, batch: list[torch.Tensor], critic_only: bool) -> float:
-        """Take a gradient step; return by how much [nat] the policy has moved before."""
+        """Take a gradient step; return the KL divergence [nat] from the policy of the rollout
+        before it.
+        """
         *samples, present, old_log_prob, advantage, returns = batch
         found = self._evaluate(samples)
         old_log_prob, advantage, returns = (
@@ -220,17 +224,17 @@ class SharedLearner(ABC, Generic[Network, Config]):
 
 
 def gather(log_probability: torch.Tensor, choice: torch.Tensor) -> torch.Tensor:
-    """Look up the logarithms of the probabilities (samples, choices) of choices (samples,)."""
+    """Return log probabilities of choices (samples,), from log probabilities (samples, choices)."""
     return log_probability.gather(1, choice.long()[:, None])[:, 0]
 
 
 def mean_entropy(log_probability: torch.Tensor) -> torch.Tensor:
-    """Compute the mean entropy [nat] of probabilities, by their logarithms (samples, choices)."""
+    """Compute the mean entropy [nat] from log probabilities (samples, choices)."""
     return -(log_probability.exp() * log_probability).sum(dim=1).mean()
 
 
 def shuffle(rng: np.random.Generator, count: int, size: int) -> Iterator[torch.Tensor]:
-    """Yield the indices of all samples in random order, so many at a time."""
+    """Yield the indices of all samples in random order, in batches of `size`."""
     order = rng.permutation(count)
     for first in range(0, count, size):
         yield torch.from_numpy(order[first : first + size])

@@ -1,6 +1,6 @@
-"""What agents of streams learn from: surfaces side by side, and rewards of each parcel.
+"""Training environments for agents of streams: parallel surfaces, and rewards of each parcel.
 
-Each parcel has rewards of its own, and a part of the others'.
+A parcel gets its own rewards, and a share of the other parcels' rewards.
 """
 
 from collections.abc import Iterator
@@ -22,14 +22,14 @@ from .algorithms import LocalConfig, ParcelsConfig
 from .shared import Config, Network, SharedLearner, SlotOutcome
 
 DURATION = 60.0  # [s] of an episode
-SHAPES = 64  # of the lab, in each of its groups of environments
+SHAPES = 64  # number of lab parcels per group of environments
 JAMMED = -1.0  # reward of each parcel in a jam
-STALLED = 15.0  # [s] in which none of the parcels there leaves, that count as a jam
-SHARED = 0.2  # of the rewards of all others on the surface, that a parcel gets too
+STALLED = 15.0  # [s] without departures that count as a jam
+SHARED = 0.2  # [-] share of all other parcels' rewards that a parcel gets too
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
-    """List the environments to learn from: each task with exact sensors and in the lab."""
+    """Return the training environments: each task with exact sensors and in the lab."""
     found = []
     for task in find_task(config.task).training_tasks():
         common = {
@@ -162,7 +162,7 @@ def _join(parts: list[SlopeStep]) -> SlopeStep:
 
 
 class StreamLearner(SharedLearner[Network, Config]):
-    """A learner of agents of streams: a slot for each row of each environment's table."""
+    """Training of stream agents; every row of every environment's table is a slot."""
 
     critic_first = 10
 
@@ -179,9 +179,8 @@ class StreamLearner(SharedLearner[Network, Config]):
         """Return the outcome of a control period.
 
         Args:
-            period: of the surfaces.
-            last: (out of time, rows) expected returns at the end of episodes that are out of time,
-                which could have gone on.
+            period: result on the surfaces.
+            last: (out of time, rows) expected returns at the end of truncated episodes.
         """
         after = np.zeros(period.departed.shape)
         after[period.out_of_time] = last

@@ -9,7 +9,7 @@ __all__ = ["ROLLING", "RULES", "Rule", "find_apart", "find_prior", "find_rules",
 
 
 def find_apart() -> list[Rule]:
-    """List rules in environments of their own: the whole path is observed, axes have any angle."""
+    """Return rules with their own environments: an observed whole path, or axes at any angle."""
     return [each for each in RULES.values() if each.is_apart]
 
 
@@ -19,9 +19,7 @@ def find_prior(task: str) -> Rule | None:
 
 
 def find_rules(task: str) -> list[Rule]:
-    """List the rules of a task; of a task that has none, layouts of axes that are all alike, the
-    conveyor's for the fixed one.
-    """
+    """Return the rules of a task; without rules, uniform layouts, the conveyor's first."""
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
         return chosen

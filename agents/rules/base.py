@@ -30,7 +30,7 @@ LEANS = np.array([0.0, math.pi / 4.0, math.pi / 2.0])  # [rad] of axes off 90 de
 
 @dataclass(frozen=True)
 class Rule:
-    """A controller that does not learn, for a task."""
+    """A registered controller without learning, for one task."""
 
     name: str
     task: str  # name of the task
@@ -65,14 +65,14 @@ Maker = TypeVar("Maker", bound=Callable[..., Any])
 
 
 def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker], Maker]:
-    """Register a class or a function that makes a rule of a configuration.
+    """Register a class or a function that makes a rule from a configuration.
 
-    A rule that is registered is compared with the others and acts in the playground.
+    Registered rules are compared with the others, and act in the playground.
 
     Args:
-        name: of the rule, once a task.
-        tasks: names of the tasks that it is for.
-        actions: the kind of action it is for.
+        name: name of the rule, unique for a task.
+        tasks: names of its tasks.
+        actions: its kind of action.
         more: other fields of `Rule`.
     """
 
@@ -87,7 +87,7 @@ def rule(name: str, *tasks: str, actions: str, **more: Any) -> Callable[[Maker],
 
 
 def _name_of(make: Callable[..., Any]) -> str | None:
-    """Name a class or a function, as a file that is loaded again names it again."""
+    """Return the name of a class or function, the same after its file is loaded again."""
     return getattr(make, "__qualname__", None)
 
 
@@ -128,7 +128,7 @@ class UniformRule(BaseRule):
 
     @abstractmethod
     def _choose(self, observations: Observations) -> Commands:
-        """Choose (num_envs,) for every module."""
+        """Choose one orientation per environment (num_envs,)."""
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
         choice = self._choose(observations)
@@ -146,11 +146,11 @@ class CompiledController(ABC):
 
     @abstractmethod
     def begin(self) -> tuple[Any, ...]:
-        """List what the function takes in an environment that begins an episode."""
+        """Return the kernel's arguments at the start of an episode, for one environment."""
 
 
 class CompiledRule(BaseRule, CompiledController):
-    """A rule of one parcel that is a compiled function."""
+    """A rule of one parcel with a compiled decision."""
 
     def __init__(
         self, config: EnvConfig, tasks: tuple[str, ...], actions: tuple[str, ...] = ()
@@ -160,7 +160,7 @@ class CompiledRule(BaseRule, CompiledController):
         self._axes = np.array([axes.roll, axes.brake, axes.left, axes.right])
 
     def make_memory(self, num_envs: int) -> tuple[NDArray[Any], ...]:
-        """Make what is remembered of environments that have just begun, in a named tuple."""
+        """Return the memory at the start of episodes, a named tuple of arrays."""
         del num_envs
         return ()
 
@@ -168,7 +168,7 @@ class CompiledRule(BaseRule, CompiledController):
     def arguments(
         self, observations: Observations, memory: Any, commands: Commands
     ) -> tuple[Any, ...]:
-        """List what the kernel takes, to write commands (num_envs, size)."""
+        """Return the kernel's arguments; it writes commands (num_envs, size)."""
 
     def begin(self) -> tuple[Any, ...]:
         commands = np.zeros((1, self._kind.size), dtype=np.int64)
@@ -226,7 +226,7 @@ class ColumnAxes:
     def __init__(self, config: EnvConfig) -> None:
         axes = find_axes(config)
         rows = np.arange(config.action_kind.rows)
-        # In a half braking column, the pushes to both sides cancel.
+        # In a half braking column, the pushes to the two sides cancel.
         in_turn = np.where(rows % 2, axes.right, axes.left)
         self._choice = np.stack(
             [np.full(len(rows), axes.roll), in_turn, np.full(len(rows), axes.brake)]

@@ -1,4 +1,4 @@
-"""Rules of Slow and Stop that choose, every period, the braking that ends closest to the goal."""
+"""Rules of Slow and Stop that choose the braking that ends closest to the goal, every period."""
 
 import math
 from typing import Any, NamedTuple
@@ -16,12 +16,12 @@ from . import base
 from .base import ColumnAxes, Commands, CompiledRule, Observations, rule
 from .decoding import LineReading, Sight, add, look_at_line, see_line
 
-# Groups of features: how wide a base is, how round; what sensors learn of friction and of the load.
+# Optional groups of features: width and shape of the base; estimates of friction and load.
 SHOWN = ("parcel", "load")
 MOST_AFTER = 24  # maximum simulated steps after a period
 COM_HEIGHT = 0.1  # [m] of the centre of mass: Table 1
 SUPPORT_LOSS = 0.005 * GRAVITY  # [m/s^2] mu_support g of Table 1
-NEAR = 128  # columns that a parcel may cover, at most
+NEAR = 128  # maximum columns under a parcel
 # [m] elements this close to the outline count, since observations are single precision
 ON_EDGE = 1e-6
 RECTANGLE = 0.999  # [-] minimum filled share of the bounding box of a rectangle
@@ -48,22 +48,22 @@ HALF_SINE, HALF_COSINE = math.sin(base.LEANS[base.HALF]), math.cos(base.LEANS[ba
 
 
 class Model(NamedTuple):
-    """What braking is predicted by."""
+    """Parameters of the prediction of braking."""
 
     columns: int
     rows: int
-    is_line: int  # 1: as many rows are of rotors as lie under a parcel's width
+    is_line: int  # 1: the parcel's width sets the number of rotor rows
     dt: float  # [s]
-    steps: int  # of a period
-    turn: float  # [rad] of an axis in a step; infinite: it turns at once
-    tail: int  # number of steps in which axes turn after the period,
-    then: float  # [rad] off 90 deg to which: half braking at most
+    steps: int  # physics steps of a period
+    turn: float  # [rad] turn of an axis per step; infinite: it turns at once
+    tail: int  # steps in which axes turn after the period
+    then: float  # [rad] off 90 deg: their goal, at most half braking
     period: float  # [s]
-    noise: float  # [m/s] of a loss of speed that is seen
+    noise: float  # [m/s] standard deviation of an observed loss of speed
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make the model of an environment, where axes turn to `then` [rad] after a period."""
+    """Make the model of an environment whose axes turn to `then` [rad] off 90 deg in the end."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -76,19 +76,19 @@ def make_model(config: EnvConfig, then: float) -> Model:
 
 
 class Footprint(NamedTuple):
-    """Elements under a parcel, each row as far as the base covers it."""
+    """Elements under a parcel, row by row."""
 
     place: float  # [m] x of the base's centroid past the zone's first edge
     middle: float  # [m] from the centroid to the middle of the base's length
     load: float  # [m] from the centroid to the load, along x
     half_length: float  # [m]
-    first: int  # column that it covers
-    half_rows: int  # of rotors, to either side of the middle
-    rotor_share: float  # [-] of the elements under the parcel that are rotors, on average
+    first: int  # first column under the parcel
+    half_rows: int  # rotor rows on each side of the middle
+    rotor_share: float  # [-] mean share of rotors among the elements under the parcel
 
 
 class Frictions(NamedTuple):
-    """Friction as estimated, in parts of the nominal."""
+    """Estimated friction relative to nominal friction."""
 
     braking: float  # [-] along axes
     rolling: float  # [-] across them, and on supports
@@ -96,7 +96,7 @@ class Frictions(NamedTuple):
 
 
 class Result(NamedTuple):
-    """State after a period and what its axes bring after it, and what took the speed in it."""
+    """Predicted state after a period, and the losses of speed in it."""
 
     place: float  # [m] centroid past the zone's first edge, after all axes have turned
     speed: float  # [m/s] speed at that time
@@ -105,24 +105,24 @@ class Result(NamedTuple):
 
 
 class BrakingScratch(NamedTuple):
-    """Arrays that are written before they are read."""
+    """Arrays of the prediction; their previous content is unused."""
 
-    reach: Numbers  # (rows + 2,) [m] covered of a row to either side of the middle; -1: none
+    reach: Numbers  # (rows + 2,) [m] half length of a row under the parcel; -1: none
     covered: Numbers  # (rows + 2,) [m]
-    target: Numbers  # (columns,) [rad] off 90 deg to which the zone's axes turn
-    start: Numbers  # (near,) [rad] off 90 deg; near are the columns that a parcel may cover
-    turned: Numbers  # (near,) [rad] that each is to turn
-    sine: Numbers  # (near,) of their angles off 90 deg now
+    target: Numbers  # (columns,) [rad] off 90 deg: goals of the zone's axes
+    start: Numbers  # (near,) [rad] off 90 deg; near: columns that a parcel may cover
+    turned: Numbers  # (near,) [rad] remaining turn
+    sine: Numbers  # (near,) sine of the current angle off 90 deg
     cosine: Numbers  # (near,)
     arm: Numbers  # (near,) [m] from the load
-    elements: Numbers  # (near,) that bear
-    rotors: Numbers  # (near,) of these
-    load: Numbers  # (near,) [-] of each element
-    terms: Numbers  # (near,) of sums
+    elements: Numbers  # (near,) number of elements under the parcel
+    rotors: Numbers  # (near,) number of rotors among them
+    load: Numbers  # (near,) [-] load per element
+    terms: Numbers  # (near,) terms of a sum
 
 
 def make_scratch(model: Model) -> BrakingScratch:
-    """Make room for the columns that a parcel may cover."""
+    """Allocate the scratch arrays of a model."""
     rows, near = np.zeros((2, model.rows + 2)), np.zeros((9, NEAR))
     arrays: list[Any] = [*rows, np.zeros(model.columns), *near]
     return BrakingScratch(*arrays)
@@ -130,7 +130,7 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Find the exponent of the oval that fills as much of its rectangle, as `np.interp` does."""
+    """Return the exponent of the oval with a filled share of its rectangle, like `np.interp`."""
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]
@@ -145,8 +145,9 @@ def find_power(fill: float) -> float:
 
 @linked
 def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScratch) -> Footprint:
-    """Estimate the elements under a parcel; a base that is no rectangle is taken for an oval that
-    fills as much.
+    """Estimate the elements under a parcel.
+
+    A base that is not a rectangle is modelled as an oval with the same filled share.
     """
     rear = sight.pitch_x * model.columns - seen.rear_to_go
     # The observed size is the distance from the rear to the centroid at heading 0.
@@ -184,7 +185,7 @@ def find_span(seen: LineReading, sight: Sight, model: Model, scratch: BrakingScr
 
 @inlined
 def find_frictions(estimate: Numbers) -> Frictions:
-    """Read an estimate."""
+    """Read frictions from an estimate."""
     return Frictions(
         min(MOST, max(LEAST, estimate[ALONG])),
         min(MOST, max(LEAST, estimate[ACROSS])),
@@ -197,10 +198,10 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
     """Update an estimate: a Kalman filter of friction along axes and across them.
 
     Args:
-        lost: [m/s] of speed in a period, as seen.
-        braking: [m/s] of it by nominal friction along axes.
-        rolling: [m/s] of it by nominal friction across them.
-        noise: [m/s] of what is seen.
+        lost: [m/s] observed loss of speed in a period.
+        braking: [m/s] predicted loss by nominal friction along axes.
+        rolling: [m/s] predicted loss by nominal friction across axes.
+        noise: [m/s] standard deviation of the observed loss.
     """
     along, across, var_along, var_across, both = (
         estimate[0], estimate[1], estimate[2], estimate[3], estimate[4]
@@ -220,7 +221,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 @inlined
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
-    """Count the elements and the rotors of a near column that bear; `arm` [m] from the centroid."""
+    """Count the elements and rotors of a near column under the parcel, `arm` [m] from its centroid."""
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
     for row in range(rows):
@@ -234,10 +235,10 @@ def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k:
 
 @inlined
 def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
-    """Share the weight among the elements of each column [-], as Eq. (1) does, cut off at nothing.
+    """Write the load share [-] of each element by column, as in Eq. (1) without negative loads.
 
     Args:
-        before: [m/s^2] the deceleration of the last step, by which the load leans.
+        before: [m/s^2] deceleration of the last step, which shifts the load.
     """
     elements, arm, terms, load = scratch.elements, scratch.arm, scratch.terms, scratch.load
     count = max(1.0, add(elements, near))
@@ -261,7 +262,7 @@ def _share_load(scratch: BrakingScratch, near: int, before: float) -> None:
 def _set_out(
     span: Footprint, model: Model, lean: Numbers, scratch: BrakingScratch, near: int
 ) -> None:
-    """Write where the axes of the near columns stand, and by how much they are to turn."""
+    """Write the axes of near columns, and their remaining turns."""
     for k in range(near):
         column = span.first + k
         inside = 0 <= column < model.columns
@@ -277,10 +278,10 @@ def predict(
     span: Footprint, model: Model, pitch: float, speed: float, frictions: Frictions, lean: Numbers,
     scratch: BrakingScratch,
 ) -> Result:  # fmt: skip
-    """Predict the state a control period on: the weight is shared by what is under the parcel.
+    """Predict the state after a control period; elements under the parcel share its weight.
 
     Args:
-        lean: (columns,) [rad] of each column's axes off 90 deg now; they turn to `scratch.target`.
+        lean: (columns,) [rad] current axes off 90 deg; they turn to `scratch.target`.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)
@@ -326,14 +327,14 @@ def predict(
 
 @inlined
 def _choose_level(option: int, place: int, reached: int) -> int:
-    """Return the level of a column, within a parcel's reach, in an option of braking.
+    """Return the level of a column within a parcel's reach, for an option of braking.
 
-    The front or the rear of them brakes, fully or half, and the others roll: a column that is about
-    to come under the parcel or to leave it brakes for a part of the period. Option 0 rolls.
+    Option 0 rolls. In other options, some front or rear columns brake fully or half, and the others
+    roll. A column that the parcel enters or leaves brakes for a part of the period.
 
     Args:
-        place: of the column behind the first that the parcel covers.
-        reached: columns.
+        place: index of the column, from the one behind the first under the parcel.
+        reached: number of columns.
     """
     if option == 0 or place < 0 or place >= reached:
         return base.ROLL
@@ -347,13 +348,13 @@ def _choose_level(option: int, place: int, reached: int) -> int:
 
 @inlined
 def _soften(level: int, lean: float, model: Model) -> int:
-    """Return the level that a column whose axes take time may turn to.
+    """Return the level that a column with slow axes may turn to.
 
-    On its way from 90 to 0 deg an axis pushes to one side, all of them to the same: a column brakes
-    half before it brakes fully, and before it rolls again.
+    An axis that turns from 90 to 0 deg pushes to one side, and all axes to the same side. So a
+    column brakes half before it brakes fully, and before it rolls again.
     """
     half = base.LEANS[base.HALF]
-    gently = model.then == 0.0  # after full braking, axes take too long to return to rolling
+    gently = model.then == 0.0  # axes return too slowly from full braking to rolling
     if level == base.FULL and (lean < half - 1e-6 or gently):
         return base.HALF
     return base.HALF if level == base.ROLL and lean > half + 1e-6 else level
@@ -364,7 +365,7 @@ def _set_target(
     option: int, reached: int, span: Footprint, model: Model, lean: Numbers, levels: Integers,
     scratch: BrakingScratch,
 ) -> None:  # fmt: skip
-    """Write the level of each of the zone's columns in an option, and its angle."""
+    """Write the level and angle of each column of the zone for an option."""
     for column in range(model.columns):
         level = _choose_level(option, column - span.first, reached)
         if model.tail > 0:
@@ -374,15 +375,15 @@ def _set_target(
 
 
 class Deceleration(NamedTuple):
-    """Deceleration [m/s^2] that is expected after the period."""
+    """Expected deceleration [m/s^2] after the period."""
 
-    held: float  # where every column brakes half
-    rolled: float  # where all roll
+    held: float  # with half braking everywhere
+    rolled: float  # with rolling everywhere
 
 
 @inlined
 def decelerate(share: float, frictions: Frictions) -> Deceleration:
-    """Compute decelerations; `share` [-] of the elements under the parcel are rotors."""
+    """Compute decelerations for a share [-] of rotors under the parcel."""
     supports = SUPPORT_LOSS * (1.0 - share)
     rolled = frictions.rolling * (ROLLING_LOSS * share + supports)
     slope = ROLLING_LOSS * HALF_COSINE * share + supports
@@ -394,9 +395,7 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 def regret_speed(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
 ) -> float:
-    """Compute how far from the asked ratio an option leads; the option that rolls is the best where
-    there is time to trim the speed.
-    """
+    """Compute an option's distance from the goal ratio; with time to trim, rolling is best."""
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
     to_go = max(0.0, (span.place + seen.rear_to_go) - after.place)
@@ -414,18 +413,18 @@ def regret_speed(
 def regret_place(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, _rolls: bool
 ) -> float:
-    """Compute how far from the asked x an option leads."""
+    """Compute an option's distance from the goal x."""
     held = STOP_GENTLY * decelerate(span.rotor_share, frictions).held
     asked = span.place + seen.to_go
     return abs(after.place + after.speed * after.speed / (2.0 * held) - asked)
 
 
 class BrakingMemory(NamedTuple):
-    """What a braking rule remembers."""
+    """Memory of a braking rule."""
 
     lean: Numbers  # (num_envs, columns) [rad] of each column's axes off 90 deg
-    estimate: Numbers  # (num_envs, 5) of friction
-    taken: Numbers  # (num_envs, 3) [m/s] speed, and what braking and rolling would take of it
+    estimate: Numbers  # (num_envs, 5) estimate of friction
+    taken: Numbers  # (num_envs, 3) [m/s] speed, and its predicted losses by braking and rolling
     begins: Booleans  # (num_envs,) nothing is remembered yet
 
 
@@ -439,7 +438,7 @@ def _make_kernel(regret: Any) -> Any:
 
         Args:
             choices: (levels, rows) orientation of a column's modules at each level.
-            levels: (columns,) that is written to.
+            levels: (columns,) scratch array.
         """
         for i in range(observations.shape[0]):
             seen = see_line(observations[i], sight)
@@ -478,7 +477,7 @@ def _make_kernel(regret: Any) -> Any:
 
 
 class BrakingRule(CompiledRule):
-    """Rule that predicts each option of braking for a period, and takes the best one.
+    """Rule that predicts each option of braking for a period, and takes the best.
 
     Its memory holds the angle of each column's axes and an estimate of friction. It also uses the
     sensors' estimates of friction and load.
@@ -512,8 +511,8 @@ class BrakingRule(CompiledRule):
 class SlowingRule(BrakingRule):
     """Rule of Slow: roll, then brake without falling below the goal ratio.
 
-    It brakes late, since a slow parcel takes long. It leaves some time for rolling at the goal
-    speed, for the last corrections.
+    It brakes late, since slow motion costs time. It reserves some time at the goal speed for the
+    last corrections.
     """
 
     kernel = staticmethod(_make_kernel(regret_speed))

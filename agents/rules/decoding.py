@@ -1,7 +1,7 @@
 """Observations of one parcel in SI units, and the modules around it, for compiled rules.
 
-A rule's compiled function serves Python and the page. So it decodes observations by itself, as the
-tasks' own `decode` does for arrays.
+Python and the page call the same compiled functions. So this file decodes observations in compiled
+code, like the tasks' `decode` does for arrays.
 """
 
 import math
@@ -18,8 +18,8 @@ from surface_gym.tasks.features import Column, read
 
 from ..base import Integers, Numbers, Singles
 
-ABSENT = Column(-1, 0.0, 0.0, 0.0, 0.0)  # of a quantity that is not shown
-MIDWAY = 1e-9  # [m] nearer than this to midway between two rows or columns is midway
+ABSENT = Column(-1, 0.0, 0.0, 0.0, 0.0)  # column of an unobserved quantity
+MIDWAY = 1e-9  # [m] tolerance of positions midway between two rows or columns
 # Quantities of a line in the order of `LINE`, and of a path in the order of `PATH`.
 (SIDE, SINE, COSINE, SIZE, INTO_ZONE, FRONT, REAR, OFFSET, FORWARD, LATERAL, TURNING, RATIO, ENTRY,
  TO_GO, ANGLE, WIDTH, FILL, FRICTION, LOAD_X, LOAD_Y) = range(20)  # fmt: skip
@@ -40,22 +40,22 @@ PATH = (
 
 
 class Sight(NamedTuple):
-    """How an observation shows quantities, and what a rule knows of its line."""
+    """Scales of an observation, and dimensions of its line."""
 
-    place: Integers  # (quantities,) column of each; -1: it is not shown
-    offset: Numbers  # (quantities,) [its unit] value that 0 shows
-    scale: Numbers  # (quantities,) [its unit] value that 1 shows more
+    place: Integers  # (quantities,) column of the observation; -1: unobserved
+    offset: Numbers  # (quantities,) [its unit] value at 0
+    scale: Numbers  # (quantities,) [its unit] difference of values at 1 and 0
     pitch_x: float  # [m] between modules
     pitch_y: float  # [m]
-    zone_length: float  # [m] along x of the widest zone
-    friction_spread: float  # [-] scale of the friction learned; 0 where nothing is learned
-    load_spread: float  # [m] scale of the load learned
+    zone_length: float  # [m] length of the widest zone
+    friction_spread: float  # [-] scale of the estimated friction; 0: no estimate
+    load_spread: float  # [m] scale of the estimated load position
     x: Numbers  # (columns,) [m] of the modules from the zone's first edge or the window's middle
     y: Numbers  # (rows,) [m] from the line's middle or the window's
 
 
 def look_at_line(config: EnvConfig) -> Sight:
-    """Describe how an environment on a line is seen, and its zone."""
+    """Make the `Sight` of an environment on a line, with the modules of its zone."""
     line, kind = config.chosen_line, config.action_kind
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) + 0.5)
@@ -63,7 +63,7 @@ def look_at_line(config: EnvConfig) -> Sight:
 
 
 def look_at_path(config: EnvConfig) -> Sight:
-    """Describe how an environment with a path is seen, and the window around the parcel."""
+    """Make the `Sight` of an environment with a path, with the modules of the window."""
     line, kind = config.chosen_line, config.action_kind
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) - columns // 2)
@@ -90,14 +90,14 @@ def _look(config: EnvConfig, names: Iterable[str], x: NDArray[Any], y: NDArray[A
 
 
 def find_directions(config: EnvConfig) -> Numbers:
-    """Compute (choices, 2) the cosine and the sine of the orientations on offer."""
+    """Return cosine and sine (choices, 2) of the available orientations."""
     angles = np.array(config.chosen_orientations)
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 @inlined
 def _read(row: Singles, sight: Sight, quantity: int) -> float:
-    """Read a quantity; one that is not shown is 0."""
+    """Read a quantity; 0 if it is unobserved."""
     place = sight.place[quantity]
     if place < 0:
         return 0.0
@@ -105,7 +105,7 @@ def _read(row: Singles, sight: Sight, quantity: int) -> float:
 
 
 class LineReading(NamedTuple):
-    """A parcel on a line; see `tasks.planning.LineObservation`."""
+    """Decoded observation of a parcel on a line; see `tasks.planning.LineObservation`."""
 
     x: float  # [m] of its centre past the zone's first edge
     y: float  # [m] of its centre from the line's middle
@@ -117,31 +117,31 @@ class LineReading(NamedTuple):
     omega: float  # [rad/s]
     half_length: float  # [m] of the base, taken as a square
     reach: float  # [m] of the base along x, from its centre
-    side: float  # asked: +1 for y > 0, -1 for y < 0, 0 for straight through or no side
-    ratio: float  # [-] asked of the entry speed; else 0
-    entry_speed: float  # [m/s] where a ratio is asked; else 0
-    to_go: float  # [m] to the asked x; else 0
-    angle: float  # [rad] asked theta; else 0
+    side: float  # goal side: +1 for y > 0, -1 for y < 0, 0 for straight ahead or no side
+    ratio: float  # [-] goal ratio to the entry speed; else 0
+    entry_speed: float  # [m/s] with a goal ratio; else 0
+    to_go: float  # [m] distance to the goal x; else 0
+    angle: float  # [rad] goal theta; else 0
     front_in_zone: float  # [m] foremost point past the zone's first edge
     rear_to_go: float  # [m] from the rearmost point to the zone's end
     half_width: float  # [m]
     fill: float  # [-] share of the base in the rectangle around it
-    friction: float  # [-] factor of mu_max, as learned
-    load_ahead: float  # [m] along x from the base's centre to the load, as learned
-    wholly_in_zone: bool  # no module of the lead-in bears it
+    friction: float  # [-] estimated factor of mu_max
+    load_ahead: float  # [m] estimated x of the load from the base's centre
+    wholly_in_zone: bool  # whether no module of the lead-in is under it
 
 
 @inlined
 def see_line(row: Singles, sight: Sight) -> LineReading:
     """Decode an observation (features,) of a parcel on a line."""
     side = _read(row, sight, SIDE)
-    mirror = -1.0 if side < 0.0 else 1.0  # a parcel that is to go to y < 0 is shown in a mirror
+    mirror = -1.0 if side < 0.0 else 1.0  # a goal at y < 0 is observed in a mirror
     shown = math.atan2(_read(row, sight, SINE), _read(row, sight, COSINE))
     theta = mirror * shown
     half_length = _read(row, sight, SIZE)
     cosine, sine = math.cos(theta), math.sin(theta)
     reach = half_length * (abs(cosine) + abs(sine))
-    if sight.place[INTO_ZONE] >= 0:  # no more of the front and the rear than of a square
+    if sight.place[INTO_ZONE] >= 0:  # front and rear are bounds for a square
         x = _read(row, sight, INTO_ZONE) + reach
         front_in_zone = x + reach
         rear_to_go = sight.zone_length - x + reach
@@ -179,7 +179,7 @@ def see_line(row: Singles, sight: Sight) -> LineReading:
 
 
 class PathReading(NamedTuple):
-    """A parcel beside its path; see `tasks.track.PathObservation`."""
+    """Decoded observation of a parcel beside its path; see `tasks.track.PathObservation`."""
 
     x: float  # [m] of its centre past the middle module of the window
     y: float  # [m]
@@ -190,11 +190,11 @@ class PathReading(NamedTuple):
     vy: float  # [m/s]
     omega: float  # [rad/s]
     half_length: float  # [m] of the base, taken as a square
-    cross_error: float  # [m] off the path, positive to its left
-    cross_speed: float  # [m/s] square to the path
+    cross_error: float  # [m] offset from the path, positive to its left
+    cross_speed: float  # [m/s] speed perpendicular to the path
     asked_speed: float  # [m/s]
-    slope: float  # dy/dx of the path at its centre,
-    slope_ahead: float  # and ahead of it
+    slope: float  # dy/dx of the path at the parcel's centre
+    slope_ahead: float  # dy/dx ahead of it
     tilt: float  # [rad]
 
 
@@ -230,12 +230,14 @@ def see_path(row: Singles, sight: Sight) -> PathReading:
 
 @inlined
 def _past(in_pitch: float, pitch: float) -> float:
-    """[m] past the window's middle: midway, that is the module ahead or left."""
+    """Return the distance [m] from the window's middle module; midway counts as the module ahead or
+    left.
+    """
     return in_pitch - pitch if in_pitch > pitch / 2.0 - MIDWAY else in_pitch
 
 
 class Motion(NamedTuple):
-    """A plane motion of the parcel."""
+    """A planar velocity of the parcel."""
 
     vx: float  # [m/s]
     vy: float  # [m/s]
@@ -244,14 +246,14 @@ class Motion(NamedTuple):
 
 @inlined
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
-    """Return whether a module x, y [m] from a parcel's centre is under it, taken as a square."""
+    """Return whether a module x, y [m] from a parcel's centre is under its base, a square."""
     along, across = seen.cosine * x + seen.sine * y, seen.cosine * y - seen.sine * x
     return max(abs(along), abs(across)) <= seen.half_length
 
 
 @inlined
 def add(values: Numbers, count: int) -> float:
-    """Sum the first numbers, 128 at most, in the order in which NumPy does."""
+    """Sum the first numbers, at most 128, in NumPy's order of summation."""
     if count < 8:
         total = -0.0
         for k in range(count):

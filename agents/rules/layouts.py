@@ -68,15 +68,14 @@ def _run(
 def loss_of_layout(
     half_length: float, line: sg.lines.BaseLine, zone: tuple[int, int] | None, axes: tuple[Row, ...]
 ) -> Numbers:
-    """Compute the lost squared speed (places,) [m^2/s^2] of a box over its distance.
+    """Compute the lost squared speed (places,) [m^2/s^2] of a box along a layout.
 
-    Distances are 0, `FINE`, 2 `FINE` ... from the start.
-
-    For straight motion on a level surface, the work of friction depends on the distance and not on
-    the speed. So one run of the simulator gives the effect of a layout for every entry speed.
+    The positions are 0, `FINE`, 2 `FINE`, ... from the start. For straight motion on a level
+    surface, the work of friction depends on the distance and not on the speed. So one run of the
+    simulator gives the effect of a layout for every entry speed.
 
     Args:
-        axes: (rows, columns) [rad] of the widest zone.
+        axes: (rows, columns) [rad] axes of the widest zone.
     """
     run = _run(np.array(axes), half_length, FAST, line, zone, FAST_STEP)
     way = np.arange(0.0, line.length - half_length, FINE)
@@ -121,9 +120,9 @@ class FixedBraking(FixedRule):
 
 @rule("fixed layout", "slow", actions="modules")
 class FixedSlowing(FixedBraking):
-    """Figure 6b and 6c: the zone's first columns at 0 deg, or alternately at 45 and -45 deg.
+    """Figures 6b and 6c: the zone's first columns at 0 deg, or alternately at 45 and -45 deg.
 
-    The number of columns gives the exit ratio closest to the goal, by simulation.
+    The simulator finds the number of columns whose exit ratio is closest to the goal.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -148,7 +147,7 @@ class FixedSlowing(FixedBraking):
 class FixedStopping(FixedBraking):
     """The zone rolls up to a column and brakes after it, at 0 deg or alternately at 45 and -45 deg.
 
-    The column gives the stop closest to the goal x, by simulation.
+    The simulator finds the column whose stop is closest to the goal x.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -194,9 +193,8 @@ def angle_at_exit(
 class FixedTurning(FixedRule):
     """The first columns at 45 deg in the rows on the goal's side; all others at 90 deg.
 
-    The number of columns gives the angle closest to the goal, by simulation.
-
-    45 deg inside and 90 deg outside turns farther than combinations of 0, -45 and 45 deg.
+    The simulator finds the number of columns whose angle is closest to the goal. 45 deg inside and
+    90 deg outside turns farther than combinations of 0, -45 and 45 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -232,7 +230,7 @@ class FixedTurning(FixedRule):
 
 
 class _SearchedLayout(FixedRule):
-    """Layouts searched for each start, beginning with known ones (layouts, modules)."""
+    """Layouts searched per start, from known layouts (layouts, modules)."""
 
     _layouts: Commands
     _cost: search.LayoutCost

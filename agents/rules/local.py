@@ -3,8 +3,8 @@
 Both are ideas of Bianchi, Brosed Dueso and Yagüe-Fabra, "Closed-Loop Control Strategies for a
 Modular Under-Actuated Smart Surface: From Threshold-Based Logic to Decentralized PID Regulation",
 Applied Sciences 15(14), 7628, 2025. They tried thresholds on a real surface, for sorting and
-orienting, and simulated a PID for each module on two paths. This is written anew, with values of
-our own.
+orienting, and simulated a PID for each module on two paths. This is a new implementation with its
+own parameters.
 """
 
 import math
@@ -40,8 +40,8 @@ CENTRING = 2.0  # [1/s] speed towards the line's middle per offset
 STRAIGHTENING = 4.0  # [1/s] turning speed towards theta = 0 per angle
 CROSSING = 16.0  # [1/s] speed towards a path per error across it
 TURNING = 16.0  # [1/s] turning speed per remaining angle
-# [m rad/s^2] that a turn is planned to be slowed by, times the half length: less than half of what
-# 90 deg everywhere does, so that a period too late is not too late.
+# [m rad/s^2] planned angular deceleration times the half length: less than half of the
+# deceleration at 90 deg everywhere, which leaves a period to spare.
 END_OF_TURN = 1.0
 CLOSE_ENOUGH = 0.025  # [rad] tolerance of the goal angle (0.035 is allowed)
 MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
@@ -49,7 +49,7 @@ MOST_SUMMED = 0.1  # [m] anti-windup limit of each component of the error
 
 @inlined
 def _off_the_line(seen: LineReading) -> Motion:
-    """Return the wanted motion: straight until wholly in the zone, then to the goal's side."""
+    """Return the goal motion: straight until wholly in the zone, then to the goal's side."""
     side = seen.side if seen.wholly_in_zone else 0.0
     vy = ASIDE * side if side != 0.0 else -CENTRING * seen.y
     return Motion(seen.vx, vy, -STRAIGHTENING * seen.theta)
@@ -57,9 +57,9 @@ def _off_the_line(seen: LineReading) -> Motion:
 
 @inlined
 def _turned(seen: LineReading) -> Motion:
-    """Return the wanted motion: straight until wholly in the zone, then a turn to the goal angle.
+    """Return the goal motion: straight until wholly in the zone, then a turn to the goal angle.
 
-    There is no wanted lateral speed, since modules at 90 deg prevent drift.
+    The goal has no lateral speed, since modules at 90 deg prevent drift.
     """
     remaining = seen.angle - seen.theta
     if not seen.wholly_in_zone or abs(remaining) <= CLOSE_ENOUGH:
@@ -72,8 +72,8 @@ def _turned(seen: LineReading) -> Motion:
 
 @inlined
 def _along_path(path: PathReading) -> Motion:
-    """Return the wanted motion: along the path at the goal speed, towards the path, not turning."""
-    # The slope 0.1 m ahead, which the parcel reaches while its velocity is being turned.
+    """Return the goal motion: along the path at the goal speed and towards it, without turning."""
+    # The parcel reaches the slope 0.1 m ahead while its velocity turns.
     cosine = 1.0 / math.sqrt(1.0 + path.slope_ahead * path.slope_ahead)
     sine = path.slope_ahead * cosine
     across = -CROSSING * path.cross_error
@@ -89,8 +89,8 @@ class LocalTask:
     actions: str  # kind of action
     look: Callable[[EnvConfig], Sight]
     see: Any  # compiled: decodes an observation
-    wanted: Any  # compiled: the motion that a parcel should have
-    # [m/s] too little speed to one side, where a module leads; too much along x, where it brakes
+    wanted: Any  # compiled: returns the goal motion of a parcel
+    # [m/s] thresholds of the lateral error (leads aside) and of the excess along x (brakes)
     thresholds: tuple[float, float]
     gains: tuple[float, float, float]  # [-], [1/s], [s] gains of a PID
 
@@ -113,8 +113,8 @@ LOCAL_TASKS = {
 class LocalRule(CompiledRule):
     """Base class of rules for single modules, which use only the error above the module.
 
-    The error is the velocity that the parcel's point above a module should have, less its velocity.
-    Made for Sort and Orient with "modules", and for Track with "window".
+    The error is the goal velocity of the parcel's point above a module, less its velocity. Supports
+    Sort and Orient with "modules", and Track with "window".
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -130,7 +130,7 @@ def _make_threshold(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, thresholds: Numbers, axes: Integers,
         commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose for each module by the error above it."""
+        """Choose an orientation for each module from the error above it."""
         columns = sight.x.shape[0]
         roll, brake, left, right = axes
         for i in range(observations.shape[0]):
@@ -169,10 +169,10 @@ class ThresholdRule(LocalRule):
 
 
 class PidMemory(NamedTuple):
-    """What is remembered of each module."""
+    """Memory of a PID rule for each module."""
 
-    summed: Numbers  # (num_envs, modules, 2) [m] the errors so far
-    last: Numbers  # (num_envs, modules, 2) [m/s]
+    summed: Numbers  # (num_envs, modules, 2) [m] integrated error
+    last: Numbers  # (num_envs, modules, 2) [m/s] last error
     begins: Booleans  # (num_envs,) nothing is remembered yet
 
 
@@ -181,7 +181,7 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose for each module the orientation whose friction changes its velocity best."""
+        """Choose the orientation of each module whose friction best makes the change of velocity."""
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):
             seen = see(observations[i], sight)
@@ -198,7 +198,7 @@ def _make_pid(see: Any, wanted: Any) -> Any:
                                     last[i])  # fmt: skip
                 best, least = 0, math.inf
                 for choice in range(directions.shape[0]):
-                    # Friction brakes along the axis, and at most to rest.
+                    # Friction brakes along the axis until rest.
                     cosine, sine = directions[choice, 0], directions[choice, 1]
                     along = min(most, max(-most, vx * cosine + vy * sine))
                     miss_x, miss_y = change_x + along * cosine, change_y + along * sine
@@ -216,7 +216,7 @@ def _correct(
     error: float, k: int, axis: int, gains: Numbers, period: float, is_there: bool, begins: bool,
     summed: Numbers, last: Numbers,
 ) -> float:  # fmt: skip
-    """Compute by how much [m/s] a component of the velocity above a module should change."""
+    """Compute the wanted change [m/s] of a component of the velocity above a module."""
     before = 0.0 if begins else summed[k, axis]
     change = 0.0 if begins else error - last[k, axis]
     total = min(MOST_SUMMED, max(-MOST_SUMMED, before + period * error))
@@ -231,10 +231,8 @@ class PidRule(LocalRule):
     """One PID per module, an idea of Bianchi et al. (2025), cited above.
 
     The PID computes the wanted change of velocity above the module. The module takes the
-    orientation whose friction comes closest to this change in a period.
-
-    A module with nothing above it yet is ready for the parcel as it would be there, but sums
-    nothing up.
+    orientation whose friction comes closest to this change in a period. A module just ahead of the
+    parcel prepares for it, without integration.
     """
 
     def __init__(self, config: EnvConfig) -> None:

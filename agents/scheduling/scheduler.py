@@ -139,7 +139,7 @@ def make_scheduler(
     `choose_by_trial`.
 
     Args:
-        config: of the environment; actions "parcels" without groups, "modules" with them.
+        config: configuration with actions "parcels" without groups, "modules" with them.
         least_right: [-] minimum share of correct deliveries in a trial; otherwise the result is
             None.
     """
