@@ -52,7 +52,7 @@ class ScheduleNetwork(nn.Module):
     def forward(
         self, option: torch.Tensor, token: torch.Tensor, shown: torch.Tensor, about: torch.Tensor
     ) -> torch.Tensor:
-        """Compute (decisions, options, levels) the logarithm of the touches that are expected.
+        """Compute the logarithm of expected touches (decisions, options, levels).
 
         Args:
             option: (decisions, options, OPTION).
@@ -109,7 +109,7 @@ class NetworkScheduler(DecidingScheduler):
 
     @torch.no_grad()
     def risk(self, decisions: Decisions) -> Any:
-        """Compute (decisions, options, levels) the logarithm of the touches that are expected."""
+        """Compute the logarithm of expected touches (decisions, options, levels)."""
         return self._network(*as_tensors(decisions)).numpy()
 
 
@@ -141,7 +141,7 @@ class SchedulePolicy(TrainedPolicy):
 
     @cached_property
     def scheduler(self) -> Scheduler:
-        """The scheduler: with the network, or with one clearance if that delivers as much in a
+        """The scheduler with the network, or one with fixed clearance if it delivers as much in a
         trial.
         """
         config, most = self._config, self._most_touches
@@ -166,8 +166,8 @@ def build_schedule(
     """Build a policy on the schedule from its weights.
 
     Args:
-        own: environment of the card.
-        config: environment that the policy is for; None: the card's.
+        own: environment on the card.
+        config: environment of the policy; None: the card's.
         most_touches: [-] allowed touches per delivery in its trial.
     """
     network = load_weights(lambda: ScheduleNetwork(card.hidden), card.hidden, weights)

@@ -48,12 +48,12 @@ class EpisodeRecorder:
         outcome: Any,
         time: Any,
     ) -> Infos:
-        """Build the infos of a step and forget the episodes that ended in it.
+        """Build the infos of a step, and forget its ended episodes.
 
         Returns:
-            For each environment an empty dictionary, or for an ended episode
-            `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms`
-            (sums over the episode) and `episode` (return, length and time, as `Monitor` gives it).
+            Per environment: an empty dictionary, or for an ended episode `terminal_observation`,
+                `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms` (sums over the
+                episode) and `episode` (return, length and time, as in `Monitor`).
         """
         infos: Infos = [{} for _ in range(len(ended))]
         for i in np.nonzero(ended)[0].tolist():

@@ -9,8 +9,8 @@ import yaml
 
 from surface_gym.files import DAMAGE, describe_damage, parse_integer, parse_number, read_text
 
-NODES = 100_000  # of a YAML file, each mention of an alias counted with all that it stands for
-YAML = 30_000  # [bytes] of a file, parsed in a second: the largest here has 6000
+NODES = 100_000  # maximum nodes of a YAML file, with aliases expanded
+YAML = 30_000  # [bytes] maximum size, parsed in a second; the largest here has 6000
 BRACKETS = 1000
 
 
@@ -43,7 +43,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_whole(self, node: Any) -> int:
-        """Return a whole number in digits 0 to 9; Python reads 1_0 and other scripts' too."""
+        """Return an integer in digits 0 to 9; Python would also read 1_0 and other scripts."""
         return parse_integer("!!int", str(self.construct_scalar(node)))
 
     def construct_real(self, node: Any) -> float:

@@ -1,6 +1,6 @@
 """A smart surface that steers parcels by friction: the simulator and its environments.
 
-A name is imported from its module when it is first asked for.
+Names are imported from their modules on first use.
 """
 
 from importlib import import_module

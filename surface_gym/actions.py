@@ -23,16 +23,16 @@ from surface_gym.physics.types import Array, Integers, X, Y
 from surface_gym.state import EnvState, SurfaceState
 
 WINDOW_SIDE = 5  # modules
-JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, whatever the round-off
+JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, with round-off
 CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
 class ActionParams(NamedTuple):
-    """Parameters by which commands turn axes."""
+    """Parameters of commands and axes."""
 
-    zone_rows: int  # rows of the widest zone, for which there are commands
-    orientations: Array  # (choices,) [rad] axis angles on offer
-    turn: float  # [rad] an axis turns in a physics step; infinite: at once
+    zone_rows: int  # rows of the widest zone, and of the commands
+    orientations: Array  # (choices,) [rad] available axis angles
+    turn: float  # [rad] turn of an axis per physics step; infinite: at once
 
 
 class Corner(NamedTuple):
@@ -44,15 +44,15 @@ class Corner(NamedTuple):
 
 @inlined
 def window_corner(state: EnvState, mirror: float) -> Corner:
-    """Return the window's first module; the parcel is sensed over its middle one.
+    """Return the window's first module; its middle module is at the sensed parcel.
 
-    Midway between two rows it is the one to the left, seen in the mirror if there is one: a
-    mirrored environment must have the mirrored window.
+    Midway between two rows, the left row counts, in the mirror if there is one, since a mirrored
+    environment must have the mirrored window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
     along = (state.sensed[X] - state.elements.x0) / state.elements.pitch_x
-    # A window beyond the surface has none of its modules, however far off it is.
+    # A window beyond the surface contains none of its modules.
     up = bounded(up, -WINDOW_SIDE, rows + WINDOW_SIDE)
     along = bounded(along, -WINDOW_SIDE, columns + WINDOW_SIDE)
     row = math.floor(up + JUST_OVER_HALF) if mirror > 0.0 else math.ceil(up - JUST_OVER_HALF)
@@ -60,14 +60,14 @@ def window_corner(state: EnvState, mirror: float) -> Corner:
     return Corner(int(row) - WINDOW_SIDE // 2, int(column) - WINDOW_SIDE // 2)
 
 
-# Which part of the command a module follows; negative if none.
+# Index of the command's part for a module; negative if none.
 
 
 @inlined
 def part_of_modules(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Give each module a part of its own. A narrow zone is the middle rows of the widest."""
+    """Return the module's own part. A narrow zone uses the middle rows of the widest zone."""
     margin = (acting.zone_rows - state.zone[st.ROWS]) // 2
     place = margin + row - state.zone[st.FIRST_ROW]
     return place * state.zone[st.COLUMNS] + column - state.zone[st.FIRST_COLUMN]
@@ -77,7 +77,7 @@ def part_of_modules(
 def part_of_halves(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Give a part to the modules ahead of the parcel's centre, and one to those behind it."""
+    """Return the part of modules ahead of the parcel's centre, or behind it."""
     return 1 if state.elements.x0 + state.elements.pitch_x * column < state.sensed[X] else 0
 
 
@@ -85,7 +85,7 @@ def part_of_halves(
 def part_of_quadrants(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Give parts to the modules ahead left, ahead right, behind left and behind right."""
+    """Return the part of modules ahead left, ahead right, behind left or behind right."""
     behind = state.elements.x0 + state.elements.pitch_x * column < state.sensed[X]
     right = state.elements.y0 + state.elements.pitch_y * row < state.sensed[Y]
     return (2 if behind else 0) + (1 if right else 0)
@@ -95,21 +95,21 @@ def part_of_quadrants(
 def part_of_window(
     acting: ActionParams, state: EnvState, corner: Corner, row: int, column: int
 ) -> int:
-    """Give each module of the window a part of its own."""
+    """Return the part of a module of the window."""
     down = row - corner.row
     along = column - corner.column
     inside = 0 <= down < WINDOW_SIDE and 0 <= along < WINDOW_SIDE
     return down * WINDOW_SIDE + along if inside else -1
 
 
-# How an axis does what a part of the command says.
+# Effect of a part of the command on an axis.
 
 
 @inlined
 def set_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set an axis to the orientation that the part counts, at once."""
+    """Set an axis to the orientation chosen by the part, at once."""
     surfaces.axis[i, row, column] = surfaces.command[i, part]
 
 
@@ -129,7 +129,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the orientation that the part counts as the target of an axis that turns in time."""
+    """Set the orientation chosen by the part as the target of a turning axis."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -137,13 +137,13 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the angle of the part as the target of an axis that turns in time."""
+    """Set the angle of the part as the target of a turning axis."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
 @inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
-    """Leave axes as they are: they have turned already."""
+    """Do nothing: the axes have turned already."""
     return False
 
 
@@ -157,7 +157,7 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
             if apart == 0.0:
                 continue
             turned = True
-            # An axis is the same turned by pi: go the way of at most a quarter turn.
+            # Axes have period pi, so turn by at most a quarter turn.
             apart -= math.pi * math.floor(apart / math.pi + 0.5)
             if abs(apart) <= acting.turn:
                 angle = surfaces.target[i, row, column]
@@ -171,12 +171,12 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
     return turned
 
 
-# How all axes become the conveyor's, at once.
+# Reset of all axes to the conveyor's, at once.
 
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set all axes to the direction that follows those on offer."""
+    """Set all axes to the direction after the available ones."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):
@@ -185,7 +185,7 @@ def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
 
 @inlined
 def straighten_angles(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set each axis, which has its own direction, to 90 deg."""
+    """Set each axis to 90 deg; axes have their own directions."""
     for axis in range(surfaces.direction.shape[1]):
         surfaces.direction[i, axis, 0] = CONVEYOR[0]
         surfaces.direction[i, axis, 1] = CONVEYOR[1]
@@ -208,35 +208,35 @@ KINDS: dict[str, Callable[..., Any]] = {
     "quadrants": part_of_quadrants,
     "window": part_of_window,
 }
-ANY = "any"  # in place of orientations on offer: every angle
-RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] an axis turned further is one turned less
+ANY = "any"  # in place of orientations: every angle
+RIGHT_ANGLE = np.float32(math.pi / 2.0)  # [rad] largest angle of an axis
 
 
 @dataclass(frozen=True)
 class ActionKind:
-    """A kind of action: how it sets the axes of a zone's modules."""
+    """A kind of action: its parts set the axes of a zone's modules."""
 
     name: str  # "modules", "halves", "quadrants" or "window"
-    choices: int  # orientations on offer; 0: any angle
-    rows: int  # of the widest zone
-    columns: int  # of the zone
+    choices: int  # number of orientations; 0: any angle
+    rows: int  # rows of the widest zone
+    columns: int  # columns of the zone
 
     def __post_init__(self) -> None:
         checks.one_of("actions", self.name, KINDS)
 
     @property
     def part_of(self) -> Callable[..., Any]:
-        """Return the compiled function that gives the part of an action that a module follows."""
+        """Return the compiled function that returns a module's part of an action."""
         return KINDS[self.name]
 
     @cached_property
     def continuous(self) -> bool:
-        """Return whether each part is an angle instead of a choice."""
+        """Whether parts are angles instead of choices."""
         return self.choices == 0
 
     @cached_property
     def shape(self) -> tuple[int, int]:
-        """Return the rows, from y < 0 to y > 0, and columns of the parts of a command."""
+        """Rows (from y < 0 to y > 0) and columns of a command's parts."""
         return {
             "modules": (self.rows, self.columns),
             "halves": (1, 2),
@@ -250,12 +250,12 @@ class ActionKind:
 
     @property
     def window_size(self) -> int:
-        """Return how many numbers the kind adds to the observation: the window's occupancy."""
+        """Number of features that the kind adds to the observation: the window's occupancy."""
         return self.size if self.name == "window" else 0
 
     @cached_property
     def _single(self) -> bool:
-        """Return whether an action is one number: the choices of both halves."""
+        """Whether an action is one number for both halves."""
         return self.name == "halves" and not self.continuous
 
     def space(self) -> spaces.Space[Any]:
@@ -266,9 +266,9 @@ class ActionKind:
         return spaces.MultiDiscrete(np.full(self.size, self.choices))
 
     def commands(self, actions: Any, num_envs: int | None) -> np.ndarray:
-        """Turn the actions of all environments into commands (num_envs, size).
+        """Convert actions of all environments to commands (num_envs, size).
 
-        With None, `actions` is the action of the only one.
+        If `num_envs` is None, `actions` is the action of a single environment.
         """
         try:
             given = np.asarray(actions)
@@ -288,7 +288,7 @@ class ActionKind:
         if given.dtype.kind not in "iu":
             raise ValueError(f"action must be whole numbers, got {given.dtype}: {actions!r}")
         chosen = given.astype(np.int64)
-        # As unsigned numbers negative ones are the largest.
+        # As unsigned numbers, negative numbers are the largest.
         if np.maximum.reduce(chosen.view(np.uint64), axis=None) >= most:
             raise ValueError(f"action must be between 0 and {most - 1}, got {actions!r}")
         if self._single:
@@ -298,13 +298,13 @@ class ActionKind:
         return chosen
 
     def encode(self, commands: np.ndarray) -> np.ndarray:
-        """Return commands (num_envs, size) as actions, the inverse of `commands`."""
+        """Convert commands (num_envs, size) to actions, the inverse of `commands`."""
         if self._single:
             return commands[:, 0] * self.choices + commands[:, 1]
         return commands
 
     def flip(self, commands: np.ndarray) -> np.ndarray:
-        """Return commands (num_envs, size) with their parts mirrored in y, choices unchanged."""
+        """Return commands (num_envs, size) with parts mirrored in y, and unchanged choices."""
         if self.name == "quadrants":
             return commands[:, [1, 0, 3, 2]]
         return commands.reshape(-1, *self.shape)[:, ::-1].reshape(commands.shape)

@@ -22,27 +22,29 @@ from surface_gym import checks
 
 # [m] of a base, a pitch or a line: from a tenth of the smallest module to more than any hall.
 LENGTH = (1e-4, 1e3)
-# [m] of any x or y, either way: round-off there, 2e-12 m, is far below the 1e-9 m by which an
-# element on a base's perimeter counts as under it.
+# [m] absolute x or y. Its round-off, 2e-12 m, is far below the tolerance of 1e-9 m for an
+# element on a base's perimeter.
 FARTHEST = 1e4
-# [rad] of a parcel, whose heading counts whole turns, either way: round-off there, 1e-10 rad,
-# turns a base by nothing
+# [rad] absolute heading of a parcel, which counts whole turns. Its round-off, 1e-10 rad, is
+# negligible
 TURNED = 1e6
-TURN = 2.0 * math.pi + 1e-6  # [rad] of any other angle, either way, as float32 rounds a turn
-SPEED = 100.0  # [m/s] either way: twenty times the fastest sorter
-SPIN = 1e3  # [rad/s] either way: 10 000 revolutions a minute
+TURN = 2.0 * math.pi + 1e-6  # [rad] any other absolute angle, with float32's round-off
+SPEED = 100.0  # [m/s] absolute speed: twenty times the fastest sorter
+SPIN = 1e3  # [rad/s] absolute speed: 10 000 revolutions per minute
 FRICTION = 100.0  # [-] of any coefficient: rubber on rubber has 4
 MASS = (1e-6, 1e6)  # [kg] from a grain of sand to a ship's crane
 COM_HEIGHT = 100.0  # [m] of a centre of mass above its base: a tower
-# [-] radius of gyration over the base's reach: of a thin mast on a wide foot, of a beam on a point
+# [-] radius of gyration over the base's reach: from a mast on a wide foot to a beam on a point
 GYRATION = (1e-3, 1e3)
 STIFFNESS = (1e-9, 1e9)  # [-] of an element; only ratios count
 STIFFNESS_RATIO = 1e6  # [-] of the stiffest to the softest element: more than steel to foam
-STIFFNESS_SPREAD = 2.0  # [-] log-normal: one element in six is 7 times as stiff as most, or more
-STEP = (1e-6, 1.0)  # [s] of a simulation's time step
+STIFFNESS_SPREAD = (
+    2.0  # [-] log-normal sigma: one element in six is at least 7 times stiffer than the median
+)
+STEP = (1e-6, 1.0)  # [s] time step
 DURATION = (1e-9, 1e6)  # [s] of a simulation: up to eleven days
-CONTROL_PERIOD = (1e-6, 10.0)  # [s]: in more than 10 s nobody controls anything
-EPISODE = 86_400.0  # [s] of a flow: a day
+CONTROL_PERIOD = (1e-6, 10.0)  # [s]
+EPISODE = 86_400.0  # [s] a day
 PATIENCE = (1e-6, EPISODE)  # [s]
 AHEAD = 100.0  # [s] longer than any parcel stays
 RATE = (1e-6, 1e5)  # [parcels/h]: up to 28 parcels a second
@@ -51,17 +53,17 @@ AXIS_SPEED = (1e-6, 1e9)  # [rad/s] turning speed of an axis, unless infinite
 FRAME_RATE = (1e-3, 1e6)  # [Hz] of a sensor
 POSITION_ERROR = 10.0  # [m] standard deviation of a sensor: many parcels
 ANGLE_ERROR = TURN  # [rad] a whole turn: the angle is unknown
-TOLERANCE = (1e-6, 1.0)  # [m] within which a switch switches
+TOLERANCE = (1e-6, 1.0)  # [m] tolerance of a switch
 # [m^2/s^3] and [rad^2/s^3] process noise: from a perfect model to a useless one
 DENSITY = (1e-12, 1e9)
 # [-] of the friction factor and [m] of the load's position: from known to unknown
 LEARNED_SPREAD = (1e-6, 1.0)
 FRICTION_ERROR = 10.0  # [-] share by which friction may be off
 ELEMENTS = 1_000_000  # maximum number of elements of a line
-ORIENTATIONS = 1000  # on offer: a fifth of a degree apart; "any" is finer
-PER_CORE = 32  # processes or threads at most: more only wait for each other
+ORIENTATIONS = 1000  # maximum number, a fifth of a degree apart; "any" is finer
+PER_CORE = 32  # maximum processes or threads; more would only wait for each other
 
-DEGREES = "degrees become radians by np.radians"  # said of an angle beyond its bounds
+DEGREES = "degrees become radians by np.radians"  # hint for an angle out of bounds
 
 
 def set_fields(instance: Any, **values: Any) -> None:
@@ -130,7 +132,7 @@ def angle(name: str, value: Any, low: float = -TURN, high: float = TURN) -> floa
 
 
 def coordinate(name: str, value: Any) -> float:
-    """Return an x or y [m] within what is physical, or raise an error."""
+    """Return an x or y [m] within physical bounds, or raise an error."""
     return within(name, value, -checks.FARTHEST, checks.FARTHEST)
 
 
@@ -283,17 +285,17 @@ _MOST_VELOCITY = np.array([SPEED, SPEED, SPIN])
 
 
 def pose(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return poses (..., 3) [m, m, rad] within what is physical, or raise an error."""
+    """Return poses (..., 3) [m, m, rad] within physical bounds, or raise an error."""
     return limited(name, array(name, value, shape), _MOST_POSE)
 
 
 def velocity(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return velocities (..., 3) [m/s, m/s, rad/s] within what is physical, or raise an error."""
+    """Return velocities (..., 3) [m/s, m/s, rad/s] within physical bounds, or raise an error."""
     return limited(name, array(name, value, shape), _MOST_VELOCITY)
 
 
 def place(name: str, value: ArrayLike) -> tuple[float, float]:
-    """Return a point (x, y) [m] within what is physical, or raise an error."""
+    """Return a point (x, y) [m] within physical bounds, or raise an error."""
     x, y = limited(name, array(name, value, (2,)), checks.FARTHEST).tolist()
     return (x, y)
 
@@ -315,7 +317,7 @@ def booleans(name: str, value: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pitch(name: str, value: Any) -> float | tuple[float, float]:
-    """Return a distance above zero, or two of them, in x and in y; or raise an error."""
+    """Return one distance above zero, or two distances in x and y; or raise an error."""
     if isinstance(value, (tuple, list, np.ndarray)):
         if len(value) != 2:
             raise ValueError(f"{name} must be one number or two, in x and in y, got {value!r}")
@@ -324,7 +326,7 @@ def pitch(name: str, value: Any) -> float | tuple[float, float]:
 
 
 def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return coefficients of at least zero: one (), or one an element (rows, columns)."""
+    """Return coefficients of at least zero: a single one (), or one per element (rows, columns)."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if value is None or np.isscalar(value):
@@ -338,7 +340,7 @@ def friction(name: str, value: ArrayLike, shape: tuple[int, int]) -> NDArray[np.
 
 
 def rolling(mu_max: ArrayLike, mu_min: ArrayLike) -> None:
-    """Raise a ValueError if a rotor drags more across its axis than along it."""
+    """Raise a ValueError if friction across a rotor's axis exceeds friction along it."""
     most, least = np.broadcast_arrays(mu_max, mu_min)
     if (least > most).any():
         place = int(np.argmax(least > most))
@@ -356,7 +358,7 @@ def orientations(name: str, value: ArrayLike) -> tuple[float, ...]:
         raise ValueError(f"{name} must be at {least_or_most}, got {given}")
     if len(np.unique(offered)) < len(offered):
         raise ValueError(f"{name} must differ from each other, got {value!r}")
-    # Sines of the turns from the first: an axis turned by pi is the same.
+    # Sines of the differences to the first, since axes have period pi.
     if np.abs(np.sin(offered - offered[0])).max() < 1e-9:
         raise ValueError(f"{name} must hold two axes that differ, got {value!r}")
     return tuple(offered.tolist())

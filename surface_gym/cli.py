@@ -1,4 +1,4 @@
-"""`surface-gym`: every command of the package. A command's libraries are imported when it runs."""
+"""`surface-gym`: every command of the package. A command imports its libraries when it runs."""
 
 import argparse
 import shlex
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 NAME = "surface-gym"
-# A file of the checkout, or the command of the installed package.
+# A file of the checkout, or a command of the installed package.
 IN_CHECKOUT = (Path(__file__).parents[1] / "train.py").is_file()
 TRAIN = ("python", "train.py") if IN_CHECKOUT else (NAME, "train")
 AGENTS = "surface_gym.agents."
@@ -24,11 +24,11 @@ OPTIONAL = (
 
 @dataclass(frozen=True)
 class Command:
-    """One of the commands."""
+    """A command of the package."""
 
     summary: str
     module: str  # with `main(arguments)`
-    extra: str = "agents"  # of surface_gym, which brings its libraries
+    extra: str = "agents"  # extra of surface_gym with its libraries
 
 
 COMMANDS = {
@@ -48,12 +48,12 @@ COMMANDS = {
 
 
 def command_line(program: Sequence[str], *arguments: str) -> str:
-    """Join a program, such as `TRAIN`, and its arguments into a line for a shell."""
+    """Join a program, e.g. `TRAIN`, and its arguments into a shell command."""
     return shlex.join([*program, *arguments])
 
 
 def typed(name: str) -> str:
-    """Return a command as it was typed: `surface-gym design`, `python -m surface_gym.design`."""
+    """Return how a command was typed: `surface-gym design`, `python -m surface_gym.design`."""
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     if spec is not None and spec.name.startswith("surface_gym."):
         return f"python -m {spec.name.removesuffix('.__main__')}"
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run_command(name: str, arguments: Sequence[str] | None = None) -> None:
-    """Run a command, or say in one line what to install."""
+    """Run a command, or name the missing extra in one line."""
     command = COMMANDS[name]
     try:
         import_module(command.module).main(list(sys.argv[1:] if arguments is None else arguments))

@@ -1,4 +1,4 @@
-"""The configuration of an environment, and presets of it."""
+"""The configuration of an environment, and its presets."""
 
 import inspect
 import math
@@ -37,12 +37,12 @@ class Preset:
     """Sensors, randomisation and actuators of an environment: its argument `preset`."""
 
     name: str
-    label: str  # for tables
-    meaning: str  # in a sentence
+    label: str  # label in tables
+    meaning: str  # description in a sentence
     sensors: Sensor = Exact()
     randomisation: Randomisation = Randomisation()
     actuators: Actuators = Actuators()
-    parcels: tuple[Parcel, ...] = ()  # that a task draws from; none: the task's own
+    parcels: tuple[Parcel, ...] = ()  # parcels to draw from; empty: the task's own
 
 
 SURE = Entry(position=0.0, angle=0.0, speed=0.0, turning=0.0)
@@ -50,7 +50,7 @@ LATENCY = 0.08  # [s] two control periods
 
 # Size and seed of the lab preset's parcel assortment.
 LAB_PARCELS, LAB_SEED = 128, 20_261_122
-QUARTER_TURN = 0.05  # [s] that an axis of the lab takes to turn by 90 deg
+QUARTER_TURN = 0.05  # [s] quarter turn of an axis in the lab
 
 _EACH = (
     Preset("exact", "exact", "Sensors show pose and velocity as they are."),
@@ -104,9 +104,9 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 
 LONGEST_STEP = 0.005  # [s]
-INFOS = ("axes", "normal_forces")  # that `info` carries on request
+INFOS = ("axes", "normal_forces")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
-REWARD = "reward_"  # there before the name of a reward term, which may be "success" as well
+REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
 
 @dataclass(frozen=True, init=False)
@@ -114,25 +114,25 @@ class EnvConfig:
     """Arguments of an environment: keywords of `gym.make` and of both environment classes.
 
     Args:
-        task: its name, or one with parameters of its own.
-        preset: a name of `surface_gym.config`, as "lab", or a `Preset`: it sets sensors, actuators
-            and randomisation, and the parcels of a task that draws the study's boxes.
-        arguments: the fields below, and any field of the task, as `stream` of Flow.
+        task: a task's name, or a task with its own parameters.
+        preset: a name in `surface_gym.config`, e.g. "lab", or a `Preset`. It sets sensors,
+            actuators and randomisation, and the parcels of a task with the study's boxes.
+        arguments: the fields below, and any field of the task, e.g. `stream` of Flow.
 
     Raises:
-        ValueError: an argument is not allowed, or a number is beyond `surface_gym.checks`; the
-            message names it, what came and what may come.
+        ValueError: an argument is not allowed, or a number is out of bounds; the message names the
+            argument, its value and the allowed values.
         TypeError: neither the environment nor the task has an argument of that name.
     """
 
-    task: Task  # a task's name, or a task with parameters of its own; set by the id
+    task: Task  # a task's name, or a task with its own parameters; set by the id
     actions: str = "modules"  # kind of action
     # `Exact()`, `Camera(...)`, `AdaptiveCamera(...)` or `Presence(...)` of `surface_gym.sensors`
     sensors: Sensor = Exact()
-    control_period: float = 0.04  # [s] between decisions; cut into equal steps of at most 5 ms
-    # first and last column that obey; None: those after the lead-in
+    control_period: float = 0.04  # [s] between decisions; divided into equal steps of at most 5 ms
+    # first and last column that obey; None: all columns after the lead-in
     zone: tuple[int, int] | None = None
-    # [rad] axis angles on offer, at least two; None: the line's, 0, pi/4, -pi/4, pi/2; or "any"
+    # [rad] at least two axis angles; "any"; or None: the line's (0, pi/4, -pi/4, pi/2)
     orientations: tuple[float, ...] | str | None = None
     actuators: Actuators = Actuators()  # `axis_speed` [rad/s], `stuck` modules, `stuck_share`
     # spreads of friction, mass, size, load and start
@@ -140,7 +140,7 @@ class EnvConfig:
     # a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
-    info: tuple[str, ...] = ()  # what `info` carries on request: "axes", "normal_forces"
+    info: tuple[str, ...] = ()  # optional entries of `info`: "axes", "normal_forces"
     # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
     observe: tuple[str, ...] = ()
 
@@ -163,16 +163,16 @@ class EnvConfig:
         self._check()
 
     def replace(self, **changes: Any) -> "EnvConfig":
-        """Make a configuration with other arguments, fields of the task among them."""
+        """Return a configuration with changed arguments, including fields of the task."""
         own = {name: changes.pop(name, value) for name, value in self.arguments().items()}
         return EnvConfig(**own, **changes)
 
     def arguments(self) -> dict[str, Any]:
-        """Return the fields by name, as keyword arguments that make the same environment."""
+        """Return the fields as keyword arguments that make the same environment."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def _apply(self, preset: str | Preset) -> None:
-        """Take over what a preset sets; a task with other parcels keeps them."""
+        """Apply a preset; a task with other parcels keeps them."""
         if not isinstance(preset, Preset):
             preset = PRESETS[checks.one_of("preset", preset, PRESETS)]
         defaults = {each.name: each.default for each in fields(self)}
@@ -211,7 +211,7 @@ class EnvConfig:
         _ = self.action_kind, self.draws
 
     def _check_places(self) -> None:
-        """Raise a ValueError where the zone, a stuck module or a start is not on the surface."""
+        """Raise a ValueError if the zone, a stuck module or a start is not on the surface."""
         line = self.chosen_line
         if self.zone is not None:
             if not isinstance(self.zone, (tuple, list)) or len(self.zone) != 2:
@@ -243,7 +243,7 @@ class EnvConfig:
             self._check_way_out(self.zone[1])
 
     def _check_way_out(self, last: int) -> None:
-        """Raise a ValueError where a parcel may leave the surface before it leaves the zone."""
+        """Raise a ValueError if a parcel may leave the surface before it leaves the zone."""
         line = self.chosen_line
         _, end, _, _ = line.extent
         longest = max(parcel.rear + parcel.base.centroid[0] for parcel in self.task.parcels)
@@ -258,25 +258,25 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """The name of the registered task that it is or inherits from; else its own."""
+        """Name of the registered task that it is or inherits from; else its own name."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 
     @property
     def chosen_line(self) -> BaseLine:
-        """The line: the one asked for, else the task's own."""
+        """The line of the environment; the default is the task's."""
         return self.task.line if self.line is None else self.line
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] axis angles on offer; where any angle is, the line's."""
+        """[rad] available axis angles; with any angle, the line's."""
         if self.orientations is None or isinstance(self.orientations, str):
             return self.chosen_line.orientations
         return self.orientations
 
     @property
     def action_kind(self) -> ActionKind:
-        """The kind of action, which turns actions into commands."""
+        """The kind of action, which converts actions to commands."""
         own: ActionKind | None = self.task.action_kind(self)
         if own is not None:
             return own
@@ -286,7 +286,7 @@ class EnvConfig:
 
     @property
     def choices(self) -> int:
-        """How many orientations are on offer; 0: any angle is."""
+        """Number of orientations; 0: any angle."""
         return 0 if self.orientations == ANY else len(self.chosen_orientations)
 
     @property
@@ -297,22 +297,22 @@ class EnvConfig:
 
     @property
     def periods(self) -> int:
-        """Control periods of an episode at most."""
+        """Maximum control periods of an episode."""
         return self.task.count_periods(self.control_period)
 
     @property
     def rows(self) -> int:
-        """Rows of parcels of an environment: one, or the rows of a stream."""
+        """Rows of parcels per environment: one, or the rows of a stream."""
         return self.task.rows
 
     @property
     def draws(self) -> int:
-        """Rows of noise that the sensor of a parcel uses at most in a control period."""
+        """Maximum rows of sensor noise of a parcel in a control period."""
         return self.task.noise_rows(self.sensors.draws(self.timing.dt, self.timing.steps))
 
     @property
     def groups(self) -> dict[str, Group]:
-        """Groups of features that `observe` may show, by name."""
+        """Optional groups of features for `observe`, by name."""
         return offered_groups(self.sensors)
 
     @property
@@ -328,7 +328,7 @@ class EnvConfig:
         return features + axes + group_features(self.observe, self.groups)
 
     def _axis_features(self) -> tuple[Feature, ...]:
-        """Features of the axes: an axis is the same turned by pi, so twice its angle is shown."""
+        """Features of the axes: cosine and sine of twice the angle, since axes have period pi."""
         kind = self.action_kind
         window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
         return tuple(
@@ -339,26 +339,26 @@ class EnvConfig:
 
     @cached_property
     def columns(self) -> dict[str, Column]:
-        """Places and scales of the features, by their names."""
+        """Columns and scales of the features by name."""
         return find_columns(self.features)
 
     def row_space(self) -> spaces.Box:
-        """Make the space of the observation of one parcel."""
+        """Return the space of one parcel's observation."""
         return spaces.Box(
             np.array([feature.low for feature in self.features], dtype=np.float32),
             np.array([feature.high for feature in self.features], dtype=np.float32),
         )
 
     def decode(self, observations: ArrayLike) -> Any:
-        """Decode observations (num_envs, features) into SI units, as the task does."""
+        """Decode observations (num_envs, features) into SI units."""
         return self.task.decode(self.observed(observations))
 
     def decode_start(self, observation: ArrayLike) -> Start:
-        """Decode an observation (features,) into the start that it shows, as the task does."""
+        """Decode an observation (features,) into a start."""
         return self.task.decode_start(self.observed(observation))
 
     def observed(self, observations: ArrayLike) -> ObservationTable:
-        """Return observations (num_envs, features) that are read by name, in SI units."""
+        """Return observations (num_envs, features) as a table in SI units."""
         return ObservationTable(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
             self.columns,
@@ -367,7 +367,7 @@ class EnvConfig:
         )
 
     def observation_space(self) -> spaces.Box:
-        """Make the space of an environment's observation: of a stream, a row a parcel."""
+        """Return the observation space; a stream has one row per parcel."""
         row = self.row_space()
         if not self.task.is_stream:
             return row
@@ -375,7 +375,7 @@ class EnvConfig:
         return spaces.Box(np.tile(row.low, rows), np.tile(row.high, rows))
 
     def action_space(self) -> spaces.Space[Any]:
-        """Make the space of an environment's action."""
+        """Return the action space."""
         return self.action_kind.space()
 
     # Only for tasks on a stream of parcels.
@@ -394,12 +394,12 @@ class EnvConfig:
 
     @property
     def entry_x(self) -> float:
-        """[m] edge of the line, where the rear of a parcel is as it enters."""
+        """[m] edge of the line: x of a parcel's rear at its entry."""
         return self.chosen_line.column_edge(0)
 
     @cached_property
     def rotors(self) -> tuple[int, int, int, int]:
-        """First row, rows, first column and columns of the part of the line that has rotors."""
+        """First row, rows, first column and columns of the part of the line with rotors."""
         rows, columns = (np.nonzero(self.site.rotor.any(axis=axis))[0] for axis in (1, 0))
         return (
             int(rows[0]), int(rows[-1] - rows[0]) + 1,
@@ -419,17 +419,17 @@ class EnvConfig:
 
     @cached_property
     def entrances(self) -> "tuple[Entrance, ...]":
-        """The inlets as they lie on the surface."""
+        """The inlets with their positions on the surface."""
         return self.stream_task.find_entrances(self)
 
     @cached_property
     def exits(self) -> "Exits":
-        """The exits of the stream's parcels, a preset's laid out along the rotors."""
+        """The exits of the stream's parcels; a preset is laid out along the rotors."""
         return self.stream_task.find_exits(self)
 
 
 def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
-    """Make a task by its name, or with other fields, or raise an error that lists these."""
+    """Make a task by name, or with other fields; an error lists the fields."""
     if isinstance(task, str):
         kind = TASKS.find(task)
     else:
@@ -448,7 +448,7 @@ def _make_task(task: str | Task, arguments: dict[str, Any]) -> Task:
 
 
 def with_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Show the arguments of `EnvConfig` in the signature of a function that takes them all."""
+    """Show the arguments of `EnvConfig` in the signature of a function with `**kwargs`."""
     signature = inspect.signature(function)
     named = [each for each in signature.parameters.values() if each.kind != each.VAR_KEYWORD]
     defaults = {each.name: each.default for each in fields(EnvConfig)}

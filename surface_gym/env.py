@@ -20,7 +20,7 @@ from surface_gym.state import OUT_OF_TIME, RUNNING
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.start import check_options
 
-RENDER_FPS = 25  # pictures a second at the default control period of 40 ms: real time
+RENDER_FPS = 25  # pictures per second: real time at the default control period of 40 ms
 
 Picture = NDArray[Any]
 
@@ -29,13 +29,13 @@ def make_batch(
     config: EnvConfig, num_envs: int, threads: int = 1, max_episode_steps: int | None = None,
     compiles: bool = True,
 ) -> BaseBatch:  # fmt: skip
-    """Make the batch of environments that a task needs: of one parcel each, or of a stream."""
+    """Make the batch of a task's environments: of one parcel each, or of streams."""
     kind: Callable[..., BaseBatch] = import_place(config.task.batch)
     return kind(config, num_envs, threads, max_episode_steps, compiles)
 
 
 class Outcome(int):
-    """How an episode stands: a number, to be stacked, that prints as its name and equals it."""
+    """State of an episode: a number that prints as its name and equals it."""
 
     name: str
 
@@ -69,7 +69,7 @@ class Outcome(int):
 
 
 def make_outcomes(names: tuple[str, ...]) -> tuple[Outcome, ...]:
-    """Make the outcomes of a task, by their numbers."""
+    """Make the outcomes of a task by number."""
     return tuple(Outcome(number, name) for number, name in enumerate(names))
 
 
@@ -85,7 +85,7 @@ def warn_of_no_render_mode(spec: Any, make: str) -> None:
 class ResetArguments(NamedTuple):
     """Arguments of a reset, checked."""
 
-    mask: Booleans  # (num_envs,) whether an environment begins
+    mask: Booleans  # (num_envs,) whether an environment is reset
     chosen: Integers  # (count,) indices of these environments
     seeds: list[int | None]  # of all environments
     options: list[dict[str, Any]]  # options of these environments; empty: no options
@@ -367,7 +367,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
         return info
 
     def _record(self, begins: bool) -> None:
-        """Record the history that pictures show."""
+        """Record the history for pictures."""
         if self._renderer is None:
             from surface_gym.scenes import Renderer
 

@@ -78,7 +78,7 @@ def check_plain(file: Path, most: int) -> None:
     Pipes and devices never end.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: the file does not exist.
     """
     try:
         found = file.stat()
@@ -94,7 +94,7 @@ def check_plain(file: Path, most: int) -> None:
 
 
 def most_unpacked(packed: int) -> int:
-    """Return how many bytes may come of so many packed ones: what unpacks to more is hostile."""
+    """Return the maximum unpacked size of packed bytes; a larger size is an attack."""
     return max(SMALL, RATIO * packed)
 
 
@@ -117,8 +117,8 @@ def read_lines(file: Path, cut: str = r"(?!)") -> Iterator[str]:
             last line without a line break is an error.
 
     Raises:
-        ValueError: it is no text; what follows the file's name says why.
-        FileNotFoundError: there is none.
+        ValueError: the file is not a text; the message continues after the file's name.
+        FileNotFoundError: the file does not exist.
     """
     with _opened(file, TABLE) as stream:
         for number in itertools.count(1):
@@ -232,7 +232,7 @@ class ArrayFile:
 
     Raises:
         ValueError: the file is invalid; the message continues after the file's name.
-        FileNotFoundError: there is none.
+        FileNotFoundError: the file does not exist.
     """
 
     def __init__(self, file: Path) -> None:

@@ -221,7 +221,7 @@ def update(estimate: Numbers, lost: float, braking: float, rolling: float, noise
 
 @inlined
 def _bear(span: Footprint, model: Model, arm: float, scratch: BrakingScratch, k: int) -> None:
-    """Count the elements and rotors of a near column under the parcel, `arm` [m] from its centroid."""
+    """Count the elements and rotors of a near column under the parcel, `arm` [m] off its centre."""
     far, elements, rotors = abs(arm - span.middle), 0.0, 0.0
     rows = model.rows + 2
     for row in range(rows):

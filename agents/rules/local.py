@@ -181,7 +181,7 @@ def _make_pid(see: Any, wanted: Any) -> Any:
         observations: Singles, sight: Sight, gains: Numbers, directions: Numbers, period: float,
         summed: Numbers, last: Numbers, begins: Booleans, commands: Integers,
     ) -> None:  # fmt: skip
-        """Choose the orientation of each module whose friction best makes the change of velocity."""
+        """Choose the orientation of each module whose friction is closest to the wanted change."""
         columns, most = sight.x.shape[0], base.BRAKING * period
         for i in range(observations.shape[0]):
             seen = see(observations[i], sight)

@@ -1,7 +1,7 @@
 """A rule that brings parcels into an order on a slope: a passage in the middle, parking beside it.
 
-Who must let others go first is led aside and held; who may go rolls past those that wait, straight
-on where nobody is ahead, or through the passage.
+A parcel that must wait is led aside and held. Other parcels roll past it: straight on if the way is
+free, else through the passage.
 """
 
 import math
@@ -38,23 +38,23 @@ from .slopes import (
     stopping_speed,
 )
 
-ALIGNMENT = math.radians(8.0)  # to which parcels are turned, as they are narrower then
+ALIGNMENT = math.radians(8.0)  # angle limit: aligned parcels are narrower
 
 
 class Parking(NamedTuple):
     """Places for waiting parcels."""
 
-    beside: float = 0.47  # [m] from the middle to those that wait beside the passage
-    passage: float = 0.22  # [m] half of the passage's width
-    spacing: float = 0.08  # [m] behind one that goes before,
-    leading_out: float = 0.07  # [m] behind one that is to be passed, beside what that takes
-    stop: float = 0.35  # [m] before the end, of the first
-    near: float = 0.02  # [m] from where a parcel is to be that is near enough
+    beside: float = 0.47  # [m] distance of waiting parcels from the middle
+    passage: float = 0.22  # [m] half width of the passage
+    spacing: float = 0.08  # [m] distance behind a predecessor
+    leading_out: float = 0.07  # [m] additional distance behind a parcel to be passed
+    stop: float = 0.35  # [m] distance of the first waiting parcel from the end
+    near: float = 0.02  # [m] tolerance of a waiting position
 
 
 @linked
 def sort_by_place(table: Singles, order: Integers) -> int:
-    """Write the rows of parcels in the order in which they are to leave; return their number."""
+    """Write the rows of parcels in order of departure; return their number."""
     count = 0
     for k in range(table.shape[0]):
         if not ta.is_there(table[k]):
@@ -73,14 +73,14 @@ def sort_by_place(table: Singles, order: Integers) -> int:
 
 @inlined
 def _overlap(parcels: SlopeParcels, j: int, k: int) -> bool:
-    """Whether one is ahead of or behind another, so that they would meet."""
+    """Return whether two parcels overlap across the line, so that they would meet."""
     across = parcels.across[j] + parcels.across[k]
     return abs(parcels.y[j] - parcels.y[k]) < across - 0.005
 
 
 @inlined
 def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -> bool:
-    """Whether one that is to leave before a parcel has not come, or is behind it."""
+    """Return whether a predecessor of a parcel has not arrived, or is behind it."""
     if place >= ready:
         return True
     k = order[place]
@@ -95,9 +95,9 @@ def _must_wait(parcels: SlopeParcels, order: Integers, ready: int, place: int) -
 def find_parking(
     slope: Slope, parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> tuple[float, float]:
-    """Find where a parcel is to wait: [m] its y, and the x of its front at most.
+    """Find the waiting position of a parcel: y [m], and maximum x [m] of its front.
 
-    It keeps to the side that it is on; from the middle it goes where fewer wait that it must pass.
+    A parcel keeps its side. In the middle, it chooses the side with fewer waiting predecessors.
     """
     k = order[place]
     room_left = room_right = slope.length - parking.stop
@@ -139,9 +139,9 @@ def limit_in_order(
     k: int,
     free: bool,
 ) -> float:
-    """[m/s] at most, so that a parcel keeps off those ahead of it.
+    """Return the speed limit [m/s] at which a parcel keeps clear of parcels ahead.
 
-    One that is to be led past another keeps the room that this takes, until it is free to go.
+    Behind a parcel to be passed, it keeps room for the lateral motion until its way is free.
     """
     limit = math.inf
     for place in range(count):
@@ -165,9 +165,9 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether no other is beside a parcel where it is to be led, or will be by then.
+    """Return whether the way of a parcel that is led aside is free, now and when it gets there.
 
-    Those that it would meet as it is are none of these: it follows them, or they follow it.
+    Parcels that it overlaps already do not count, since one follows the other.
     """
     shift = parcels.shift[k]
     for place in range(count):
@@ -188,7 +188,7 @@ def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
     slots: Slots, order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) that let parcels leave in their order."""
+    """Choose halves (num_envs, rows, 2) so that parcels depart in order."""
     for i in range(tables.shape[0]):
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)
@@ -198,7 +198,7 @@ def choose_in_order(
             if read(table[k], ta.COLUMN.present) > 0.5 and time < came[i, k]:
                 brakes.due[i, k] = 0.5
             came[i, k] = time
-        ready = 0  # so many of the first in the order are all there
+        ready = 0  # number of parcels at the head of the order that have arrived
         while ready < count and read(table[order[i, ready]], PLACE) < ready + 0.5:
             ready += 1
         forget_slots(slots)
@@ -211,7 +211,7 @@ def choose_in_order(
                 y, front = find_parking(slope, parking, parcels, order[i], count, place)
                 if abs(y - parcels.y[k]) > parking.near:
                     parcels.shift[k] = y - parcels.y[k]
-                # It comes as far along as aside while it is led.
+                # It moves equally far along the line and aside.
                 room = front - parcels.x[k] - parcels.along[k] - abs(parcels.shift[k])
                 speed = stopping_speed(slope, tuning, room)
                 free = is_free(parcels, order[i], count, k)
@@ -241,7 +241,7 @@ def choose_in_order(
 def _lead_out(
     parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
 ) -> None:
-    """Let a parcel that goes be led into the passage if one that waits is ahead of it."""
+    """Lead a parcel into the passage if a waiting parcel is ahead of it."""
     k = order[place]
     for after in range(place + 1, count):
         j = order[after]
@@ -253,7 +253,7 @@ def _lead_out(
 
 @rule("pass and park", "sequence", actions="parcels", is_prior=True)
 class PassAndPark(SlopeRule):
-    """Let parcels leave in their order: who must wait is parked beside a passage."""
+    """Bring parcels into order: a parcel that must wait is parked beside a passage."""
 
     kernel = staticmethod(choose_in_order)
 

@@ -1,6 +1,6 @@
-"""Rules that single parcels out on a slope: time slots at the end, and hold-and-release.
+"""Rules that singulate parcels on a slope: time slots at the end, and hold-and-release.
 
-They turn parcels and lead them to the mouth alike, and differ in how they brake.
+Both turn parcels and lead them to the mouth in the same way. They brake differently.
 """
 
 import math
@@ -37,10 +37,10 @@ from .slopes import (
     stopping_speed,
 )  # fmt: skip
 
-NEAR = 0.3  # [m] behind one that stands, from where on another may pass it
-LONG = 15  # control periods for which one has stood before it lets another pass
-HOLD_AT = 0.15  # [m] before the end, of a parcel's middle while the take-away stands
-HOLD = 0.5  # [m] before the end, where parcels are held to be released
+NEAR = 0.3  # [m] distance behind a standing parcel from which another may pass it
+LONG = 15  # standing periods after which a parcel lets another pass
+HOLD_AT = 0.15  # [m] distance of a parcel's middle from the end while the take-away stands
+HOLD = 0.5  # [m] distance from the end at which parcels are held
 
 
 @linked
@@ -52,12 +52,15 @@ def sort_by_progress(
     stood: Integers,
     swap: float,
 ) -> int:
-    """Keep the order (rows,) in which parcels are to leave; return how many there are.
+    """Update the order of departure (rows,); return the number of parcels in it.
 
-    Those that left are dropped, those that came are last, and one that is far enough ahead of the
-    one before it goes first. One that has stood for long and is yet to be led aside lets one pass
-    that is not. `came` (rows,) is the time since each entered, as seen last; `stood` (rows,) the
-    control periods for which each has stood.
+    Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
+    of its predecessor overtakes it in the order. A parcel that stands for long, and has yet to be
+    led aside, lets one pass that has not.
+
+    Args:
+        came: (rows,) last observed time since entry.
+        stood: (rows,) control periods without motion.
     """
     count = 0
     for place in range(order.shape[0]):
@@ -143,7 +146,7 @@ def limit_speed(
 def is_way_clear(
     tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, k: int
 ) -> bool:
-    """Whether no other is beside a parcel, or where it would be led to."""
+    """Return whether no other parcel is beside a parcel, or where it would be led to."""
     shift = parcels.shift[k]
     for place in range(count):
         j = order[place]
@@ -153,7 +156,7 @@ def is_way_clear(
         long, wide = parcels.along[j] + parcels.along[k], parcels.across[j] + parcels.across[k]
         if not -(long + tuning.behind) < ahead < long + tuning.ahead + abs(shift):
             continue
-        # One right behind does not keep one that stands from being led away.
+        # A parcel right behind does not prevent leading a standing parcel away.
         if ahead < -0.7 * long and abs(aside) < wide - 0.005 and parcels.vx[k] < HELD:
             continue
         if (aside > 0.0) != (shift > 0.0) or abs(aside) >= abs(shift) + wide + tuning.beside:
@@ -169,9 +172,7 @@ def move(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
     speed: float, brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose the halves of the parcel at a place of the order, that is to have a speed [m/s] if
-    those around it allow.
-    """
+    """Choose the halves of a parcel for a goal speed [m/s], limited by the parcels around it."""
     k = order[place]
     speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place))
     clear = is_way_clear(tuning, parcels, order, count, k)
@@ -200,7 +201,7 @@ def choose_by_slots(
         for place in range(count):
             k = order[i, place]
             distance = find_distance(slope, parcels, k)
-            late = 0.0  # [s] for what is yet to be done with it
+            late = 0.0  # [s] time lost by remaining turns and shifts
             if parcels.shift[k] != 0.0:
                 late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
             if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
@@ -208,7 +209,7 @@ def choose_by_slots(
             slot = rolling_time(slope, distance, parcels.vx[k]) + late
             slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
             give_slot(slope, parcels, slots, k, slot)
-            # A little early, as what comes late cannot be made up for.
+            # Aim a little early, since a delay cannot be made up.
             time = slot - late - min(0.02, 0.02 * distance)
             speed = speed_for(slope, distance, time)
             speed = min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
@@ -220,10 +221,9 @@ def choose_by_release(
     tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
     order: Integers, came: Numbers, brakes: Brakes, halves: Integers, stop: float,
 ) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) that stop parcels a distance [m] before the end, and let
-    one after the other go from there.
+    """Choose halves (num_envs, rows, 2) that stop parcels at a distance [m] before the end.
 
-    It is let go as soon as it will leave with the asked gap behind the one before it.
+    A parcel is released when it will depart with the required gap behind its predecessor.
     """
     for i in range(tables.shape[0]):
         read_parcels(tables[i], slope, tuning, parcels)
@@ -246,17 +246,17 @@ def choose_by_release(
 
 @rule("time slots", "singulate", "merge", actions="parcels", is_prior=True)
 class TimeSlots(SlopeRule):
-    """Give each parcel a time slot at the end, and brake those that would be early."""
+    """Give each parcel a time slot at the end, and brake early parcels."""
 
     kernel = staticmethod(choose_by_slots)
 
 
 @rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
-    """Hold parcels before the end, and let them go one by one: zero-pressure accumulation.
+    """Hold parcels before the end, and release them one by one: zero-pressure accumulation.
 
     Args:
-        hold: [m] from where a parcel's front is held to the end.
+        hold: [m] distance from a held parcel's front to the end.
     """
 
     kernel = staticmethod(choose_by_release)

@@ -1,7 +1,7 @@
-"""What rules on slopes share: how they see parcels, and how they brake, turn and lead them aside.
+"""Common parts of rules on slopes: decoded parcels, braking, turning and leading aside.
 
-They see the table of parcels and choose, for each, the modules ahead of its centre and those behind
-it.
+Rules read the table of parcels, and choose an action for the modules ahead of each parcel's centre
+and for the modules behind it.
 """
 
 import copy
@@ -23,61 +23,61 @@ from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_a
 from .base import CompiledController
 
 NOBODY = -1
-HELD = 0.1  # [m/s] slower than this, all modules may hold a parcel
-URGENT = 2.0  # [m] before the end, from where on both halves turn a parcel
-LAST = 1.0  # [m] before the end, where one that stands is led aside at once if it may be
-STANDS = 0.02  # [m/s] slower than this, a parcel counts as one that stands
-TRIES = 10  # control periods for which one that stands is led aside, or let roll, in turn
-DWELL = 0.375 * math.pi  # [rad] that an axis could turn while a choice of brakes stays
-ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # of a half, before they become choices
+HELD = 0.1  # [m/s] speed below which all modules may hold a parcel
+URGENT = 2.0  # [m] distance from the end at which both halves turn a parcel
+LAST = 1.0  # [m] distance from the end at which a standing parcel is led aside at once if possible
+STANDS = 0.02  # [m/s] speed below which a parcel counts as standing
+TRIES = 10  # control periods for which a standing parcel is led aside, then let roll, in turn
+DWELL = 0.375 * math.pi  # [rad] possible turn of an axis between two choices of brakes
+ROLL, BRAKE, TO_LEFT, TO_RIGHT = range(4)  # action of a half of a parcel
 
 
 class Slope(NamedTuple):
-    """The surface, the take-away and what is asked, as rules count on them."""
+    """Parameters of the surface, the take-away and the required departures."""
 
-    length: float  # [m] of the rotors
+    length: float  # [m] length of the rotors
     half_width: float  # [m] of the surface
-    rolls: float  # [m/s^2] gained by a parcel that rolls
-    brakes: float  # [m/s^2] that full braking takes from that
+    rolls: float  # [m/s^2] acceleration of a rolling parcel
+    brakes: float  # [m/s^2] loss of acceleration by full braking
     take_away: float  # [m/s]
     gap: float  # [m]
     alignment: float  # [rad]
     period: float  # [s] between decisions
-    dwell: int  # control periods for which a choice of brakes stays
-    mouths: Numbers  # (mouths, 2) [m] y of their sides from the line's middle
+    dwell: int  # minimum control periods between two choices of brakes
+    mouths: Numbers  # (mouths, 2) [m] y of both sides of a mouth from the line's middle
 
 
 class Tuning(NamedTuple):
-    """Constants of the rules, found by search: see docs/material-flow.md."""
+    """Parameters of the rules, found by search: see docs/material-flow.md."""
 
-    swap: float = 0.03  # [m] that a parcel must be ahead of another to go first
-    margin: float = 0.004  # [m] kept from the sides of a mouth
-    spare_gap: float = 0.014  # [m] beyond the asked gap
-    shift_time: float = 0.01  # [s] that it costs to be led aside,
-    shift_cost: float = 0.68  # [s/m] and for each metre
-    turn_cost: float = 0.23  # [s/rad] that it costs to be turned
-    clear: float = 0.11  # [m] between two, one behind the other
-    following: float = 0.38  # [-] share of full braking that one counts on that follows another
-    shifting: float = 0.4  # [-] and one that waits to be led aside
-    shift_room: float = 0.33  # [m] before the end by which it must be led aside
-    least_speed: float = 0.08  # [m/s] at which modules may turn a parcel
-    turned: float = 0.08  # [rad] that a parcel is left turned by
-    unturning: float = 10.8  # [rad/s^2] at which a turn can be stopped
+    swap: float = 0.03  # [m] minimum lead of a parcel to overtake in the order
+    margin: float = 0.004  # [m] distance from the sides of a mouth
+    spare_gap: float = 0.014  # [m] reserve of the gap
+    shift_time: float = 0.01  # [s] time lost by leading a parcel aside,
+    shift_cost: float = 0.68  # [s/m] and per metre
+    turn_cost: float = 0.23  # [s/rad] time lost by turning a parcel
+    clear: float = 0.11  # [m] distance between successive parcels
+    following: float = 0.38  # [-] share of full braking assumed for a follower,
+    shifting: float = 0.4  # [-] and for a parcel that waits to be led aside
+    shift_room: float = 0.33  # [m] distance from the end at which leading aside must be done
+    least_speed: float = 0.08  # [m/s] minimum speed of a parcel to be turned
+    turned: float = 0.08  # [rad] tolerance of a parcel's angle
+    unturning: float = 10.8  # [rad/s^2] assumed deceleration of a turn
     most_turning: float = 4.0  # [rad/s]
-    ahead: float = 0.1  # [m] to be clear ahead of one that is led aside,
+    ahead: float = 0.1  # [m] clearance ahead of a parcel that is led aside,
     behind: float = 0.21  # [m] behind it,
     beside: float = 0.003  # [m] and beside it
-    merged: float = 0.52  # [-] of the length, by which parcels for one mouth follow each other
-    headway: float = 0.02  # [s] that they then are apart
-    yielding: float = 0.96  # [1/m] share of its speed that one yields that is too near
+    merged: float = 0.52  # [-] share of the length after which parcels for one mouth are in a row
+    headway: float = 0.02  # [s] time between them
+    yielding: float = 0.96  # [1/m] share of speed lost per metre of missing distance
 
 
-LATE_ROOM = 0.6  # [m] before the end by which it must be led aside where axes turn late
-SPARE = 0.02  # [m] beyond the asked gap where sensors err
+LATE_ROOM = 0.6  # [m] `shift_room` with slow axes
+SPARE = 0.02  # [m] `spare_gap` with inexact sensors
 
 
 def find_tuning(config: EnvConfig) -> Tuning:
-    """Find the constants for an environment's sensors."""
+    """Return the parameters for an environment's sensors."""
     tuning = Tuning() if isinstance(config.sensors, Exact) else Tuning(spare_gap=SPARE)
     if math.isinf(config.actuators.axis_speed):
         return tuning
@@ -85,26 +85,26 @@ def find_tuning(config: EnvConfig) -> Tuning:
 
 
 class SlopeParcels(NamedTuple):
-    """Parcels of a surface, decoded from their rows; an array (rows,) each."""
+    """Decoded parcels of a surface, in arrays (rows,)."""
 
-    x: Numbers  # [m] along the line from the surface's start, of the middle of its extent
-    y: Numbers  # [m] from the line's middle, of the middle of its extent
+    x: Numbers  # [m] x of the middle of its extent, from the surface's start
+    y: Numbers  # [m] y of the middle of its extent, from the line's middle
     vx: Numbers  # [m/s]
     vy: Numbers  # [m/s]
     omega: Numbers  # [rad/s]
-    front: Numbers  # [m] from its centre along x
-    rear: Numbers  # [m] from its centre against x
-    along: Numbers  # [m] half of its extent along x
-    across: Numbers  # [m] half of its extent along y
-    shift: Numbers  # [m] to be led aside, positive to the left; 0: it is within a mouth
-    turn: Numbers  # [rad] to be turned
-    mouth: Integers  # nearest mouth
-    clear: Numbers  # [m] that its mouth's last parcel is past the asked gap
-    runs: Booleans  # whether the take-away runs
+    front: Numbers  # [m] distance from its centre to its front
+    rear: Numbers  # [m] distance from its centre to its rear
+    along: Numbers  # [m] half extent along x
+    across: Numbers  # [m] half extent along y
+    shift: Numbers  # [m] remaining lateral shift, positive to the left; 0: it is within a mouth
+    turn: Numbers  # [rad] remaining turn
+    mouth: Integers  # index of the nearest mouth
+    clear: Numbers  # [m] distance of its mouth's last parcel beyond the required gap
+    runs: Booleans  # whether the take-away conveyor runs
 
 
 def make_parcels(rows: int) -> SlopeParcels:
-    """Make room for the parcels of a surface."""
+    """Allocate the arrays of a surface's parcels."""
     kinds = SlopeParcels.__annotations__
     types = {"mouth": np.int64, "runs": np.bool_}
     arrays: dict[str, Any] = {name: np.zeros(rows, types.get(name, np.float64)) for name in kinds}
@@ -113,7 +113,7 @@ def make_parcels(rows: int) -> SlopeParcels:
 
 @linked
 def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels) -> None:
-    """Decode the rows of a table (rows, features) that hold a parcel."""
+    """Decode the occupied rows of a table (rows, features)."""
     for k in range(table.shape[0]):
         row = table[k]
         if not ta.is_there(row):
@@ -142,29 +142,29 @@ def read_parcels(table: Singles, slope: Slope, tuning: Tuning, parcels: SlopePar
 
 
 class Slots(NamedTuple):
-    """The last slots given away, an array (mouths,) each."""
+    """The last assigned slots, in arrays (mouths,)."""
 
-    ready: Numbers  # [s] until that parcel's centre passes the end; -inf: none was given away
-    # [m] from where its centre would be on the take-away, without sliding, to its rear
+    ready: Numbers  # [s] until that parcel's centre passes the end; -inf: no slot is assigned
+    # [m] from its centre's position on the take-away, if it did not slide, to its rear
     reach: Numbers
 
 
 @inlined
 def forget_slots(slots: Slots) -> None:
-    """Forget all slots that were given away."""
+    """Clear all slots."""
     for mouth in range(slots.ready.shape[0]):
         slots.ready[mouth] = -math.inf
 
 
 @inlined
 def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Find how far [m] a parcel's centre is from the end."""
+    """Return the distance [m] from a parcel's centre to the end."""
     return slope.length - parcels.x[k] + 0.5 * (parcels.front[k] - parcels.rear[k])
 
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Find how soon [s] a parcel's centre may pass the end, for the gap to those before it."""
+    """Return the earliest time [s] at which a parcel's centre may pass the end, after others."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:
@@ -175,7 +175,7 @@ def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
 
 @inlined
 def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
-    """Find how far [m] a parcel falls back on the take-away until it has its speed."""
+    """Return the distance [m] that a parcel loses by sliding on the take-away."""
     gained = 2.0 * slope.rolls * max(0.0, find_distance(slope, parcels, k))
     speed = math.sqrt(max(0.0, parcels.vx[k]) ** 2 + gained)
     slower = max(0.0, slope.take_away - speed)
@@ -184,14 +184,17 @@ def find_lag(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def give_slot(slope: Slope, parcels: SlopeParcels, slots: Slots, k: int, slot: float) -> None:
-    """Give a parcel a slot [s] from now."""
+    """Assign a slot [s] from now to a parcel."""
     slots.ready[parcels.mouth[k]] = slot
     slots.reach[parcels.mouth[k]] = parcels.rear[k] + find_lag(slope, parcels, k)
 
 
 @inlined
 def rolling_time(slope: Slope, distance: float, speed: float) -> float:
-    """[s] over a distance [m] for one that rolls, but no faster than the take-away."""
+    """Return the time [s] in which a rolling parcel covers a distance [m].
+
+    The take-away limits the parcel's speed.
+    """
     start = max(0.0, speed)
     if start >= slope.take_away:
         return distance / slope.take_away
@@ -203,7 +206,9 @@ def rolling_time(slope: Slope, distance: float, speed: float) -> float:
 
 @inlined
 def speed_for(slope: Slope, distance: float, time: float) -> float:
-    """[m/s] from which one that rolls covers a distance [m] in a time [s]; negative: hold it."""
+    """Return the speed [m/s] at which a rolling parcel covers a distance [m] in a time [s];
+    negative: hold it.
+    """
     spare = slope.take_away * time - distance
     if spare <= 0.0:
         return slope.take_away
@@ -215,32 +220,32 @@ def speed_for(slope: Slope, distance: float, time: float) -> float:
 
 @inlined
 def stopping_speed(slope: Slope, tuning: Tuning, room: float) -> float:
-    """[m/s] from which a parcel stops within a room [m]."""
+    """Return the highest speed [m/s] from which a parcel stops within `room` [m]."""
     return math.sqrt(2.0 * tuning.shifting * slope.brakes * max(0.0, room))
 
 
 @inlined
 def follow(slope: Slope, tuning: Tuning, room: float, speed: float) -> float:
-    """[m/s] at most for one that follows another of a speed [m/s] with room [m] between them."""
+    """Return the speed limit [m/s] of a follower, `room` [m] behind a parcel with `speed` [m/s]."""
     if room <= 0.0:
         return 0.9 * speed
     return math.sqrt(speed * speed + 2.0 * tuning.following * slope.brakes * room)
 
 
 class Brakes(NamedTuple):
-    """How parcels are braked, an array (num_envs, rows) each."""
+    """State of braking, in arrays (num_envs, rows)."""
 
-    due: Numbers  # halves that are yet to be braked, as a choice of none, one or both rounds
-    halves: Integers  # that are braked
-    since: Integers  # control periods since that was chosen
-    stood: Integers  # control periods for which it has stood
+    due: Numbers  # number of halves yet to be braked; whole halves are braked
+    halves: Integers  # number of braked halves
+    since: Integers  # control periods since that choice
+    stood: Integers  # control periods without motion
 
 
 @inlined
 def choose_brakes(brakes: Brakes, i: int, k: int, share: float, dwell: int) -> int:
-    """Choose how many halves of a parcel are to be braked, so that they make up a share over time.
+    """Choose the number of braked halves of a parcel; its mean over time is the share.
 
-    A choice stays for some control periods, unless all or nothing is to be braked.
+    A choice is kept for some control periods, except no or full braking.
     """
     brakes.since[i, k] += 1
     if share <= 0.0 or share >= 1.0:
@@ -262,13 +267,13 @@ def choose_halves(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, k: int, speed: float, clear: bool,
     brakes: Brakes, i: int, halves: Integers,
 ) -> None:  # fmt: skip
-    """Choose (2,) for the modules ahead of a parcel's centre and behind it.
+    """Choose actions (2,) of the modules ahead of and behind a parcel's centre.
 
     Args:
-        speed: [m/s] that it is to have after the control period.
+        speed: [m/s] goal speed after the control period.
         clear: whether it may be led aside.
-        brakes: of all environments.
-        i: the environment.
+        brakes: state of all environments.
+        i: index of the environment.
     """
     vx, vy, omega = parcels.vx[k], parcels.vy[k], parcels.omega[k]
     shift, turn = parcels.shift[k], parcels.turn[k]
@@ -278,7 +283,7 @@ def choose_halves(
     halves[0] = BRAKE if braked > 0 else ROLL
     halves[1] = BRAKE if braked > 1 else ROLL
     tolerance = min(tuning.turned, slope.alignment)
-    # With no alignment asked parcels stay as they are.
+    # Without a required alignment, parcels are not turned.
     turns = slope.alignment < ta.EIGHTH - 1e-9 and vx > tuning.least_speed
     if turns and (abs(turn) > tolerance or abs(omega) > 0.8):
         asked = math.sqrt(2.0 * tuning.unturning * max(0.0, abs(turn) - 0.5 * tolerance))
@@ -291,18 +296,20 @@ def choose_halves(
                 halves[0] = halves[1] = ROLL
             return
     if shift != 0.0 and clear:
-        coasts = vy * vy / 8.0 + abs(vy) * slope.period  # [m] until rolling has stopped it
+        coasts = (
+            vy * vy / 8.0 + abs(vy) * slope.period
+        )  # [m] lateral distance until rolling stops it
         if vy * shift > 0.0 and abs(shift) <= coasts:
             halves[0] = halves[1] = ROLL
         elif brakes.stood[i, k] % (2 * TRIES) >= TRIES:
-            halves[0] = halves[1] = ROLL  # modules that are stuck may hold one that is led aside
+            halves[0] = halves[1] = ROLL  # stuck modules may hold a parcel that is led aside
         elif braked < 2 or (vx < HELD and parcels.x[k] > slope.length - LAST):
             halves[0] = halves[1] = TO_LEFT if shift > 0.0 else TO_RIGHT
 
 
 @inlined
 def hold(parcels: SlopeParcels, k: int, speed: float, halves: Integers) -> None:
-    """Let all modules hold a parcel that is to stand, so that it does not creep."""
+    """Hold a standing parcel by all modules, so that it does not creep."""
     if speed < 0.2 * HELD and parcels.vx[k] < HELD:
         halves[0] = halves[1] = BRAKE
 
@@ -320,22 +327,22 @@ def _turn(halves: Integers, left: bool, shift: float, both: bool) -> None:
 
 
 class SlopeMemory(NamedTuple):
-    """What a rule remembers, an array (num_envs, rows) each."""
+    """Memory of a rule, in arrays (num_envs, rows)."""
 
-    order: Integers  # rows in which parcels are to leave; NOBODY: no more
-    came: Numbers  # time since each entered, as seen last; -inf: nobody
+    order: Integers  # rows in order of departure; NOBODY: end of the list
+    came: Numbers  # last observed time since entry; -inf: empty
     brakes: Brakes
 
 
 def make_memory(num_envs: int, rows: int) -> SlopeMemory:
-    """Make the memory of a rule."""
+    """Make the initial memory of a rule."""
     shape = (num_envs, rows)
     brakes = Brakes(np.zeros(shape), *np.zeros((3, *shape), dtype=np.int64))
     return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)
 
 
 def forget(memory: SlopeMemory, fresh: Booleans) -> None:
-    """Forget the parcels of environments (num_envs,) that have begun anew."""
+    """Clear the memory of environments (num_envs,) with new episodes."""
     memory.order[fresh] = NOBODY
     memory.came[fresh] = -np.inf
     memory.brakes.due[fresh] = 0.5
@@ -343,9 +350,9 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
 
 
 class SlopeRule(BatchController, CompiledController):
-    """A rule for tasks on a slope with a take-away, by `actions="parcels"`.
+    """A rule with `actions="parcels"` for tasks on a slope with a take-away.
 
-    Its function leaves the halves of free rows as they are.
+    Its function does not write the halves of empty rows.
     """
 
     def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
@@ -357,14 +364,13 @@ class SlopeRule(BatchController, CompiledController):
         self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
         self._slope = read_slope(config)
         self._tuning = find_tuning(config) if tuning is None else tuning
-        # Rows of another environment serve as well.
         self._shape: tuple[int | None, int] = (None, len(config.features))
         self._rows = config.rows
         self._parcels = make_parcels(self._rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
-        """List what the kernel takes, to decide by tables (num_envs, rows, features)."""
+        """Return the kernel's arguments for tables (num_envs, rows, features)."""
         return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
 
     def begin(self) -> tuple[Any, ...]:
@@ -390,7 +396,7 @@ class SlopeRule(BatchController, CompiledController):
 
 
 def read_slope(config: EnvConfig) -> Slope:
-    """Read the surface, the take-away and what is asked from a configuration."""
+    """Read the parameters of the slope from a configuration."""
     task = checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
     line = config.chosen_line
     low, high = line.extent[2] - line.line_y, line.extent[3] - line.line_y

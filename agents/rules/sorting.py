@@ -21,7 +21,7 @@ from .decoding import Sight, look_at_line, see_line
 def choose_by_side(
     observations: Singles, sight: Sight, axes: Integers, waits: int, commands: Integers
 ) -> None:
-    """Choose 45 deg towards the asked side, and first 90 deg if it `waits` for the zone."""
+    """Choose 45 deg towards the goal side; if `waits`, 90 deg before the parcel is in the zone."""
     roll, _, left, right = axes
     for i in range(observations.shape[0]):
         seen = see_line(observations[i], sight)
@@ -40,7 +40,7 @@ class FixedLayout(CompiledRule):
     """
 
     kernel = staticmethod(choose_by_side)
-    waits = 0  # or 1: until the parcel is wholly in the zone
+    waits = 0  # 1: wait until the parcel is wholly in the zone
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("sort",))
@@ -78,10 +78,8 @@ class BoxLayouts:
 class BestSorting(FixedRule):
     """One layout for all entry speeds, found by `surface_gym.design` among the orientations.
 
-    It belongs to the study's box with the closest size. It sorts to y < 0; its mirror image sorts
-    to y > 0.
-
-    For the exit straight ahead, the axes stay at 90 deg.
+    It is the layout for the study's box with the closest size. It sorts to y < 0; its mirror image
+    sorts to y > 0. For the exit straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -111,9 +109,8 @@ class EventRule(FixedLayout):
 class GradedLayout(BatchController):
     """One layout for all entry speeds with axes that change gradually from column to column.
 
-    It is found by `surface_gym.design` for the study's box with the closest size.
-
-    For the exit straight ahead, the axes stay at 90 deg.
+    It is found by `surface_gym.design` for the study's box with the closest size. For the exit
+    straight ahead, the axes stay at 90 deg.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -132,7 +129,7 @@ class GradedLayout(BatchController):
 
 
 def _on_offer(angles: Numbers) -> list[SortingLayout]:
-    """Choose for each box the layout that sorts it at the smallest speed.
+    """Choose the layout of each box that sorts at the lowest speed.
 
     All axes of a layout must be among the available angles (angles,) [rad].
     """
@@ -144,7 +141,7 @@ def _on_offer(angles: Numbers) -> list[SortingLayout]:
 
 
 def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
-    """Fit a layout (its rows, its columns) [rad] to a zone whose middle row is the layout's."""
+    """Fit a layout (layout rows, layout columns) [rad] to a zone with the same middle row."""
     row = np.arange(rows) + (len(axis) - rows) // 2
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))

@@ -46,32 +46,32 @@ CLOSE_ENOUGH = 0.015  # [rad] smaller angle errors cost nothing (0.035 is allowe
 WORTH_IT = 0.004  # [rad] minimum advantage of turning over rolling
 # [-] distances from the centre, relative to the half length, from which modules turn the parcel.
 FROM = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
-KINDS_OF_TURN = 6  # either way by the modules ahead, by those behind, or by both
+KINDS_OF_TURN = 6  # both directions, by the modules ahead, behind, or both
 
 
 class Modules(NamedTuple):
-    """Modules of an action, an array (modules,) each; all is written before it is read."""
+    """Modules of an action, in arrays (modules,); their previous content is unused."""
 
     x: Numbers  # [m] from the parcel's centre
     y: Numbers  # [m]
-    braking: Numbers  # [m/s^2] of each
-    arm: Numbers  # [m] of its axis about the centre
-    soft: Numbers  # [m/s] below which it brakes less
-    by_x: Numbers  # [m/s] that it takes in a step
+    braking: Numbers  # [m/s^2] deceleration by the module
+    arm: Numbers  # [m] lever arm of its axis about the centre
+    soft: Numbers  # [m/s] speed below which it brakes less
+    by_x: Numbers  # [m/s] loss of speed in a step
     by_y: Numbers  # [m/s]
     by_arm: Numbers  # [m^2/s]
     choice: Integers  # orientation of each
 
 
 def make_modules(size: int) -> Modules:
-    """Make room for the modules of an action."""
+    """Allocate the arrays of an action's modules."""
     numbers: list[Any] = [*np.zeros((8, size)), np.zeros(size, dtype=np.int64)]
     return Modules(*numbers)
 
 
 @linked
 def place_modules(seen: LineReading | PathReading, sight: Sight, scratch: Modules) -> None:
-    """Locate the modules from the centre of a parcel, and share its braking among them."""
+    """Write the modules' positions from a parcel's centre, and their shares of its braking."""
     columns, under = sight.x.shape[0], 0
     for k in range(scratch.x.shape[0]):
         x, y = sight.x[k % columns] - seen.x, sight.y[k // columns] - seen.y
@@ -88,11 +88,11 @@ def predict(
     scratch: Modules, directions: Numbers, motion: Motion, half_length: float, pull: float,
     period: float,
 ) -> Motion:  # fmt: skip
-    """Predict the motion of an evenly loaded square a period on, with `scratch.choice`.
+    """Predict the motion of an evenly loaded square after a period of `scratch.choice`.
 
     Args:
         directions: (choices, 2) cosine and sine of each orientation.
-        pull: [m/s^2] along x.
+        pull: [m/s^2] acceleration along x by gravity.
     """
     dt = period / STEPS
     gyration = 2.0 / 3.0 * (half_length * half_length)  # [m^2] gyration of a square
@@ -120,14 +120,14 @@ def predict(
 
 
 def mixes(parts: int) -> Commands:
-    """List all mixes (mixes, 3) of parts that roll, lead to a side and brake."""
+    """List all mixes (mixes, 3) of parts that roll, lead to a side, and brake."""
     side, brake = np.indices((parts + 1, parts + 1)).reshape(2, -1)
     whole = side + brake <= parts
     return np.stack([parts - side - brake, side, brake], axis=-1)[whole]
 
 
 def leading_options(config: EnvConfig) -> Commands:
-    """List choices (options, modules) of a window: mixes to both sides, in two spreads."""
+    """List choices (options, modules) of a window: mixes for both sides, with two spreads."""
     axes = find_axes(config)
     rows, columns = config.action_kind.shape
     row, column = np.indices((rows, columns))
@@ -145,7 +145,7 @@ def leading_options(config: EnvConfig) -> Commands:
 
 @inlined
 def _slide_regret(path: PathReading, after: Motion, period: float) -> float:
-    """Sum squared speeds off the surface and the asked speed."""
+    """Sum squared distances from the sliding surface and from the goal speed."""
     # The path's heading at the predicted position.
     ahead = min(1.0, max(0.0, path.vx * period / track.AHEAD[1]))
     slope = path.slope + ahead * (path.slope_ahead - path.slope)
@@ -166,7 +166,7 @@ def slide(
     observations: Singles, sight: Sight, directions: Numbers, options: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the option (options, modules) that ends nearest to the surface."""
+    """Choose the option (options, modules) that ends closest to the sliding surface."""
     for i in range(observations.shape[0]):
         path = see_path(observations[i], sight)
         place_modules(path, sight, scratch)
@@ -213,7 +213,9 @@ def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules
     """Write the choices of an option: all roll, or modules ahead or behind turn the parcel."""
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
-    kind = (option - 1) // FROM.shape[0]  # both, those ahead, those behind; then the other way
+    kind = (option - 1) // FROM.shape[
+        0
+    ]  # both, ahead, behind; then the same in the other direction
     front, rear = (left, right) if kind < 3 else (right, left)
     for k in range(scratch.x.shape[0]):
         scratch.choice[k] = roll
@@ -227,7 +229,7 @@ def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules
 
 @inlined
 def _turn_regret(seen: LineReading, after: Motion, period: float) -> float:
-    """Compute how far [rad] off the asked angle a parcel comes to rest, or what is as bad."""
+    """Compute the error [rad] of the angle at rest, plus the costs of lost speed and drift."""
     turn = 0.5 * period * (seen.omega + after.omega)
     end = after.omega * abs(after.omega) * seen.half_length
     remaining = (seen.angle - seen.theta) - turn - end / (2.0 * END_OF_TURN)
@@ -240,7 +242,7 @@ def turn(
     observations: Singles, sight: Sight, directions: Numbers, axes: Integers, period: float,
     scratch: Modules, commands: Integers,
 ) -> None:  # fmt: skip
-    """Choose the modules that turn a parcel nearest to the asked angle."""
+    """Choose the modules that turn a parcel closest to the goal angle."""
     options = 1 + KINDS_OF_TURN * FROM.shape[0]
     for i in range(observations.shape[0]):
         seen = see_line(observations[i], sight)

@@ -21,7 +21,7 @@ from .slopes import ROLL, TO_LEFT, TO_RIGHT
 Rows = NDArray[np.float32]
 Halves = NDArray[np.int64]
 
-OWN = len(Sort.features)  # features that Sort shows of a parcel, and so does a row
+OWN = len(Sort.features)  # number of Sort's features, the first of a row
 OPEN = 1  # the gate opens at the first physics step, if there is room
 
 
@@ -57,7 +57,7 @@ class ParcelRule(BatchController):
 
 @compiled
 def choose_by_exits(tables: Rows, halves: Halves) -> None:
-    """Choose halves (num_envs, rows, 2): to its side where a parcel is past its exit's start."""
+    """Choose halves (num_envs, rows, 2): to a parcel's side once it is past its exit's start."""
     for i in range(tables.shape[0]):
         for k in range(tables.shape[1]):
             row, choice = tables[i, k], ROLL

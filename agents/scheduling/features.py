@@ -24,8 +24,8 @@ from .trajectories import DT, SIGNATURE, SPEED_STEP
 # Levels of clearance, from just apart (0) to a margin plus a control period (1).
 LEVELS = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0, 1.5, 2.5, 4.0])
 USUAL = 4  # index of the level used for costs
-GONE = 6  # number of last departed parcels that are shown
-TOKENS = 24  # maximum number of shown parcels: waiting, on the line, and departed last
+GONE = 6  # number of the last departed parcels in the features
+TOKENS = 24  # maximum number of parcels in the features: waiting, on the line, and departed last
 
 MANEUVER = (
     "place", "straight on", "angle", "duration", "length", "width", "entry speed", "delay",
@@ -156,7 +156,7 @@ class Features:
     ) -> Singles:
         """Return features (decisions, options, OPTION) of each candidate.
 
-        They include the booked parcel that it would wait for.
+        They include the booked parcel to wait for.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]

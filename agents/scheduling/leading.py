@@ -1,7 +1,6 @@
-"""A schedule at run time, as compiled functions that Python and the site's first page call.
+"""A schedule at run time, as compiled functions for Python and the site's first page.
 
-Parcels are followed from the gate on, entries are booked, and parcels on the line are led by their
-maneuvers.
+They follow parcels from the gate on, book entries, and lead parcels on the line by their maneuvers.
 """
 
 import math
@@ -16,9 +15,9 @@ from surface_gym.tasks.features import read
 from ..base import Booleans, Integers, Numbers, Singles
 from .trajectories import SIGNATURE
 
-BOOKED = 24  # the latest entries that a new one is held against
-WIDTH = 16  # sequences that the search keeps
-DEPTH = 8  # parcels that wait and are looked at, at most
+BOOKED = 24  # number of booked entries that limit a new one
+WIDTH = 16  # width of the beam search
+DEPTH = 8  # maximum waiting parcels in the search
 SHUT = 0
 LONG_AGO = -1e6  # [s]
 NOBODY = -1
@@ -26,24 +25,24 @@ SEEN = np.array(SIGNATURE)
 
 
 class Way(NamedTuple):
-    """How parcels are led: the maneuvers, and what obeys."""
+    """Parameters of leading: maneuvers and groups of modules."""
 
     roll: int  # orientation of 90 deg
-    kind: Integers  # (maneuvers,), `place`, `choice` and `turned` as `Maneuvers` has them
+    kind: Integers  # (maneuvers,), like `place`, `choice` and `turned`; see `Maneuvers`
     place: Numbers
     choice: Integers
-    turned: Integers  # (maneuvers, 2) first and last group that it turns
-    origin: Numbers  # (kinds,) [m] x from which a row counts its rear
-    first: Numbers  # (groups,) [m] x of each group's first column, and of its last;
-    last: Numbers  # no groups: every module obeys by itself
-    spans: Integers  # (groups, 2) first column of each and the one after its last
-    ahead: float  # [s] that a group is turned before it is used
-    rows: int  # of modules that obey
+    turned: Integers  # (maneuvers, 2) first and last turned group
+    origin: Numbers  # (kinds,) [m] x of the origin of a row's rear position
+    first: Numbers  # (groups,) [m] x of each group's first column
+    last: Numbers  # (groups,) [m] x of its last column; no groups: single modules
+    spans: Integers  # (groups, 2) first column of a group, and the column after its last
+    ahead: float  # [s] time between turning a group and its use
+    rows: int  # rows of obeying modules
     columns: int
 
 
 class Orders(NamedTuple):
-    """What entries are booked by; see `Library`."""
+    """Parameters of booking; see `Library`."""
 
     gaps: Numbers  # (maneuvers, maneuvers) [s]
     delay: Numbers  # (maneuvers,) [s]
@@ -70,14 +69,14 @@ class Book(NamedTuple):
 class Workspace(NamedTuple):
     """Sequences of maneuvers in a search, by number of parcels, best first."""
 
-    maneuver: Integers  # (DEPTH, WIDTH) of the last parcel
-    time: Numbers  # (DEPTH, WIDTH) [s] when it enters
-    before: Integers  # (DEPTH, WIDTH) the sequence that is one parcel shorter
+    maneuver: Integers  # (DEPTH, WIDTH) maneuver of the last parcel
+    time: Numbers  # (DEPTH, WIDTH) [s] its time of entry
+    before: Integers  # (DEPTH, WIDTH) index of the sequence without it
     cost: Numbers  # (DEPTH, WIDTH) [s] expected entry of one more parcel
 
 
 def make_workspace() -> Workspace:
-    """Make the arrays of a search."""
+    """Allocate the arrays of a search."""
     shape = (DEPTH, WIDTH)
     return Workspace(
         np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros(shape, dtype=np.int64),
@@ -90,13 +89,13 @@ def find_next(
     gaps: Numbers, delay: Numbers, options: Integers, queue: Integers, booked: Integers,
     entered: Numbers, now: float, space: Workspace,
 ) -> tuple[int, float]:  # fmt: skip
-    """Find the maneuver of the next parcel to enter, and when [s] it enters.
+    """Find maneuver and time of entry [s] of the next parcel.
 
     Args:
-        gaps: (maneuvers, maneuvers) [s], `delay` and `options` as `Library` has them.
-        queue: (parcels,) kind of each that waits, the next to enter first.
+        gaps: (maneuvers, maneuvers) [s] gaps; `delay` and `options` are as in `Library`.
+        queue: (parcels,) kinds of the waiting parcels, next first.
         booked: (BOOKED,) maneuvers that entered at `entered` (BOOKED,) [s].
-        now: [s] before which none enters.
+        now: [s] earliest time of entry.
     """
     count = 1
     for depth in range(queue.shape[0]):
@@ -133,7 +132,7 @@ def find_next(
     return space.maneuver[0, at], space.time[0, at]
 
 
-search = compiled(find_next.py_func)  # as Python calls it
+search = compiled(find_next.py_func)  # for calls from Python
 
 
 @inlined
@@ -144,7 +143,7 @@ def _is_there(row: Singles) -> bool:
 
 @linked
 def recognise(row: Singles, signature: Numbers) -> int:
-    """Recognise the kind of a parcel by its row."""
+    """Return the kind of a parcel from its row."""
     kind, least = 0, math.inf
     for k in range(signature.shape[0]):
         apart = 0.0
@@ -157,7 +156,7 @@ def recognise(row: Singles, signature: Numbers) -> int:
 
 @inlined
 def _turn(values: Numbers | Integers, back: bool) -> None:
-    """Move all values of a list by one place, the last to the front or the first to the back."""
+    """Rotate a list by one place: the last value to the front, or the first to the back."""
     last = values.shape[0] - 1
     if back:
         first = values[0]
@@ -173,7 +172,7 @@ def _turn(values: Numbers | Integers, back: bool) -> None:
 
 @linked
 def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
-    """Find the row of the parcel that entered, or take back its entry where it still waits."""
+    """Find the row of the entered parcel; undo its entry if it still waits."""
     for i in range(tables.shape[0]):
         gate = tables[i, orders.parcels]
         due = book.clock[i] + read(gate, COLUMN.time)
@@ -188,7 +187,7 @@ def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
             elif book.rows[i, row] == NOBODY:
                 if book.pending[i] and not stayed:
                     book.rows[i, row] = book.booked[i, 0]
-                else:  # on the line before the scheduler was
+                else:  # on the line before the scheduler began
                     kind = recognise(tables[i, row], orders.signature)
                     book.rows[i, row] = orders.options[kind, 0]
 
@@ -213,10 +212,10 @@ def open_gates(
     tables: Singles, orders: Orders, book: Book, space: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers,
 ) -> None:  # fmt: skip
-    """Choose in which step each gate opens, and for which maneuver (num_envs,), and book it.
+    """Choose the step and the maneuver (num_envs,) of each gate's opening, and book it.
 
     Args:
-        queue: (DEPTH,) that is written to.
+        queue: (DEPTH,) scratch array.
     """
     for i in range(tables.shape[0]):
         opens[i], maneuver[i] = SHUT, NOBODY
@@ -243,12 +242,12 @@ def open_gates(
 def lead_parcels(
     tables: Singles, way: Way, rows: Integers, stands: Integers, actions: Integers
 ) -> None:
-    """Write what all that obeys does for a control period; the gate is left as it is.
+    """Write actions of all modules for a control period, without the gate.
 
     Args:
         rows: (num_envs, parcels) maneuver of each parcel, or NOBODY.
-        stands: (num_envs, groups) what each group stands at.
-        actions: (num_envs, more than `rows` or modules) by parcels' halves, or by modules.
+        stands: (num_envs, groups) orientation of each group.
+        actions: (num_envs, more than `rows` or modules) actions of parcels' halves, or of modules.
     """
     groups = way.spans.shape[0]
     for i in range(tables.shape[0]):
@@ -273,7 +272,7 @@ def lead_parcels(
 
 @inlined
 def _choose(row: Singles, way: Way, maneuver: int) -> int:
-    """Choose what the modules under a parcel do by its maneuver."""
+    """Return the orientation of the modules under a parcel by its maneuver."""
     if maneuver < 0:
         return way.roll
     past = read(row, COLUMN.past_the_exit_s_start)
@@ -282,7 +281,7 @@ def _choose(row: Singles, way: Way, maneuver: int) -> int:
 
 @inlined
 def _find_leader(table: Singles, way: Way, rows: Integers, group: int) -> int:
-    """Find the parcel farthest along, of all that are over a group or soon will be; -1: none.
+    """Find the foremost parcel over a group or soon to be over it; -1: none.
 
     Lengths and ways ahead have single precision.
     """
@@ -311,7 +310,7 @@ def schedule(
     tables: Singles, orders: Orders, way: Way, book: Book, scratch: Workspace, queue: Integers,
     maneuver: Integers, opens: Integers, actions: Integers,
 ) -> None:  # fmt: skip
-    """Follow parcels, open gates, and write actions (num_envs, size), whose last is the gate."""
+    """Follow parcels, open gates, and write actions (num_envs, size); the gate is the last one."""
     follow_parcels(tables, orders, book)
     open_gates(tables, orders, book, scratch, queue, maneuver, opens)
     lead_parcels(tables, way, book.rows, book.stands, actions)

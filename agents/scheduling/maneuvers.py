@@ -112,9 +112,9 @@ class Lead:
         self._pitch = line.pitch_x
         exits = config.exits
         starts = [self.zone_x if each.side == 0 else max(self.zone_x, each.first) for each in exits]
-        # [m] x from which a row counts how far a parcel's rear is
+        # [m] x of the origin of a row's rear position
         self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
-        turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] of an axis by 90 deg
+        turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] quarter turn of an axis
         self.ahead = config.control_period + turn  # [s] time between turning a group and its use
         self._angles = np.array(config.chosen_orientations)
         if groups is not None:
@@ -145,7 +145,7 @@ class Lead:
         return actions, stands
 
     def describe(self, maneuvers: Maneuvers) -> Way:
-        """Describe for compiled functions how parcels are led by maneuvers."""
+        """Return the parameters of leading, for compiled functions."""
         first: NDArray[Any] = np.zeros(0)
         last, spans = first, np.zeros((0, 2), dtype=np.int64)
         if self.groups is not None:
@@ -319,8 +319,8 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
 
     Args:
         variant: SLOW: smallest speed of the kind. FAST: largest speed, with entry in the other half
-            of a control period. EARLY and LATE: slower and faster than that, so that parcels turn
-            off too early or too late.
+            of a control period. EARLY and LATE: slower and faster still, so that parcels turn off
+            too early or too late.
     """
     count = len(tried.kind)
     booked = np.arange(count)[:, np.newaxis]
@@ -353,7 +353,7 @@ def _raise_gaps(
     slack: float,
     gaps: Numbers,
 ) -> None:
-    """Raise gaps as runs require: parcels keep their clearance, and their groups are free."""
+    """Raise gaps until parcels keep their clearance and their groups are free."""
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.axes.roll), maneuvers.choice], axis=1)
     needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
@@ -384,7 +384,7 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
 
 
 def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers, Numbers]:
-    """Compute the times (maneuvers, groups, 2) [s] of need for each group, at 90 deg and turned.
+    """Compute when each maneuver needs each group (maneuvers, groups, 2) [s], at 90 deg and turned.
 
     Each interval has a start and an end; infinite and negative without need.
     """

@@ -104,7 +104,7 @@ class Scheduler(BatchController):
         return actions, book
 
     def start_arguments(self) -> tuple[Any, ...]:
-        """List what `schedule` takes in an environment that begins an episode."""
+        """Return the arguments of `schedule` at the start of an episode, for one environment."""
         tables = np.zeros((1, *self._shape), dtype=np.float32)
         return self._arguments(
             tables, self._start(1), np.zeros(1, dtype=np.int64), self._rest(1)
@@ -119,14 +119,14 @@ class Scheduler(BatchController):
         )  # fmt: skip
 
     def _recall(self, num_envs: int, state: Any, episode_start: Any) -> Book:
-        """Copy what is remembered of episodes that go on."""
+        """Copy the memory of continued episodes."""
         fresh, book = is_fresh(num_envs, state, episode_start), self._start(num_envs)
         if state is None:
             return book
         return Book(*renew(book, checks.alike("state", state, book), fresh))
 
     def _rest(self, num_envs: int) -> Integers:
-        """Make actions (num_envs, size)."""
+        """Make the initial actions (num_envs, size)."""
         return np.full((num_envs, self._size), self.library.lead.axes.roll)
 
 
@@ -217,7 +217,7 @@ def find_plain(
 
 
 def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
-    """Begin episodes of a stream, each seeded by `seed` plus its index."""
+    """Begin episodes of a stream; the seed of an episode is `seed` plus its index."""
     batch = StreamBatch(config, count)
     for i in range(count):
         batch.seed(i, np.random.default_rng((seed, i)))

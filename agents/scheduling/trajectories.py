@@ -58,7 +58,7 @@ def list_asked(config: EnvConfig) -> list[Asked]:
 
 @dataclass(frozen=True, eq=False)
 class LoneRuns:
-    """Runs of parcels that are each alone on a line."""
+    """Runs of single parcels on a line."""
 
     pose: Numbers  # (runs, moments, 3) [m, m, rad] poses of the centroid every DT from entry
     moments: Integers  # (runs,) number of moments until departure
@@ -78,11 +78,11 @@ def run_alone(
     opens: Integers,
     seeds: Sequence[int],
 ) -> LoneRuns:
-    """Run each parcel alone on a line with a gate.
+    """Run each parcel as the only one on a line with a gate.
 
     Args:
         act: function from tables (runs, rows, features) to actions without the gate (runs, size).
-        opens: (runs,) physics step of the first period in which each parcel enters.
+        opens: (runs,) physics step of the first period at which the parcel enters.
         seeds: (runs,) seeds of all random draws.
     """
     streams = [Stream(arrivals.Trace((arrivals.Arrival(0.0, *one),))) for one in asked]

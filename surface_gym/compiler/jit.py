@@ -68,7 +68,7 @@ class _Walk:
         elif isinstance(value, np.ndarray):
             self._write("array", value.dtype.str, value.shape, value.tobytes())
         elif isinstance(value, (tuple, list)):
-            names = getattr(value, "_fields", ())  # which value is whose
+            names = getattr(value, "_fields", ())  # names of the values
             self._write(type(value).__qualname__, len(value), *names)
             for each in value:
                 self.take(each)
@@ -265,7 +265,7 @@ class _DigestCache(FunctionCache):
             _warn(f"{self._cache_path} cannot be written ({error.strerror})")
 
     def _forget_old(self) -> None:
-        """Remove versions of code before an edit."""
+        """Remove versions of older code."""
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self.label}-*.nbi"))

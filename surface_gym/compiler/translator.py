@@ -1,8 +1,8 @@
 """Translation of the CPU kernels' functions for another compiler.
 
-The walk goes from each compiled function to its callees, like the walk of the cache's digest. Each
-function is translated from the same code, with other constants, and wrapped for the other compiler.
-So no function is written twice.
+The walk goes from a compiled function to its callees, like the walk of the cache's digest. It
+copies every function with other constants, and wraps it for the other compiler. So no function is
+written twice.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ Wrap = Callable[[FunctionType, Any], Any]  # arguments: the copy of a function, 
 
 
 class Translator:
-    """Functions of the CPU, translated once each for another compiler.
+    """The CPU's functions, each translated once for another compiler.
 
     Args:
         wrap: function that compiles a copy for the other compiler.

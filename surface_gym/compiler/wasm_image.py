@@ -20,9 +20,9 @@ import numpy as np
 from surface_gym.compiler.wasm_linker import STACK
 
 BASE = STACK  # [bytes] address of an image: past the module's constants and stack
-WORD = 8  # [bytes] of an argument
-ALIGNMENT = 16  # [bytes] of arrays
-SCRATCH = ("scratch.", "sensor_scratch.")  # beginnings of names of what needs no bytes
+WORD = 8  # [bytes] size of an argument
+ALIGNMENT = 16  # [bytes] alignment of arrays
+SCRATCH = ("scratch.", "sensor_scratch.")  # prefixes of names of scratch
 KINDS = ("bool", "float32", "float64", "int32", "int64")  # types of arrays
 NUMBERS = ("float64", "int64")  # types of numbers
 
@@ -31,14 +31,14 @@ NUMBERS = ("float64", "int64")  # types of numbers
 class MemoryField:
     """An array or a number among a kernel's arguments."""
 
-    name: str  # such as `parcels.state`
+    name: str  # e.g. `parcels.state`
     dtype: str  # one of KINDS
-    shape: tuple[int, ...]  # () of a number
+    shape: tuple[int, ...]  # () for a number
     address: int
 
     @property
     def size(self) -> int:
-        """[bytes]."""
+        """Size in bytes."""
         return np.dtype(self.dtype).itemsize * math.prod(self.shape)
 
 
@@ -47,9 +47,9 @@ class Image:
     """A kernel's arguments as bytes."""
 
     fields: tuple[MemoryField, ...]
-    block: bytes  # of memory from BASE on
-    end: int  # [bytes] address past the last array, scratch included
-    signature: str  # of the arguments' names and types: a module takes images of one
+    block: bytes  # content of the memory from BASE on
+    end: int  # [bytes] address past the last array or scratch
+    signature: str  # digest of the arguments' names and types, required by the module
 
     @cached_property
     def places(self) -> dict[str, MemoryField]:
@@ -57,7 +57,7 @@ class Image:
         return {field.name: field for field in self.fields}
 
     def layout(self) -> dict[str, Any]:
-        """Describe the image for JavaScript: fields by name as [type, shape, address]."""
+        """Return the layout for JavaScript: [type, shape, address] by name."""
         return {
             "signature": self.signature,
             "base": BASE,
@@ -67,7 +67,7 @@ class Image:
         }
 
     def to_json(self) -> str:
-        """Write the layout as a line of JSON."""
+        """Return the layout as a line of JSON."""
         return json.dumps(self.layout(), separators=(",", ":")) + "\n"
 
 
@@ -92,10 +92,10 @@ def compute_signature(leaves: dict[str, Any]) -> str:
 
 
 def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
-    """Write a kernel's arguments as an image.
+    """Make the memory image of a kernel's arguments.
 
     Args:
-        kernel: a compiled function that Python calls.
+        kernel: compiled function called by Python.
         arguments: C-contiguous arrays, integers, floats, and named tuples of them.
     """
     leaves = name_arguments(kernel, arguments)
@@ -117,7 +117,7 @@ def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
         if values.ndim == 0:
             words.append(int(values.view(np.int64)))
             continue
-        # As Numba takes an array: two owners that are nobody, and what follows from its shape.
+        # Numba's array structure: two null owners, and numbers that follow from the shape.
         words += [0, 0, values.size, values.itemsize, address, *values.shape, *values.strides]
         if not is_scratch(name):
             first = address - BASE
@@ -132,7 +132,7 @@ def is_scratch(name: str) -> bool:
 
 
 def _count_words(values: np.ndarray) -> int:
-    """Count the arguments that Numba makes of an array or a number."""
+    """Return the number of words that Numba uses for an array or a number."""
     return 5 + 2 * values.ndim if values.ndim else 1
 
 

@@ -1,28 +1,28 @@
-"""A WebAssembly module made of one object file.
+"""Conversion of one object file to a WebAssembly module.
 
-LLVM writes an object file as a module that imports its memory and its stack's end, with every index
-and address as it is when nothing else is linked. So these imports are replaced by definitions, and
-the notes for other linkers left out. https://webassembly.github.io/spec/core/binary
+LLVM's object file imports its memory and its stack pointer. With a single file, all indices and
+addresses are final. So the imports become definitions, and the linker's sections are dropped.
+https://webassembly.github.io/spec/core/binary
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-STACK = 64 * 1024  # [bytes] of stack, with the constants below it
-PAGES = 2  # of 64 KiB, that the memory has at first; it grows
+STACK = 64 * 1024  # [bytes] address of the stack's end, with constants below it
+PAGES = 2  # initial pages of 64 KiB; the memory grows
 _HEAD = b"\0asm\1\0\0\0"
-# Sections, in the order that they have in a module.
+# Sections in the order of a module.
 (CUSTOM, TYPE, IMPORT, FUNCTION, TABLE, MEMORY, GLOBAL, EXPORT, START, ELEMENT, CODE, DATA,
  DATA_COUNT) = range(13)  # fmt: skip
 _ORDER = (TYPE, IMPORT, FUNCTION, MEMORY, GLOBAL, EXPORT, DATA_COUNT, CODE, DATA)
 _FUNCTIONS, _MEMORIES, _GLOBALS = 0, 2, 3  # kinds of imports and exports
-# Of the notes for linkers: the table of symbols, a mark in it, and kinds of symbols.
+# Linker's section: the symbol table, a flag, and kinds of symbols.
 _SYMBOLS, _UNDEFINED, _DATA, _SECTION = 8, 0x10, 1, 3
 _I32, _I32_CONST, _END, _MUTABLE = 0x7F, 0x41, 0x0B, 1
 
 
 class _Reader:
-    """Bytes read one after the other."""
+    """Sequential reader of bytes."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -30,7 +30,7 @@ class _Reader:
 
     @property
     def ended(self) -> bool:
-        """Whether all is read."""
+        """Return whether all bytes are read."""
         return self.place >= len(self._data)
 
     def take(self, count: int) -> bytes:
@@ -39,7 +39,7 @@ class _Reader:
         return self._data[self.place - count : self.place]
 
     def number(self) -> int:
-        """Read an unsigned number, seven bits a byte, the lowest first."""
+        """Read an unsigned LEB128 number."""
         value = shift = 0
         while True:
             (byte,) = self.take(1)
@@ -50,19 +50,19 @@ class _Reader:
 
 
 class _Import(NamedTuple):
-    """What an object file takes from others."""
+    """An import of the object file."""
 
     kind: int
     name: bytes
-    written: bytes  # as it stands in the file
+    written: bytes  # encoded import
 
 
 def link(code: bytes, names: tuple[str, ...]) -> bytes:
-    """Make a module of an object file, which exports `memory` and some functions of the file.
+    """Make a module from an object file; it exports `memory` and the named functions.
 
     Args:
-        code: the object file, whose symbols name its functions.
-        names: of the functions.
+        code: object file with symbols for its functions.
+        names: names of the exported functions.
     """
     sections = {kind: body for kind, body in _sections(code) if kind != CUSTOM}
     places = dict(_symbols(code))
@@ -76,7 +76,7 @@ def link(code: bytes, names: tuple[str, ...]) -> bytes:
     sections[IMPORT] = _list(functions)
     sections[MEMORY] = _list([bytes([0, PAGES])])
     if b"__stack_pointer" in others:
-        # A signed number: the bit above its highest is 0, as in a power of two that takes 17 bits.
+        # A signed LEB128 number needs a zero sign bit; the power of two needs 17 bits.
         start = bytes([_I32, _MUTABLE, _I32_CONST]) + _unsigned(STACK) + bytes([_END])
         sections[GLOBAL] = _list([start])
     sections[EXPORT] = _list(
@@ -93,7 +93,7 @@ def link(code: bytes, names: tuple[str, ...]) -> bytes:
 
 
 def make_note(name: str, content: bytes) -> bytes:
-    """Make a section for a module's end, which those who run the module skip."""
+    """Make a custom section for a module's end, which engines ignore."""
     body = _name(name.encode()) + content
     return bytes([CUSTOM]) + _unsigned(len(body)) + body
 
@@ -110,7 +110,7 @@ def _sections(code: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _symbols(code: bytes) -> Iterator[tuple[bytes, int]]:
-    """Read the names and places of the functions that a file defines.
+    """Read names and indices of the functions defined in a file.
 
     https://github.com/WebAssembly/tool-conventions/blob/main/Linking.md
     """
@@ -147,9 +147,11 @@ def _imports(body: bytes) -> Iterator[_Import]:
         if kind == _FUNCTIONS:
             reader.number()  # its type
         elif kind == _GLOBALS:
-            reader.take(2)  # its type, and whether it changes
+            reader.take(2)  # its type and mutability
         elif kind == _MEMORIES:
-            for _ in range(1 + (reader.number() & 1)):  # least pages, and most if they are bounded
+            for _ in range(
+                1 + (reader.number() & 1)
+            ):  # minimum pages, and maximum pages if bounded
                 reader.number()
         else:
             raise ValueError(f"code must import functions, its memory and its stack, got {name!r}")
@@ -165,7 +167,7 @@ def _name(name: bytes) -> bytes:
 
 
 def _unsigned(value: int) -> bytes:
-    """Write a number, seven bits a byte, the lowest first."""
+    """Encode an unsigned LEB128 number."""
     written = bytearray()
     while value >= 0x80:
         written.append(value & 0x7F | 0x80)

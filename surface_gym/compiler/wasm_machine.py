@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surface_gym.compiler.wasm import Module
 from surface_gym.compiler.wasm_image import BASE, Image
 
-PAGE = 64 * 1024  # [bytes] by which a module's memory grows
+PAGE = 64 * 1024  # [bytes] of a page of memory
 
 
 class Machine:
@@ -50,7 +50,7 @@ class Machine:
         return int(self._step(self._store, BASE))
 
     def view(self, name: str) -> NDArray[Any]:
-        """View an array or a number by its name, such as `parcels.state`, in the memory."""
+        """Return a view of an array or a number by name, e.g. `parcels.state`."""
         if self._image is None or name not in self._image.places:
             names = ", ".join(self._image.places) if self._image else "none before an image"
             raise ValueError(f"name must be one of {names}, got {name!r}")

@@ -1,1 +1,1 @@
-"""Batches of environments, and the functions and memory that they are assembled from."""
+"""Batches of environments, with the functions and memory that they consist of."""

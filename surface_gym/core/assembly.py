@@ -1,4 +1,4 @@
-"""Parts of a batch put together: its kernel's functions, its parameters and its threads."""
+"""Parts of a batch: functions of its kernel, parameters and threads."""
 
 import math
 import os
@@ -18,13 +18,13 @@ from surface_gym.physics.types import Integers, Scratch, make_scratch
 from surface_gym.sensors.base import Sensor
 from surface_gym.tasks.base import Task
 
-FEWEST = 4  # environments that a thread is worth its while for
-LOOK = 20_000  # steps of a parcel that a thread takes in a row: Ctrl-C waits for no more
-PARTS = 16  # of a thread's share of environments; a thread done early takes some of the last two
+FEWEST = 4  # minimum environments per thread
+LOOK = 20_000  # maximum steps of a thread in one call, so that Ctrl-C does not wait long
+PARTS = 16  # parts of a thread's share of environments; early threads take some of the last two
 
 
 class Workers:
-    """One thread or more; results do not depend on their number."""
+    """A pool of threads; results do not depend on their number."""
 
     def __init__(self, threads: int, steps: int, make: Callable[[], Any] = make_scratch) -> None:
         self._most = max(1, LOOK // steps)  # environments in a row
@@ -47,10 +47,10 @@ class Workers:
         """Call `step(*arrays, scratch, sensor's scratch, chosen)` over the chosen environments."""
         if threads == 1:
             return self._in_pieces(step, (*arrays, *self._scratches[0]), chosen)
-        if self._pool is None or self._process != os.getpid():  # a fork has none of the threads
+        if self._pool is None or self._process != os.getpid():  # a forked process has no threads
             self._pool = ThreadPoolExecutor(len(self._scratches) - 1)
             self._process = os.getpid()
-        # A thread has the same environments each time, which its core has in its memory still.
+        # A thread gets the same environments every time, since they are in its core's cache.
         cuts = [k * len(chosen) // (PARTS * threads) for k in range(PARTS * threads + 1)]
         firsts = range(0, PARTS * threads, PARTS)
         remaining = iter(
@@ -72,7 +72,7 @@ class Workers:
         return work(0) + sum(other.result() for other in others)
 
     def _in_pieces(self, step: Callable[..., int], given: tuple[Any, ...], chosen: Integers) -> int:
-        """Call `step(*given, chosen)` for a few environments at a time, so that Ctrl-C is seen."""
+        """Call `step(*given, chosen)` for a few environments at a time, so that Ctrl-C works."""
         if len(chosen) <= self._most:
             return step(*given, chosen)
         firsts = range(0, len(chosen), self._most)
@@ -80,7 +80,7 @@ class Workers:
 
 
 def task_functions(config: EnvConfig) -> KernelFunctions:
-    """Collect the functions that the kernel of one parcel is built from."""
+    """Return the functions of the kernel for one parcel."""
     task, sensor, kind = config.task, config.sensors, config.action_kind
     window = kind.name == "window"
     show_axes = feature_groups.show_window_axes if window else feature_groups.show_zone_axes
@@ -102,7 +102,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
 
 
 def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
-    """Choose how axes obey: at any angle or only at given ones, at once or by turning."""
+    """Return the functions of the axes: for any angle or given orientations, at once or turning."""
     if turning:
         aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
         return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)
@@ -113,7 +113,7 @@ def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Collect compiled functions of a task or a sensor by their names, with an ending."""
+    """Return compiled functions of a task or a sensor by name, with a common ending."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not is_compiled(function):
@@ -125,7 +125,7 @@ def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = ""
 
 
 def make_env_params(config: EnvConfig) -> EnvParams:
-    """Collect the numbers that all environments of a batch have in common."""
+    """Return the common parameters of a batch's environments."""
     line, timing, kind = config.chosen_line, config.timing, config.action_kind
     features = len(config.task.features)
     return EnvParams(
@@ -147,7 +147,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 
 
 def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.ParcelState]:
-    """Make the memory of surfaces and parcels, nothing placed yet, every axis the conveyor's."""
+    """Allocate the state of surfaces and parcels, without parcels, and with the conveyor's axes."""
     return _make_surfaces(config, num_envs), _make_parcels(config, num_envs * config.rows)
 
 
@@ -155,7 +155,7 @@ def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
     line, kind = config.chosen_line, config.action_kind
     grid = (count, line.rows, line.columns)
     turning = config.actuators.axis_speed != math.inf
-    # Axes that are one of a few directions count them; those at any angle have one each.
+    # Axes are indices into few directions; with any angle, every axis has its own direction.
     angles = np.array(config.chosen_orientations)
     if kind.choices > 0 and not turning:
         axis = np.full(grid, len(angles), dtype=np.int32)

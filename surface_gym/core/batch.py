@@ -60,7 +60,7 @@ class BaseBatch(ABC):
         self.config = config
         self.task = config.task
         self.num_envs = num_envs
-        self.outcomes = st.COMMON_OUTCOMES + config.task.outcomes  # by the numbers of `outcome`
+        self.outcomes = st.COMMON_OUTCOMES + config.task.outcomes  # names by number in `outcome`
         self.term_names = tuple(REWARD + term for term in config.task.terms)  # in infos
         self._draws = config.draws
         self._threads = min(threads, max(1, num_envs // FEWEST))
@@ -110,7 +110,7 @@ class BaseBatch(ABC):
 
     @property
     def terms(self) -> Array:
-        """(num_envs, terms) terms of these rewards, named by the task."""
+        """(num_envs, terms) terms of these rewards, in the order of the task's names."""
         return self.episodes.terms
 
     @property

@@ -1,7 +1,7 @@
-"""The compiled kernel: one control period of an environment, built from the parts of its batch.
+"""The compiled kernel: one control period of an environment.
 
-It applies the command, turns the axes, steps the physics and calls sensor and task. Only the
-functions of the batch's own task, sensor and kind of action are compiled into it.
+It applies the command, turns the axes, steps the physics, and calls sensor and task. It only
+contains the functions of the batch's task, sensor and kind of action.
 """
 
 import math
@@ -39,24 +39,24 @@ class ShownGroup(NamedTuple):
 
 
 class KernelFunctions(NamedTuple):
-    """Functions that a kernel is built from."""
+    """Functions of a kernel."""
 
-    label: str  # of its files in the cache
-    begin: Function  # the task's
+    label: str  # name of its files in the cache
+    begin: Function
     is_done: Function
     outcome: Function
     reward: Function
     observe: Function
     mirror: Function
-    begin_sensor: Function  # the sensor's
+    begin_sensor: Function
     update_sensor: Function
     read_sensor: Function
     watches: bool
-    part_of: Function  # the kind of action's
+    part_of: Function
     actuation: Actuation
-    show_modules: Function  # what is observed after the task's features
+    show_modules: Function  # writes features after the task's
     show_axes: Function
-    groups: tuple[ShownGroup, ...]  # what is observed at the end
+    groups: tuple[ShownGroup, ...]  # writes the last features
 
 
 class EnvParams(NamedTuple):
@@ -65,13 +65,13 @@ class EnvParams(NamedTuple):
     elements: Geometry
     timing: Timing
     acting: ActionParams
-    friction: Array  # (rows, columns, 3) [-] of the elements
-    assumed: Array  # (rows, columns, 3) [-] as the sensor has it
-    stiffness: Array  # (rows, columns) [-] as the sensor has it
+    friction: Array  # (rows, columns, 3) [-] friction of the elements
+    assumed: Array  # (rows, columns, 3) [-] friction in the sensor's model
+    stiffness: Array  # (rows, columns) [-] stiffness in the sensor's model
     sensor: Array  # its parameters
-    features: int  # that the task observes
-    axes_from: int  # place in the observation from which axes are shown
-    outcomes: int  # that there are
+    features: int  # number of the task's features
+    axes_from: int  # first index of the axes' features
+    outcomes: int  # number of outcomes
 
 
 @lru_cache(maxsize=64)
@@ -112,8 +112,9 @@ def _showing(group: ShownGroup) -> Any:
 
 
 def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
-    """Build `show_groups(params, state, first, mirror) -> int`, which writes groups of features
-    into the observation from `first` on, and returns the place after them.
+    """Build `show_groups(params, state, first, mirror) -> int`.
+
+    It writes the groups' features into the observation from `first` on, and returns the next index.
     """
     if not groups:
 
@@ -136,7 +137,7 @@ def _showing_all(groups: tuple[ShownGroup, ...]) -> Any:
 
 @lru_cache(maxsize=256)
 def showing(functions: KernelFunctions) -> Any:
-    """Build `show_more(params, state, mirror)`, which observes what follows the task's features."""
+    """Build `show_more(params, state, mirror)`, which writes all features after the task's."""
     show_modules, show_axes = functions.show_modules, functions.show_axes
     show_groups = _showing_all(functions.groups)
     size = sum(group.size for group in functions.groups)
@@ -160,8 +161,10 @@ def begin_period(parcels: ParcelState, i: int) -> None:
 
 
 def _running(functions: KernelFunctions) -> Any:
-    """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`: the physics
-    steps of a control period, until the parcel is off the surface or the task is done.
+    """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
+
+    It runs the physics steps of a control period, until the parcel is off the surface or the task
+    is done.
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
@@ -211,7 +214,7 @@ def _running(functions: KernelFunctions) -> Any:
 
 
 def _ending(functions: KernelFunctions) -> Any:
-    """Build `end(params, parcels, state, i)`: the outcome and the reward of a control period."""
+    """Build `end(params, parcels, state, i)`: it writes outcome and reward of a control period."""
     task_outcome, task_reward = functions.outcome, functions.reward
 
     @inlined

@@ -21,7 +21,7 @@ def has_numba_cuda() -> bool:
 
 
 def check_device() -> None:
-    """Raise DeviceMissing where there is no GPU, or a library to use it is not installed."""
+    """Raise DeviceMissing if there is no GPU, or if a required library is missing."""
     for module in ("torch", "numba_cuda"):
         if find_spec(module) is None:
             raise DeviceMissing(f"device='cuda' needs {module}, which is not installed: {EXTRA}")

@@ -26,17 +26,17 @@ class BaseCudaBatch(ABC):
     """Environments on a device: placed, stepped and observed; all arrays are tensors on it."""
 
     outcomes: tuple[str, ...]  # by the numbers of `outcome`
-    options: tuple[str, ...]  # what `reset(options=...)` may fix
-    author: str  # the class named where a compiled function makes an error
+    options: tuple[str, ...]  # names of reset options
+    author: str  # class name in error messages of compiled functions
     _surfaces: Any  # as `SurfaceState`, of tensors
     _episodes: Any  # has outcome, reward and fault of each environment, as tensors
-    _step: kernels.Launch  # of the environments in `_mask`, in the order of `_order`
+    _step: kernels.Launch  # steps the environments in `_mask`, in the order of `_order`
 
     def __init__(self, num_envs: int, device: torch.device) -> None:
         self._device = device
-        # (num_envs,) the first fault that a compiled function made
+        # (num_envs,) first fault of a compiled function
         self.first_fault = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        # What kernels read: (num_envs,) the environment of each thread, and which to step.
+        # (num_envs,) inputs of kernels: the environment of a thread, and whether to step it.
         self._order = torch.arange(num_envs, device=device)
         self._mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
 

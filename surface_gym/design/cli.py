@@ -1,4 +1,4 @@
-"""`python -m surface_gym.design`: the questions of the command line and their flags."""
+"""`python -m surface_gym.design`: questions and flags of the command line."""
 
 import math
 import sys
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from surface_gym.design.runs import OnProgress
     from surface_gym.parcel import Base
 
-STOPPED = 130  # status of a command that Ctrl-C ends
+STOPPED = 130  # exit status after Ctrl-C
 ZONE = 16  # default columns of a searched layout
 MASS = (
     "Mass cancels out of the motion: these answers hold for any mass. Only the inertia over the "
@@ -131,11 +131,11 @@ class Question:
     """Folder for the tables and the figure."""
 
     file: ClassVar[str | None] = None
-    has_speed: ClassVar[bool] = True  # whether the entry speed counts
+    has_speed: ClassVar[bool] = True  # whether the entry speed matters
 
     @property
     def checkpoint(self) -> Path | None:
-        """File that keeps the state, to be resumed; None: the answer takes seconds."""
+        """File of the search's state; None: the answer takes seconds."""
         return None if self.file is None else self.out / self.file
 
     @abstractmethod
@@ -144,22 +144,22 @@ class Question:
 
     @property
     def assumed(self) -> str:
-        """What the answer rests on."""
+        """Assumptions of the answer."""
         if self.speed is not None or not self.has_speed:
             return ""
         return f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
 
     @property
     def remark(self) -> str:
-        """What makes no difference to the answer."""
+        """Flags that do not affect the answer."""
         return MASS if self.mass is not None and self.inertia is None else ""
 
     def check(self) -> Any:
-        """Raise a ValueError where a flag is wrong."""
+        """Raise a ValueError for invalid flags."""
         return self.case()
 
     def write(self, answer: "Answer") -> list[Path]:
-        """Write what tables and figure do not hold: nothing."""
+        """Write additional files; nothing by default."""
         del answer
         return []
 
@@ -276,7 +276,7 @@ class AskColumns(Question):
 
 @dataclass(frozen=True)
 class AskSpeed(Question):
-    """Find the least and the greatest entry speed."""
+    """Find the smallest and the largest entry speed."""
 
     highest: MaybeFloat = None
     """[m/s] entry speed to try; else 3, or half as much again as --speed."""
@@ -289,7 +289,7 @@ class AskSpeed(Question):
 
 @dataclass(frozen=True)
 class AskTilt(Question):
-    """Find the least and the greatest tilt of the surface; with --speed 0, from rest."""
+    """Find the smallest and the largest tilt of the surface; with --speed 0, from rest."""
 
     highest_deg: MaybeDegrees = None
     """Tilt to try; else 15, or half as much again as --tilt-deg."""
@@ -313,7 +313,7 @@ class AskFriction(Question):
 
 @dataclass(frozen=True)
 class AskLayout(Question):
-    """Search the fixed layout that does best over a range of entry speeds."""
+    """Search for the best fixed layout over a range of entry speeds."""
 
     speeds: tuple[float, float] = (0.3, 2.7)
     """[m/s] least and most; --speed does not count."""
@@ -373,7 +373,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description="Which surface does a parcel of your own need, or a stream of them?",
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    import_module("matplotlib.figure")  # is needed last, but a missing library is known first
+    import_module("matplotlib.figure")  # needed last, but a missing library is reported first
     try:
         ask(question)
     except (ValueError, OSError, ImportError, WorkError) as error:
@@ -386,10 +386,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def ask(question: Question | AskFlow) -> None:
-    """Answer a question: a sentence and tables on screen, CSV files and a figure in its folder."""
+    """Answer a question on screen, and write tables (CSV) and a figure to its folder."""
     from surface_gym.design.report import DPI, write_csv
 
-    question.check()  # errors come before the folder is made
+    question.check()  # report errors before making the folder
     question.out.mkdir(parents=True, exist_ok=True)
     if question.checkpoint is not None and not getattr(question, "resume", False):
         question.checkpoint.unlink(missing_ok=True)

@@ -12,8 +12,8 @@ from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Purpose, is_rel
 from surface_gym.design.runs import DesignLine, OnProgress, make_runs
 from surface_gym.physics.types import Array, Integers
 
-MOST = 30  # columns that are tried
-MORE = 3  # columns beyond the nominal ones that are tried for the worst draws
+MOST = 30  # maximum number of columns to try
+MORE = 3  # additional columns to try for the worst draws
 SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 
 
@@ -21,9 +21,9 @@ SPEED_STEP = 0.1  # [m/s] between the speeds of a report
 class Worst:
     """Number of columns needed if a group of quantities is unknown."""
 
-    group: str  # of `case.GROUPS`, or `TOGETHER`
-    columns: int | None  # enough for all but `WORST` of the draws; None: no number is enough
-    success: float  # share of the draws for which the nominal columns are enough
+    group: str  # key of `case.GROUPS`, or `TOGETHER`
+    columns: int | None  # sufficient for all but `WORST` of the draws; None: no number suffices
+    success: float  # share of draws for which the nominal columns suffice
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class Columns:
     """The smallest number of columns of a line with a number of rows."""
 
     rows: int  # rows of rotors
-    columns: int | None  # columns of the zone; None: no number is enough
+    columns: int | None  # columns of the zone; None: no number suffices
     layout: str  # name of the zone's layout
     # Sort: `columns` is the last touched column as in Table 3. With fewer columns, this field, the
     # parcel is also sorted while it rolls on behind them. Other purposes: equal to `columns`.
     fewest: int | None
-    measure: float  # by the purpose's `measured`; nan: none
+    measure: float  # see `Purpose.measure`; NaN: none
     tipping: float  # [-] share of the steps in which a real parcel would tip
     worst: tuple[Worst, ...]
 
@@ -46,14 +46,14 @@ class Columns:
 
     @property
     def together(self) -> Worst | None:
-        """The number of columns needed if all quantities are unknown; None: nothing is unknown."""
+        """The columns needed if all quantities are unknown; None: nothing is unknown."""
         return next((worst for worst in self.worst if worst.group == TOGETHER), None)
 
 
 def least_columns(
     case: Case, rows: int | None = None, most: int = MOST, workers: parallel.Workers = 1
 ) -> Columns:
-    """Find the fewest columns that serve a case, by the study's kinds of layout.
+    """Find the fewest sufficient columns among the study's kinds of layout.
 
     >>> from surface_gym import layouts
     >>> least_columns(Case(layouts.box("S"), speed=1.5)).columns  # Table 3: 4, by a coarser step
@@ -67,7 +67,7 @@ def least_columns(
 def columns_by_rows(
     case: Case, most: int = MOST, workers: parallel.Workers = 1
 ) -> tuple[Columns, ...]:
-    """Find `least_columns` for each number of rows from one to as many as lie under the parcel."""
+    """Find `least_columns` for each number of rows, from one to the rows under the parcel."""
     return tuple(
         least_columns(case, rows, most, workers) for rows in range(1, case.line(most).rows + 1)
     )
@@ -86,14 +86,16 @@ def columns_by_speed(
 
 
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Count the columns that the parcel touches on a zone with more than enough."""
+    """Count the columns under the path of a parcel on an ample zone."""
     layout = case.purpose.layouts(line, line.columns)[0]
     axes = layout.axis[np.newaxis]
     runs = make_runs(case.speed, case.tilt)
     ends = case.run(line, axes, runs, workers=workers)
     done = bool(case.purpose.succeeds(ends)[0])
     touched = int(ends.touched[0])
-    last = int(np.ceil((1.0 - WORST) * case.draws - 1e-9)) - 1  # reliable draw, in rising order
+    last = (
+        int(np.ceil((1.0 - WORST) * case.draws - 1e-9)) - 1
+    )  # index of the reliable draw in ascending order
     worst = []
     for group in case.unknown.groups:
         drawn = case.draw(line, case.unknown.only(group))
@@ -125,7 +127,7 @@ def _fewest(case: Case, line: DesignLine, touched: int, workers: parallel.Worker
 
 
 def _leaving(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
-    """Find the first sufficient layout over numbers of columns and kinds."""
+    """Find the first sufficient layout by number of columns, then by kind."""
     counts = list(range(1, line.columns + 1))
     kinds = [case.purpose.layouts(line, count) for count in counts]
     layouts = [layout for kind in kinds for layout in kind]
@@ -151,7 +153,7 @@ def _worst_leaving(
     case: Case, line: DesignLine, axes: Array, used: Integers, first: int, group: str,
     workers: parallel.Workers,
 ) -> Worst:  # fmt: skip
-    """Find the first layout from the nominal one that serves all but `WORST` of the draws."""
+    """Find the first layout from the nominal one that suffices for all but `WORST` of the draws."""
     drawn = case.draw(line, case.unknown.only(group))
 
     def share(which: int) -> float:
@@ -172,10 +174,10 @@ def _worst_leaving(
 
 @dataclass(frozen=True, eq=False)
 class ColumnsReport(report.Answer):
-    """The fewest columns of a case, by the number of rows and by entry speed."""
+    """The fewest columns of a case by number of rows and by entry speed."""
 
     case: Case
-    by_rows: tuple[Columns, ...]  # the last has the rows that are taken
+    by_rows: tuple[Columns, ...]  # the last entry has the chosen rows
     speeds: tuple[float, ...]  # [m/s]
     by_speed: tuple[Columns, ...]
 
@@ -242,7 +244,7 @@ class ColumnsReport(report.Answer):
         )
 
     def draw(self) -> "report.Figure":
-        """Draw the columns against entry speed, with a band up to those for the worst draws."""
+        """Draw the columns over entry speed, with a band up to the columns for the worst draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
@@ -295,7 +297,7 @@ def columns_report(
     workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
 ) -> ColumnsReport:
-    """Find the fewest columns of a case by rows, unless `rows` are given, and by entry speed."""
+    """Find the fewest columns of a case by rows (unless `rows` is given) and by entry speed."""
     by_rows = (
         columns_by_rows(case, workers=workers)
         if rows is None

@@ -1,4 +1,4 @@
-"""The best fixed layout for a purpose over all entry speeds, beside the study's."""
+"""The best fixed layout for a purpose over all entry speeds, compared with the study's."""
 
 import itertools
 import math
@@ -18,8 +18,8 @@ from surface_gym.design.search import Effort, LayoutSpace, Score, search
 from surface_gym.physics.types import Array, Booleans
 
 NEAR, HASTE = 0.9, 0.09  # [-] maximum cost of shortfall and of time relative to a failure
-AT_ONCE = 4096  # runs of `every_layout` in one go, about
-STROKE = 0.38  # [-] of the pitch: half the stroke that shows an axis
+AT_ONCE = 4096  # approximate number of runs of `every_layout` at a time
+STROKE = 0.38  # [pitches] half length of an axis' stroke
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,31 +27,31 @@ class LayoutResult:
     """Results of a layout over entry speeds."""
 
     name: str
-    axis: Array  # (rows, columns) [rad] of the zone
-    speeds: Array  # (speeds,) [m/s], rising
-    success: Booleans  # (speeds,) with nothing unknown
-    time: Array  # (speeds,) [s] of the run
-    measure: Array  # (speeds,) by the purpose's `measured`; nan: none
-    share: Array  # (speeds,) [-] of the draws of unknown quantities that succeed
+    axis: Array  # (rows, columns) [rad] axes of the zone
+    speeds: Array  # (speeds,) [m/s] in ascending order
+    success: Booleans  # (speeds,) success with nothing unknown
+    time: Array  # (speeds,) [s] duration of the run
+    measure: Array  # (speeds,) see `Purpose.measure`; NaN: none
+    share: Array  # (speeds,) [-] share of successful draws of the unknown quantities
 
     @property
     def successes(self) -> float:
-        """[-] share of the speeds with success."""
+        """[-] share of speeds with success."""
         return float(self.success.mean())
 
     @property
     def least_speed(self) -> float:
-        """[m/s] speed from which every speed succeeds; NaN: the largest fails."""
+        """[m/s] smallest speed from which all tried speeds succeed; NaN: the largest fails."""
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] speed from which all but `WORST` of the draws succeed; NaN: none."""
+        """[m/s] smallest speed from which at most `WORST` of the draws fail; NaN: none."""
         return self._least(is_reliable(self.share))
 
     @property
     def mean_time(self) -> float:
-        """Mean time of the runs that succeed [s]; nan: none."""
+        """[s] mean duration of successful runs; NaN: none."""
         return float(self.time[self.success].mean()) if self.success.any() else math.nan
 
     def _least(self, done: Booleans) -> float:
@@ -61,20 +61,20 @@ class LayoutResult:
 
 @dataclass(frozen=True, eq=False)
 class BestLayout(report.Answer):
-    """The best fixed layout found, beside the best of the study's kinds."""
+    """The best fixed layout found, and the best layout of the study's kinds."""
 
     case: Case
     line: DesignLine
     best: LayoutResult
     study: LayoutResult
-    evaluations: int  # layouts compared, each at every speed
+    evaluations: int  # number of evaluated layouts, at all speeds
     seconds: float  # [s] computing time
 
     name = "layout"
 
     @cached_property
     def changed(self) -> int:
-        """Modules that differ from the study's layout."""
+        """Number of modules that differ from the study's layout."""
         apart = np.abs(np.sin(self.best.axis - self.study.axis))
         return int((apart > 1e-9).sum())
 
@@ -164,7 +164,7 @@ class BestLayout(report.Answer):
 
 
 def _draw_axes(axes: "report.Axes", line: DesignLine, layout: LayoutResult, colour: str) -> None:
-    """Draw a stroke along each module's axis: along it a rotor drags, across it rolls."""
+    """Draw every module's axis as a stroke: a rotor drags along it and rolls across it."""
     from matplotlib.collections import LineCollection
 
     from surface_gym.trajectory_plot import axis_strokes
@@ -253,7 +253,7 @@ def evaluate_layout(
 
 
 def _tidy(axis: Array, plain: Array, score: Score) -> Array:
-    """Return the layout (rows, columns) [rad] with the study's axes where these cost nothing."""
+    """Return the layout (rows, columns) [rad] with the study's axes wherever this costs nothing."""
     tidy = axis.copy()
     cost = score(tidy[np.newaxis])[0]
     for column in reversed(range(axis.shape[1])):

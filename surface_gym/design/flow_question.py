@@ -46,11 +46,11 @@ class AskFlow:
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File for all figures, as JSON."""
 
-    checkpoint = None  # the answer takes a minute
+    checkpoint = None  # no checkpoint, since the answer takes a minute
     assumed = remark = ""
 
     def check(self) -> Any:
-        """Check all flags; return the case, of `surface_gym.agents.scheduling.design`."""
+        """Check all flags; return the `FlowCase`."""
         parallel.check_count("workers", self.workers)
         if len(self.speed) not in (1, 2):
             raise ValueError(f"speed must be one number or two, got {self.speed!r}")
@@ -80,7 +80,7 @@ class AskFlow:
 
 
 def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
-    """Read parcels and their odds."""
+    """Parse parcels and their odds."""
     return tuple(_parcel(*part.partition("=")[::2], text) for part in text.split(","))
 
 
@@ -97,7 +97,7 @@ def _parcel(name: str, odds: str, text: str) -> tuple[Any, float]:
 
 
 def parse_exits(text: str) -> Any:
-    """Read a preset's name, or a list of exits."""
+    """Parse a preset's name, or a list of exits."""
     from surface_gym.flow.exits import EXITS as PRESETS, Exit, Exits
 
     if text in PRESETS:

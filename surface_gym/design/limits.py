@@ -1,4 +1,4 @@
-"""Limits of entry speed, of tilt and of friction on one surface."""
+"""Limits of entry speed, tilt and friction on one surface."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -27,7 +27,7 @@ from surface_gym.physics.types import Array, Booleans
 SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
 TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
 FACTOR_RANGE = 16.0  # [-] largest factor of friction to try, and inverse of the smallest
-FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors to a doubling, likewise
+FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling, likewise
 
 
 class Quantity(NamedTuple):
@@ -46,24 +46,24 @@ TILT = Quantity("tilt", "tilt", "deg", 180 / math.pi, "How flat may the surface 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A case on a line whose first columns are turned by one of the purpose's layouts."""
+    """A case on a line with one of the purpose's layouts in its first columns."""
 
     case: Case
-    line: runs.DesignLine  # with as many columns as `least_columns` tries: so draws are the same
+    line: runs.DesignLine  # has the columns of `least_columns`, so draws are the same
     layout: Layout
-    columns: int  # that are turned
-    chosen: str  # reason for their number
+    columns: int  # number of turned columns
+    chosen: str  # reason for this number
 
     @property
     def description(self) -> str:
-        """The surface as it follows "on": "6 columns of 4 rows, +45 deg"."""
+        """The surface after the word "on", e.g. "6 columns of 4 rows, +45 deg"."""
         return (
             f"{report.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
         )
 
     @property
-    def passed(self) -> int:
-        """Columns behind which a run ends: of the zone, and of a run-out where it may help."""
+    def columns_to_pass(self) -> int:
+        """Number of columns after which a run ends: the zone, plus a run-out if it may help."""
         return self.columns + (0 if self.case.purpose.leaves_zone else self.line.run_out)
 
     def run(
@@ -80,9 +80,9 @@ class Arrangement:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Range of values around the case's own with success."""
+    """Range of successful values around the case's own value."""
 
-    group: str  # of unknown quantities: `NOMINAL`, one of `GROUPS`, or `TOGETHER`
+    group: str  # group of unknown quantities: `NOMINAL`, a key of `GROUPS`, or `TOGETHER`
     # All tried values from `least` to `most` succeed in all but `WORST` of the draws, including the
     # case's own value. None: the case's own value fails.
     least: float | None
@@ -122,7 +122,7 @@ class Limits(report.Answer):
         return f"{text}. Tried: {first} to {last} {self.quantity.unit}"
 
     def describe(self, span: Span) -> str:
-        """Describe a span in the quantity's unit."""
+        """Format a span in the quantity's unit."""
         scale, unit = self.quantity.scale, self.quantity.unit.replace("-", "")
         if span.least is None or span.most is None:
             return f"nothing near {self.own * scale:.4g}"
@@ -155,7 +155,7 @@ class Limits(report.Answer):
         )
 
     def limit_rows(self) -> Iterable[tuple[report.Cell, ...]]:
-        """Yield a row for each span: its limits, and the success of the case itself."""
+        """Yield a row for each span: its limits, and the success of the case's own value."""
         scale = self.quantity.scale
         for span in self.spans:
             own = float(span.share[abs(span.values - self.own).argmin()])
@@ -163,13 +163,13 @@ class Limits(report.Answer):
             yield (report.group_label(span.group), *ends, own)
 
     def curve_rows(self) -> Iterable[tuple[report.Cell, ...]]:
-        """Yield a row for each value that was tried."""
+        """Yield a row for each tried value."""
         for span in self.spans:
             for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):
                 yield (report.group_label(span.group), self.quantity.scale * value, share)
 
     def draw(self) -> "report.Figure":
-        """Draw success against the quantity, a line for each group of unknown quantities."""
+        """Draw success over the quantity, one line per group of unknown quantities."""
         case, quantity = self.arrangement.case, self.quantity
         figure, axes = report.new_panel(
             f"{quantity.question} {case.purpose.passive}?",
@@ -214,8 +214,8 @@ class Limits(report.Answer):
 class FrictionRange(report.Answer):
     """Limits of the factors of friction for success, varied one at a time."""
 
-    along: Limits  # of mu_max
-    across: Limits  # of mu_min
+    along: Limits  # factors of mu_max
+    across: Limits  # factors of mu_min
 
     name = "friction"
 
@@ -255,7 +255,7 @@ class FrictionRange(report.Answer):
         )
 
     def draw(self) -> "report.Figure":
-        """Draw success against the factors on mu_max and on mu_min."""
+        """Draw success over the factors of mu_max and mu_min."""
         from matplotlib.ticker import FuncFormatter
 
         arrangement, case = self.along.arrangement, self.along.arrangement.case
@@ -309,7 +309,7 @@ def least_tilt(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
 ) -> Limits:  # fmt: skip
-    """Find the least and the greatest tilt of the surface, at the case's entry speed or from rest.
+    """Find the smallest and the largest tilt, at the case's entry speed or from rest.
 
     Tries the case's tilt and tilts up to `highest` [rad], every 0.1 deg with nothing unknown, and
     every 0.2 deg with draws. The default of `highest` is 15 deg, or 1.5 times the case's tilt.
@@ -379,7 +379,9 @@ def _sweep(
     """Find the limits of speed or tilt among the multiples of a step and the case's own value."""
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
-    least = 0 if (case.tilt if quantity is SPEED else case.speed) else 1  # at rest and level: never
+    least = (
+        0 if (case.tilt if quantity is SPEED else case.speed) else 1
+    )  # at rest on a level surface, success is impossible
     grids = []
     for step in steps:
         multiples = step * np.arange(least, round(top / step) + 1)
@@ -403,7 +405,7 @@ def _limits(
     workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:
-    """Find the span of each group, on the first grid with nothing unknown, else on the second."""
+    """Find the span of each group: with nothing unknown on the first grid, else on the second."""
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
         for name, each in unknown.by_group().items()
@@ -428,8 +430,8 @@ def arrange(
 ) -> Arrangement:
     """Choose the surface on which a case is varied, with the layout that succeeds in most draws.
 
-    Without `columns` it has the fewest for all but `WORST` of the draws of all unknown quantities;
-    if no number is enough, the fewest with nothing unknown.
+    The default of `columns` is the fewest for all but `WORST` of the draws with all quantities
+    unknown. If no number suffices, it is the fewest with nothing unknown.
     """
     parallel.check_workers(workers)
     chosen = "as asked"
@@ -445,7 +447,7 @@ def arrange(
     point = runs.make_runs(case.speed, case.tilt)
 
     def merit(each: Arrangement) -> tuple[float, ...]:
-        """Return the success with nothing unknown, and the share of the draws that succeed."""
+        """Return the success with nothing unknown, and the share of successful draws."""
         return tuple(
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
             for unknown in (NOTHING, case.unknown)
@@ -468,14 +470,14 @@ def success_shares(
     speed, tilt, factors = (
         values[:, np.newaxis] for values in (points.speed, points.tilt, points.friction)
     )
-    asked = drawn.runs(speed, tilt, arrangement.passed, friction=factors)
+    asked = drawn.runs(speed, tilt, arrangement.columns_to_pass, friction=factors)
     ends = arrangement.run(drawn, asked, workers, on_progress)
     done = arrangement.case.purpose.succeeds(ends)
     return done.reshape(len(points), len(drawn)).mean(axis=1)
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the number of columns to take, and the reason for it."""
+    """Return the number of columns and the reason for it."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

@@ -1,4 +1,4 @@
-"""Base classes and helpers of answers as sentences, tables and figures."""
+"""Base classes and helpers of answers: sentences, tables and figures."""
 
 import csv
 import math
@@ -17,7 +17,7 @@ Cell = str | float | int | bool | None
 
 DPI = 120
 BLUE, ORANGE = "#0072B2", "#D55E00"
-# Okabe and Ito's colours, which the colour-blind can tell apart, and a line style for each.
+# Okabe and Ito's colours, safe for colour-blind readers, each with a line style.
 LINES: dict[str, tuple[str, Any]] = {
     NOMINAL: ("#999999", "-"),
     "friction": ("#E69F00", "--"),
@@ -32,21 +32,21 @@ LINES: dict[str, tuple[str, Any]] = {
 class ReportTable:
     """A header and rows; shown in a terminal, written as CSV, or both."""
 
-    name: str  # of the file, without the ending
+    name: str  # file name without suffix
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    shown: bool = True  # in a terminal
-    written: bool = True  # as CSV
+    shown: bool = True  # whether it is shown in a terminal
+    written: bool = True  # whether it is written as CSV
 
 
 class Answer(ABC):
-    """An answer to a question about a case, as a sentence, as tables and as a figure."""
+    """An answer to a question about a case: a sentence, tables and a figure."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the figure's file, without the ending."""
+        """File name of the figure, without suffix."""
 
     @property
     @abstractmethod
@@ -59,11 +59,11 @@ class Answer(ABC):
 
     @abstractmethod
     def draw(self) -> "Figure":
-        """Draw the answer, by matplotlib."""
+        """Draw the answer with matplotlib."""
 
 
 def write_csv(table: ReportTable, folder: Path) -> Path:
-    """Write a table to a folder with full precision and empty missing cells; return the file."""
+    """Write a table with full precision and empty missing cells to a folder; return the file."""
     path = folder / f"{table.name}.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -99,7 +99,7 @@ def plural(count: int, noun: str) -> str:
 
 
 def new_figure(width: float, height: float, title: str, fontsize: str = "large") -> "Figure":
-    """Make an empty figure [inch] with a question for a title."""
+    """Make an empty figure [inch] whose title is a question."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -117,7 +117,7 @@ def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
 
 
 def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
-    """Return the arguments of a legend for those lines that have points."""
+    """Return arguments of a legend for lines with points."""
     drawn = [
         (line, label)
         for line, label in zip(*axes.get_legend_handles_labels(), strict=True)

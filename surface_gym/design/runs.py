@@ -39,11 +39,11 @@ class DesignLine(ElementGrid):
     The first column and the first row are half a pitch from 0.
     """
 
-    rows: int  # of rotors
+    rows: int  # rows of rotors
     columns: int  # of the zone
-    lead_in: int  # columns before it
-    run_out: int  # columns behind it
-    beside: int  # rows of supports on either side
+    lead_in: int  # columns before the zone
+    run_out: int  # columns behind the zone
+    beside: int  # rows of supports on each side
     pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
     mu_max: float = 0.5  # [-] friction along a rotor's axis
     mu_min: float = 0.01  # [-] friction across it
@@ -138,7 +138,7 @@ def line_for(
     )  # fmt: skip
 
 
-OnProgress = Callable[[int, int], None]  # called with the work done and the total
+OnProgress = Callable[[int, int], None]  # called with the finished and the total work
 
 STEP = 0.005  # [s] default time step of a run
 LONGEST = 20.0  # [s] limit of a run
@@ -177,7 +177,7 @@ class RunRequests:
     friction: Array  # (runs, 3) [-] factors of mu_max, mu_min and mu_support
     lateral: Array  # (runs,) [m] offset of the start in y
     heading: Array  # (runs,) [rad] of the start
-    columns: Integers  # (runs,) of the zone, behind which a run ends; -1: the zone has no end
+    columns: Integers  # (runs,) columns of the zone, after which a run ends; -1: no end
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -188,7 +188,7 @@ def make_runs(
     parcel: ArrayLike = 0, friction: ArrayLike = 1.0, lateral: ArrayLike = 0.0,
     heading: ArrayLike = 0.0, columns: ArrayLike = -1,
 ) -> RunRequests:  # fmt: skip
-    """Build runs from one value for all, or arrays (runs,) of each; `friction` is (runs, 3)."""
+    """Build runs from common values, or from arrays (runs,); `friction` is (runs, 3)."""
     given = np.broadcast_arrays(speed, tilt, lateral, heading, layout, stiffness, parcel, columns)
     numbers = [np.array(values, dtype=np.float64).reshape(-1) for values in given[:4]]
     whole = [
@@ -206,14 +206,14 @@ class Ends:
     """Results of runs, one row per run."""
 
     line: DesignLine
-    runs: RunRequests  # that were requested
+    runs: RunRequests  # requested runs
     reason: Integers  # (runs,) index into `ENDS`
-    touched: Integers  # (runs,) columns from the first of the zone to the last under the parcel
+    touched: Integers  # (runs,) columns from the zone's first to the last under the parcel
     time: Array  # (runs,) [s] until the end
     pose: Array  # (runs, 3) [m, m, rad] of the base's frame at the end
     velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
     tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
-    steps: Integers  # (runs,) that were taken
+    steps: Integers  # (runs,) number of steps
 
     def describe(self, run: int) -> str:
         """Return the reason for the end of a run in words."""
@@ -221,7 +221,7 @@ class Ends:
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
-    """Return a callback for each part of the work, which reports on the work as a whole."""
+    """Return a callback for each part of the work, which reports the progress of the whole."""
     total = sum(counts)
 
     def part(before: int) -> OnProgress:
@@ -264,7 +264,7 @@ def run_all(
 
 
 class SurfaceSet(NamedTuple):
-    """Surfaces that differ in their axes and in the stiffness of their elements."""
+    """Surfaces that differ in axes and stiffness."""
 
     axis: Places  # (layouts, rows, columns) index of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
@@ -278,7 +278,7 @@ class SurfaceSet(NamedTuple):
 
 
 class RunArrays(NamedTuple):
-    """Inputs and results of runs for compiled code, a row each."""
+    """Inputs and results of runs for compiled code, one row per run."""
 
     # (runs, 5) indices of layout, stiffness and parcel; first column behind the zone; most steps
     number: Integers
@@ -312,7 +312,7 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
 
 @inlined
 def _rotor_span(rotor: Booleans, scratch: Scratch) -> tuple[int, int]:
-    """Return the first and last column with a rotor under the parcel; first > last: there is none.
+    """Return the first and last column with a rotor under the parcel; first > last: none.
 
     The columns are the contacts found by the last step.
     """
@@ -425,7 +425,7 @@ def _run_in_threads(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float, threads: int,
     on_progress: OnProgress,
 ) -> None:  # fmt: skip
-    """Simulate runs in chunks, smaller ones where runs may take many steps."""
+    """Simulate runs in chunks; chunks are smaller if runs may take many steps."""
     count = len(runs.state)
     chunk = max(1, min(CHUNK, MOST_STEPS // int(runs.number[:, STEPS].max(initial=1))))
     spare: SimpleQueue[Scratch] = SimpleQueue()
@@ -454,7 +454,7 @@ def _run_on_nodes(
 ) -> None:  # fmt: skip
     count = len(runs.state)
     bundles = max(-(-count // BUNDLE), min(2, count // LEAST_BUNDLE), 1)
-    # Neighbours are alike, and bundles are to take equally long: so they take every n-th run.
+    # Neighbouring runs are similar, so a bundle takes every n-th run to balance durations.
     parts = [slice(first, None, bundles) for first in range(bundles)]
     given = [RunArrays._make(array[part] for array in runs) for part in parts]
     jobs = [

@@ -25,21 +25,23 @@ RECOMBINATION = 0.3  # [-] share of a layout's modules that a trial changes
 CHANGES = (0.1, 0.3, 0.6)  # [-] share of modules changed in copies of the initial layouts
 
 QUARTER = math.pi / 2.0
-DECIMALS = 2  # of degrees, where any angle is allowed
+DECIMALS = 2  # decimals of degrees if any angle is allowed
 ALL_AT_ONCE = 256  # maximum arrangements of a column tried together; above, module by module
-SHIFTS = np.radians([-22.5, -5.0, -1.0, 1.0, 5.0, 22.5])  # tried where any angle is allowed
+SHIFTS = np.radians(
+    [-22.5, -5.0, -1.0, 1.0, 5.0, 22.5]
+)  # [rad] changes tried if any angle is allowed
 
 
 @dataclass(frozen=True)
 class LayoutSpace:
-    """The layouts that are searched, as members: one number for each module, row by row.
+    """The searched layouts, encoded as members: one number per module, row by row.
 
-    The number is the index of the module's axis among the orientations, or the axis itself [rad].
+    A number is an index into the orientations, or the axis itself [rad].
     """
 
     rows: int
     columns: int
-    orientations: tuple[float, ...] | None  # [rad] on offer, rising; None: any
+    orientations: tuple[float, ...] | None  # [rad] in ascending order; None: any
 
     @property
     def modules(self) -> int:
@@ -47,7 +49,7 @@ class LayoutSpace:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Least and greatest number of a module."""
+        """Smallest and largest number of a module."""
         return (-QUARTER, QUARTER) if self.orientations is None else (0, len(self.orientations) - 1)
 
     def axes(self, members: Array) -> Array:
@@ -58,7 +60,7 @@ class LayoutSpace:
         return np.array(self.orientations)[np.rint(members).astype(int)].reshape(shape)
 
     def members(self, axes: Array) -> Array:
-        """Return the members (layouts, modules) nearest to axes (layouts, rows, columns) [rad]."""
+        """Return the members (layouts, modules) closest to axes (layouts, rows, columns) [rad]."""
         flat = axes.reshape(len(axes), -1)
         if self.orientations is None:
             return np.arctan(np.tan(flat))
@@ -73,7 +75,7 @@ class LayoutSpace:
         return rng.integers(0, len(self.orientations), (count, self.modules)).astype(np.float64)
 
     def neighbours(self, member: Array, column: int) -> Array:
-        """Return members (some, modules) that differ from one (modules,) in a column."""
+        """Return members (count, modules) that differ from a member (modules,) in one column."""
         own = np.arange(self.rows) * self.columns + column
         if self.orientations is None:
             one = SHIFTS[:, np.newaxis, np.newaxis] * np.eye(self.rows)
@@ -97,10 +99,10 @@ class LayoutSpace:
 class Effort:
     """Length of a search."""
 
-    members: int = 40  # of the population
-    generations: int = 10  # of an epoch, after which the search is saved
+    members: int = 40  # size of the population
+    generations: int = 10  # generations per epoch; the search is saved after every epoch
     epochs: int = 12
-    rounds: int = 3  # over all columns, of the descent; fewer if one changes nothing
+    rounds: int = 3  # rounds of the descent over all columns; it ends early without changes
 
     def __post_init__(self) -> None:
         for name, least in (("members", 5), ("generations", 1), ("epochs", 0), ("rounds", 0)):
@@ -109,14 +111,14 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """State of a search: all that it needs to be resumed."""
+    """State of a search, sufficient to resume it."""
 
-    population: Array  # (members, modules), the best first
-    cost: Array  # (members,) [-]; infinite: not known yet
-    epoch: int  # of the evolution, done
-    column: int  # of the descent, done, counted on from round to round
-    unchanged: int  # columns in turn that changed nothing
-    evaluations: int  # layouts compared
+    population: Array  # (members, modules) best first
+    cost: Array  # (members,) [-] infinite: not computed yet
+    epoch: int  # finished epochs of the evolution
+    column: int  # finished columns of the descent, over all rounds
+    unchanged: int  # successive columns without a change
+    evaluations: int  # number of evaluated layouts
 
 
 def search(
@@ -124,11 +126,11 @@ def search(
     checkpoint: Path | str | None = None, identity: Mapping[str, str] | None = None,
     on_progress: runs.OnProgress = lambda *_: None,
 ) -> tuple[Array, int]:  # fmt: skip
-    """Search the axes (rows, columns) [rad] of least cost, by so many comparisons of layouts.
+    """Search for the axes (rows, columns) [rad] with the least cost.
 
-    It begins with `known` axes (layouts, rows, columns) [rad]: the result is no worse. A search
-    whose checkpoint exists is resumed, and the result does not depend on that; `identity` has a
-    text for each part of the problem that differs where the part differs.
+    The initial layouts include `known` (layouts, rows, columns) [rad], so the result is no worse. A
+    search with an existing checkpoint is resumed, without an effect on the result. `identity` has a
+    text for each part of the problem, to detect checkpoints of other problems.
     """
     own = {"space": space, "effort": effort, "search_seed": seed}
     identity = {**(identity or {}), **{name: repr(value) for name, value in own.items()}}
@@ -144,7 +146,7 @@ def search(
     remembered: dict[bytes, float] = {}
 
     def cost(members: Array) -> Array:
-        """Return the costs (members,); those computed before are remembered."""
+        """Return the costs (members,); computed costs are cached."""
         members = np.ascontiguousarray(members)
         names = [member.tobytes() for member in members]
         fresh = {name: k for k, name in enumerate(names) if name not in remembered}
@@ -168,7 +170,7 @@ def search(
 
 
 def _check_state(file: Path, state: SearchState, fresh: SearchState) -> None:
-    """Raise a ValueError unless a state that was kept is like a fresh one of the same search."""
+    """Raise a ValueError unless a saved state has the types and shapes of a fresh one."""
     try:
         for name in ("epoch", "column", "unchanged", "evaluations"):
             checks.integer(name, getattr(state, name), least=0)
@@ -181,7 +183,7 @@ def _check_state(file: Path, state: SearchState, fresh: SearchState) -> None:
 
 
 def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> SearchState:
-    """Begin with known layouts, and with others that differ from them in more and more modules."""
+    """Return known layouts, and copies with increasing numbers of changed modules."""
     rng = np.random.default_rng((seed, effort.epochs))
     members = space.members(known)[: effort.members]
     more = effort.members - len(members)
@@ -195,7 +197,7 @@ def _begin(space: LayoutSpace, known: Array, effort: Effort, seed: int) -> Searc
 def _evolve(
     space: LayoutSpace, cost: Score, state: SearchState, effort: Effort, seed: int
 ) -> SearchState:
-    """Run an epoch of differential evolution, with random numbers of its own."""
+    """Run an epoch of differential evolution with its own random numbers."""
     from scipy.optimize import differential_evolution
 
     result = differential_evolution(
@@ -219,7 +221,7 @@ def _evolve(
 
 
 def _descend(space: LayoutSpace, cost: Score, state: SearchState) -> SearchState:
-    """Take the best arrangement of the next column, the others unchanged."""
+    """Take the best arrangement of the next column, with all other columns unchanged."""
     best = state.population[0]
     around = np.concatenate(
         [best[np.newaxis], space.neighbours(best, state.column % space.columns)]

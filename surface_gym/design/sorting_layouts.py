@@ -20,7 +20,7 @@ from surface_gym.design.fixed_layout import BestLayout, best_layout
 from surface_gym.layouts import box
 
 SPEEDS = np.arange(30, 271, 2) / 100.0  # [m/s] speeds of the search
-COLUMNS = 16  # of the zone
+COLUMNS = 16  # columns of the zone
 SIDE = -1  # sorting direction: y < 0
 FILE = "data/sorting.json"
 # [rad] allowed axes: the study's, every 22.5 deg, or any.
@@ -38,7 +38,7 @@ class SortingLayout:
 
     box: str  # "S" or "B", the study's
     offer: str  # key of `OFFERS`: the allowed orientations
-    axis: NDArray[np.float64]  # (rows, columns) [rad], the first row at the least y
+    axis: NDArray[np.float64]  # (rows, columns) [rad] first row at the smallest y
     least_speed: float  # [m/s] smallest speed from which all of `SPEEDS` succeed
     least_sure_speed: float  # [m/s] the same for 95 % of the draws of unknown quantities
     mean_time: float  # [s] mean time of successful runs
@@ -48,7 +48,7 @@ class SortingLayout:
 
     @property
     def half_length(self) -> float:
-        """[m] half the length of the box."""
+        """[m] half length of the box."""
         return float(box(self.box).base.outline.max())
 
 

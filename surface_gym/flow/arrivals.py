@@ -27,7 +27,7 @@ Places = NDArray[np.int64]
 
 HOUR = 3600.0  # [s]
 LATEST = 1e9  # [s] maximum time of an arrival or a change of rate: 30 years
-FASTEST = 5.0  # [m/s] at arrival
+FASTEST = 5.0  # [m/s] maximum speed at arrival
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class Poisson(Law):
 
 @dataclass(frozen=True)
 class Schedule(Law):
-    """A rate that changes at given times; the last one holds to the end of the episode.
+    """A rate that changes at given times; the last rate holds to the end of the episode.
 
     Parcel k arrives when the integral of the rate reaches the sum of k numbers, each uniform
     between 1 - spread and 1 + spread. At a constant rate, the law equals `Spread`.

@@ -1,4 +1,4 @@
-"""The base class of tasks on streams of parcels, their actions, and features that they share."""
+"""The base class of tasks on streams of parcels, their actions, and shared features."""
 
 import math
 from collections.abc import Mapping
@@ -30,20 +30,20 @@ from surface_gym.tasks.benchmark import default_stream_benchmark
 from surface_gym.tasks.features import Feature
 from surface_gym.tasks.sort import HORIZON
 
-HALVES = 2  # parts of a parcel's command: the modules ahead of its centre, and those behind
+HALVES = 2  # parts of a parcel's command: the modules ahead of its centre and behind it
 
 
 @dataclass(frozen=True)
 class StreamActions(ActionKind):
-    """A choice for each part, module or half of a parcel, and with a gate one number more."""
+    """A choice for each module or half of a parcel, and one more number with a gate."""
 
-    # ways to open the gate: 0 keeps it shut for the control period, k opens it for one parcel from
-    # the k-th physics step on; no ways: there is no gate
+    # ways to open the gate: 0 keeps it closed for the control period, k opens it for one parcel
+    # from the k-th physics step; no ways: there is no gate
     gates: int = 0
 
     @cached_property
     def parts(self) -> ActionKind:
-        """The actions without the gate."""
+        """Space of the actions without the gate."""
         return ActionKind(self.name, self.choices, self.rows, self.columns)
 
     @cached_property
@@ -56,7 +56,7 @@ class StreamActions(ActionKind):
         return spaces.MultiDiscrete([self.choices] * self.parts.size + [self.gates])
 
     def commands(self, actions: Any, parcels: int | None) -> NDArray[Any]:
-        """Turn actions of many surfaces, or the action of one, into commands (surfaces, size)."""
+        """Convert actions of many surfaces, or of one, to commands (surfaces, size)."""
         if not self.gates:
             return self.parts.commands(actions, parcels)
         try:
@@ -77,8 +77,8 @@ class StreamActions(ActionKind):
 
 ACTIONS = ("modules", "parcels")
 MOST_PARCELS = 256
-MOST_WAITING = 64  # that are shown
-LEVELLING = 0.01  # [rad] a slope that makes up for what rolling costs: tan(tilt) = mu_min
+MOST_WAITING = 64  # maximum waiting parcels in the observation
+LEVELLING = 0.01  # [rad] slope that balances rolling losses: tan(tilt) = mu_min
 STEEPEST = math.radians(15.0)
 
 STREAM = (
@@ -87,89 +87,90 @@ STREAM = (
 )
 
 ROUND_OFF = 1e-6  # [m]
-SURFACE_TERMS = ("waiting", "jam")  # of the reward, that the surface as a whole earns
+SURFACE_TERMS = ("waiting", "jam")  # reward terms of the surface as a whole
 
 
 @dataclass(frozen=True)
 class StreamTask(Task):
     """The base class of tasks on a stream of parcels: many at once on one surface, each to an exit.
 
-    Parcels enter, move, touch each other and depart without code of the task; touches, waiting and
+    Parcels enter, move, touch each other and depart without code of the task. Touches, waiting and
     jams are counted. A task is one class that defines the observation, the reward and the correct
     departures. It has the class variables of `Task`. Its `features` describe one parcel. Its
     `terms` end in `SURFACE_TERMS`, the costs of waiting and of jams, at the rates `waiting_reward`
     and `jam_reward`. Its fields are its parameters. Compiled functions read the result of
     `numbers()` from `surface.params.numbers`.
 
-    The compiled functions read and write the `EnvState` of one parcel. All have a default but
-    `reward` and `observe`:
+    The compiled functions read and write the `EnvState` of one parcel. Only `reward` and `observe`
+    have no default:
 
-    - `begin(state)`, as a parcel enters: set `state.memory` from OWN_MEMORY on.
-    - `reward(state, outcome)`, after a control period: write `state.terms` but for the
+    - `begin(state)`, when a parcel enters: set `state.memory` from OWN_MEMORY on.
+    - `reward(state, outcome)`, after a control period: write `state.terms`, except the
       SURFACE_TERMS. The outcome is RUNNING, DEPARTED_CORRECT or DEPARTED_WRONG;
-      `state.memory[TOUCHED]` counts touches that began.
-    - `observe(state, waits)`: write the features from `state.sensed`; of a parcel that waits at the
-      gate, `state.sensed` is how it will enter.
-    - `observe_neighbour(state, other, gap, ahead)` or `observe_no_neighbour(state, ahead)`, then:
-      write features of the next parcel ahead, clear by a gap [m] along x, and of the next behind.
+      `state.memory[TOUCHED]` is the number of new touches.
+    - `observe(state, waits)`: write the features from `state.sensed`. For a waiting parcel,
+      `state.sensed` is its state at its entry.
+    - `observe_neighbour(state, other, gap, ahead)` or `observe_no_neighbour(state, ahead)`, after
+      `observe`: write features of the next parcel ahead at a gap [m] along x, then of the next one
+      behind.
 
-    Others get the surface, too, as a `SurfaceView`: `surface.params`, the `clock` [s], and what the
-    task keeps of the surface (surface_memories,) and of each exit (exits, exit_memories):
+    Other functions also get the surface as a `SurfaceView`: `surface.params`, the `clock` [s], and
+    the task's memory of the surface (surface_memories,) and of every exit (exits, exit_memories):
 
-    - `deliver(surface, state, taken, results) -> bool`, as a parcel departs: whether it did as it
-      was to, by default by its own exit. It may change `surface.exits[taken]`, and writes the
-      numbers that the class variable `results` names, for statistics.
-    - `inform(surface, state)`, before a parcel is observed: write into `state.goal`, from GOALS on,
-      numbers of the surface and its exits that `observe` shows.
+    - `deliver(surface, state, taken, results) -> bool`, when a parcel departs: return whether the
+      departure is correct; by default, if it is by the parcel's own exit. It may change
+      `surface.exits[taken]`. It writes the statistics named by the class variable `results`.
+    - `inform(surface, state)`, before a parcel is observed: write numbers of the surface and its
+      exits for `observe` into `state.goal`, from GOALS on.
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
-    - `may_jam(surface) -> bool`: whether standing parcels may be a jam, by default always.
-    - `has_room(surface, state, other) -> bool`: whether a parcel that is about to enter, as in
-      `state.truth`, is clear of another; by default as wide as it is and `entry_gap` ahead.
-    - `has_departed(surface, state) -> bool`, after every physics step: by default where no rotor
-      bears the parcel.
-    - `exit_taken(surface, state) -> int`, then: the exit, or BETWEEN exits; by default by its side
-      and place as it departs.
-    - `outside(state, x, y) -> float`: [m] by which a module in the parcel's box counts as outside
-      its base, where another may bear it; by default 0.
+    - `may_jam(surface) -> bool`: whether standing parcels may be a jam; by default, always.
+    - `has_room(surface, state, other) -> bool`: whether a parcel about to enter, with its pose in
+      `state.truth`, is clear of another; by default, by its width and `entry_gap` ahead of it.
+    - `has_departed(surface, state) -> bool`, after every physics step; by default, if no rotor is
+      under the parcel.
+    - `exit_taken(surface, state) -> int`, after a departure: the exit, or BETWEEN exits; by
+      default, by the side and position of the departure.
+    - `base_distance(state, x, y) -> float`: the distance [m] of a module in the parcel's bounding box
+      from its base, to assign modules between neighbours; by default 0.
 
-    A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST: its exit, the exit's side, and
-    the exit's span. INLET, by which it came, and ORDER, its place in the order of leaving, follow.
+    A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST (its exit, and the exit's side
+    and span), INLET (of its entry) and ORDER (its place in the order of departure).
     """
 
     parcels: Any = field(default=(), init=False, repr=False)  # the stream's parcels
-    stream: Stream = Stream()  # when parcels come, which, how fast, where to
+    stream: Stream = Stream()  # arrivals, parcels, speeds and destinations
     exits: Any = "chutes"  # a preset, or `Exits`
-    inlets: Any = EDGE  # where parcels come onto the surface: `Inlets`
-    duration: float = 60.0  # [s] of an episode
-    max_parcels: int = 24  # on the line at once
-    # [rad] downhill towards `tilt_direction`; the default makes up for what rolling costs: a parcel
-    # of 1 m/s would not reach the end of 6 m of a level line
+    inlets: Any = EDGE  # `Inlets`: where parcels enter the surface
+    duration: float = 60.0  # [s] duration of an episode
+    max_parcels: int = 24  # maximum parcels on the line
+    # [rad] downhill towards `tilt_direction`; the default balances rolling losses. On a level
+    # line of 6 m, a parcel with 1 m/s would not reach the end.
     tilt: float = LEVELLING
-    tilt_direction: float = 0.0  # [rad] of the way downhill, anti-clockwise from +x
-    restitution: float = 0.0  # [-] of sides that touch
-    side_friction: float = 0.3  # [-] between them
-    gate: bool = False  # whether an action says when the next parcel may enter
-    queue: int = 1  # parcels that wait, shown with a gate
-    entry_gap: float = 0.02  # [m] clear ahead of a parcel that enters
-    ahead: float = 0.1  # [s] within which a module may obey a parcel that it does not bear yet
-    patience: float = 2.0  # [s] without motion that make a jam
+    tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
+    restitution: float = 0.0  # [-] restitution of touching sides
+    side_friction: float = 0.3  # [-] friction between touching sides
+    gate: bool = False  # whether the action opens the gate for the next parcel
+    queue: int = 1  # number of waiting parcels in the observation, with a gate
+    entry_gap: float = 0.02  # [m] clearance ahead of an entering parcel
+    ahead: float = 0.1  # [s] time before a parcel's arrival from which a module may obey it
+    patience: float = 2.0  # [s] time without motion that counts as a jam
 
     is_stream = True
     batch = "surface_gym.flow.batch:StreamBatch"
-    in_order: ClassVar[bool] = False  # whether parcels are to leave in an order
+    in_order: ClassVar[bool] = False  # whether parcels must depart in an order
     takes_away: ClassVar[bool] = False  # whether a conveyor takes parcels away
     line = flow_line()
-    waiting_reward: ClassVar[float] = -0.1  # per second of each parcel that waits to enter
-    jam_reward: ClassVar[float] = -10.0  # once, as nothing moves any more
-    # times its reward that a term of a parcel counts in learning, by its name; others count once
+    waiting_reward: ClassVar[float] = -0.1  # per second and waiting parcel
+    jam_reward: ClassVar[float] = -10.0  # once, when a jam is detected
+    # weights of a parcel's reward terms in learning, by name; the default is 1
     learning_weights: ClassVar[Mapping[str, float]] = MappingProxyType({})
     outcomes = ("jam",)
     options = ("stream",)
     goals = fs.GOALS
     memories = 1
-    statistics: ClassVar[type[Any]] = fs.FlowStatistics  # of an episode
-    exit_memories: ClassVar[int] = 0  # numbers that the task keeps of each exit
-    results: ClassVar[tuple[str, ...]] = ()  # numbers that `deliver` writes of a parcel
+    statistics: ClassVar[type[Any]] = fs.FlowStatistics  # statistics of an episode
+    exit_memories: ClassVar[int] = 0  # size of the task's memory per exit
+    results: ClassVar[tuple[str, ...]] = ()  # names of the numbers that `deliver` writes
 
     def __post_init__(self) -> None:
         checks.instance("stream", self.stream, Stream, STREAM)
@@ -196,29 +197,29 @@ class StreamTask(Task):
 
     @staticmethod
     @inlined
-    def outside(state: EnvState, x: float, y: float) -> float:
+    def base_distance(state: EnvState, x: float, y: float) -> float:
         """Return 0: the box of a parcel counts as its base."""
         return 0.0
 
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether another leaves an entering parcel its width, and `entry_gap` ahead."""
+        """Return whether another parcel is beside an entering one, or `entry_gap` ahead of it."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
     @inlined
     def has_departed(surface: fs.SurfaceView, state: EnvState) -> bool:
-        """Return whether no rotor bears the parcel."""
+        """Return whether no rotor is under the parcel."""
         return not state.on_rotors
 
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Find the exit by which a parcel has left, or BETWEEN them.
+        """Return the exit of a departed parcel, or BETWEEN exits.
 
-        Straight on it has left where its rear is past the last column of rotors, or its centre past
-        the rotors' end; else to the side that its centre is on.
+        It departed straight ahead if its rear is past the last column of rotors, or its centre past
+        the rotors' end. Otherwise it departed on the side of its centre.
         """
         truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF
@@ -241,28 +242,28 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def advance(surface: fs.SurfaceView, dt: float) -> None:
-        """Leave the task's memory of the surface as it is."""
+        """Keep the task's memory of the surface."""
 
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return that standing parcels may be a jam."""
+        """Return True: standing parcels may be a jam."""
         return True
 
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Show nothing of the surface."""
+        """Write no features of the surface."""
 
     @staticmethod
     @inlined
     def observe_neighbour(state: EnvState, other: EnvState, gap: float, ahead: bool) -> None:
-        """Show nothing of the next parcel ahead or behind."""
+        """Write no features of neighbours."""
 
     @staticmethod
     @inlined
     def observe_no_neighbour(state: EnvState, ahead: bool) -> None:
-        """Show nothing of it where there is none."""
+        """Write no features of neighbours."""
 
     def numbers(self) -> tuple[float, ...]:
         """Return the task's parameters as its compiled functions read them."""
@@ -270,25 +271,25 @@ class StreamTask(Task):
 
     @property
     def surface_memories(self) -> int:
-        """How many numbers the task keeps of a surface."""
+        """Size of the task's memory per surface."""
         return 0
 
     def draw_memory(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw what the task keeps of a surface as an episode begins (surface_memories,)."""
+        """Draw the task's initial memory of a surface (surface_memories,)."""
         del rng
         return np.zeros(self.surface_memories)
 
     def is_running(self, memory: Array) -> bool | None:
-        """Return whether the conveyor after the surface runs, for drawing; None: there is none."""
+        """Return whether the take-away runs, for drawing; None: there is none."""
         del memory
         return None
 
     def benchmark(self) -> Any:
-        """Describe the streams that methods are compared on, and the columns of the table."""
+        """Return the streams of the comparison, and the columns of its table."""
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute the rate [parcels/h] that no controller can exceed; nan: none is known."""
+        """Compute an upper bound of the rate [parcels/h] for any controller; NaN: unknown."""
         del config
         return math.nan
 
@@ -304,25 +305,25 @@ class StreamTask(Task):
 
     @property
     def rows(self) -> int:
-        """Rows of the observed table: of parcels on the line, and with a gate of waiting ones."""
+        """Rows of the observed table: parcels on the line and, with a gate, waiting parcels."""
         return self.max_parcels + (self.queue if self.gate else 0)
 
     @property
     def touching(self) -> ContactMaterial:
-        """Material of parcels' sides where they touch."""
+        """Material of touching sides of parcels."""
         return ContactMaterial(self.restitution, self.side_friction)
 
     def find_entrances(self, config: Any) -> tuple[Entrance, ...]:
-        """Find where the inlets lie on an environment's surface."""
+        """Return the positions of the inlets on an environment's surface."""
         line, rotors = config.chosen_line, config.rotors
         return tuple(find_entrance(each, line, rotors) for each in self.inlets)
 
     def find_exits(self, config: Any) -> Exits:
-        """Find the exits of an environment, a preset's laid out along the rotors."""
+        """Return the exits of an environment; a preset is laid out along the rotors."""
         return exits_option(self.exits, config.rotors_end - config.entry_x)
 
     def action_kind(self, config: Any) -> StreamActions:
-        """Return the kind of action: a choice for each module of a zone, or two for each parcel."""
+        """Return the kind of action: one choice per module, or two per parcel."""
         _, rows, _, columns = config.site.zone
         if config.actions == "parcels":
             rows, columns = self.max_parcels, HALVES
@@ -338,7 +339,7 @@ class StreamTask(Task):
         return math.ceil(self.duration / control_period - 1e-9)
 
     def noise_rows(self, used: int) -> int:
-        """Rows of noise for a parcel in a control period: the used ones, and a start's."""
+        """Return the rows of noise per parcel in a control period, including a start's row."""
         if used > NOISE_ROWS - ENTRY_ROWS:
             raise ValueError(
                 f"sensors must use at most {NOISE_ROWS - ENTRY_ROWS} rows of noise in a control "
@@ -347,7 +348,7 @@ class StreamTask(Task):
         return used + ENTRY_ROWS if used else 0
 
     def check(self, config: Any) -> None:
-        """Raise a ValueError where an environment's configuration does not suit the task."""
+        """Raise a ValueError if an environment's configuration does not suit the task."""
         for name, only in (("observe", ()), ("observe_axes", False)):
             given = getattr(config, name)
             if given != only:
@@ -389,7 +390,7 @@ class StreamTask(Task):
         self.check_stream(self.stream, config)
 
     def check_stream(self, stream: Any, config: Any) -> None:
-        """Raise a ValueError where it is no stream, or the exits or the line do not suit it."""
+        """Raise a ValueError for an invalid stream, or exits or a line that do not suit it."""
         checks.instance("stream", stream, Stream, STREAM)
         stream.check(config.exits, config.inlets)
         line: BaseLine = config.chosen_line
@@ -407,7 +408,7 @@ class StreamTask(Task):
                     f"parcels must be at most as long and wide as the line, {line.length:g} m x "
                     f"{line.width:g} m, got {length:g} m x {width:g} m"
                 )
-            # A smaller one would lie between rotors, as if it had left.
+            # A smaller parcel would fit between rotors, and seem to have departed.
             least = config.randomisation.least(parcel.base)
             length, width = np.ptp(least.outline, axis=0)
             if length < line.pitch_x or width < line.pitch_y:
@@ -417,8 +418,8 @@ class StreamTask(Task):
                 )
 
 
-# Features that tasks share.
-FAR = 4.0  # [m] to a neighbour that is not there, and the farthest that is shown of one
+# Features shared by tasks.
+FAR = 4.0  # [m] maximum distance of a neighbour, also shown without a neighbour
 GAP = Feature("gap", -20.0, 20.0, f"clear along x; there is none: {FAR:g} m", "m", 0.5)
 SPEED = Feature("speed", -20.0, 20.0, "its vx over the own", "m/s", 0.5)
 ASIDE = Feature("offset", -20.0, 20.0, "its y over the own", "m", 0.3)
@@ -428,6 +429,6 @@ WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surf
 
 
 def both_ways(features: tuple[Feature, ...]) -> tuple[Feature, ...]:
-    """Return the features of the neighbour ahead, then of the one behind."""
+    """Return the features of the neighbour ahead, then of the neighbour behind."""
     ways = ("ahead", "behind")
     return tuple(replace(each, name=f"{each.name} {way}") for way in ways for each in features)

@@ -89,7 +89,7 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions for the kernel of streams."""
     task, kind = config.task, config.action_kind
     names = (
-        "begin outside has_room has_departed exit_taken deliver advance may_jam inform reward "
+        "begin base_distance has_room has_departed exit_taken deliver advance may_jam inform reward "
         "observe observe_neighbour observe_no_neighbour"
     )
     return kernel.StreamFunctions(
@@ -245,9 +245,10 @@ class StreamBatch(BaseBatch):
             self.task.check_stream(each.get("stream", self.task.stream), self.config)
 
     def place_drawn(self, chosen: Integers, options: Sequence[dict[str, Any]] = ()) -> None:
-        """Draw an episode for each of the chosen surfaces (count,), from its generator: the
-        surface, the stream, the parcels, the stuck modules, the sensors' noise and what the task
-        draws, in that order.
+        """Draw an episode for each of the chosen surfaces (count,) from its generator.
+
+        The order is surface, stream, parcels, stuck modules, sensor noise, and the task's own
+        draws.
         """
         given = options if options else [{}] * len(chosen)
         for i, option in zip(chosen.tolist(), given, strict=True):

@@ -1,4 +1,4 @@
-"""The streams that methods of the package's tasks are compared on."""
+"""The streams of the comparison, by task."""
 
 import math
 from dataclasses import replace
@@ -25,11 +25,11 @@ from surface_gym.tasks.benchmark import (
 
 SPEEDS = (1.0, 1.5, 2.0)  # [m/s]
 BOXES = ("S", "B")
-MIXES = {"S": ("S",), "S and B": BOXES}  # parcels by name, of equal odds
-GROUPS = ("sides", "chutes")  # of exits, at equal odds; the first is compared by default
+MIXES = {"S": ("S",), "S and B": BOXES}  # parcels with equal odds, by name
+GROUPS = ("sides", "chutes")  # groups of exits; the first is the default
 SIX = tuple(np.radians([0.0, 45.0, -45.0, 90.0, 80.0, -80.0]).tolist())  # orientations
 
-FEW, SEVERAL = 0.05, 0.1  # [-] touches per delivery that are allowed where models err; in the lab
+FEW, SEVERAL = 0.05, 0.1  # [-] allowed touches per delivery with imperfect models, and in the lab
 SIZES = tuple(
     Parcel(Rectangle(*each))
     for each in ((0.2, 0.2), (0.25, 0.3), (0.3, 0.2), (0.35, 0.35), (0.4, 0.3), (0.45, 0.45))
@@ -57,7 +57,7 @@ LAB: dict[str, Any] = {
 
 
 def sorting_benchmark(task: Any) -> StreamBenchmark:
-    """Search the capacity on boxes of two mixes at three speeds, by two layouts of exits."""
+    """Return searches for the capacity: two mixes of boxes, three speeds, two layouts of exits."""
     brief = replace(task, duration=30.0)
     offers = tuple(
         Offer(
@@ -76,7 +76,7 @@ def sorting_benchmark(task: Any) -> StreamBenchmark:
 
 
 def _unseen(task: Any) -> tuple[Offer, ...]:
-    """List lines that agents never trained on."""
+    """Return lines on which no agent was trained."""
     late, stuck = Actuators(axis_speed=LATE), Actuators(stuck_share=0.02)
     camera = {"sensors": Camera(), "randomisation": Randomisation(friction=0.2)}
     some: tuple[tuple[str, Any, dict[str, Any], dict[str, Any], float], ...] = (
@@ -116,10 +116,12 @@ def _offer(
     )
 
 
-SECONDS = 200.0  # [s] of a stream on a slope
-BULK, ROWS = 14_000.0, 10_000.0  # [parcels/h] more than anybody takes
-RATES = tuple(np.arange(600.0, 3400.0, 200.0).tolist())  # [parcels/h] at which orders are tried
-ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] at which all are compared, by window
+SECONDS = 200.0  # [s] duration of a stream on a slope
+BULK, ROWS = 14_000.0, 10_000.0  # [parcels/h] above every method's capacity
+RATES = tuple(
+    np.arange(600.0, 3400.0, 200.0).tolist()
+)  # [parcels/h] tried rates of ordered streams
+ORDERED = {4: 3000.0, 8: 2000.0}  # [parcels/h] rate of the comparison by window
 ALIGNMENT = math.radians(10.0)
 PLANNED = (*KINDS, "planner")
 TAKE_AWAY_PRESETS = ("exact", "camera", "lab")
@@ -146,7 +148,7 @@ def _on_slope(
 
 
 def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
-    """Offer a bulk to ends of several kinds; `stops` are of the take-away."""
+    """Return a bulk with several kinds of ends; `stops` are pauses of the take-away."""
     whole = replace(task, duration=SECONDS)
     mouth = replace(whole, exits="mouth", alignment=ALIGNMENT)
     offers = (
@@ -161,7 +163,7 @@ def singulation_benchmark(task: Any, stops: Any) -> StreamBenchmark:
 
 
 def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
-    """Offer three lines, and two, whose inlets are given."""
+    """Return benchmarks with three lines and with two, given by their inlets."""
     whole = replace(task, duration=SECONDS)
     offers = (
         Offer("three lines", whole, (ROWS,), kinds=PLANNED),
@@ -171,7 +173,7 @@ def merging_benchmark(task: Any, two: Any) -> StreamBenchmark:
 
 
 def sequencing_benchmark(task: Any) -> StreamBenchmark:
-    """Ask for orders of three windows."""
+    """Return benchmarks with orders of three windows."""
     by_window = {
         k: replace(task, duration=SECONDS, stream=replace(task.stream, window=k)) for k in (2, 4, 8)
     }

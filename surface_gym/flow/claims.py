@@ -15,7 +15,7 @@ from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Places
 from surface_gym.state import EnvState
 
-NEARER = 1e-6  # [s/m^2] of two parcels on a module, the one with the nearer centre wins
+NEARER = 1e-6  # [s/m^2] weight of the distance, by which the parcel with the nearer centre wins
 CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside it
 
 
@@ -47,8 +47,8 @@ def _after(point: float, low: float, high: float, speed: float) -> float:
     return (high - point) / -speed if speed < 0.0 else np.inf
 
 
-def claiming(outside: Function) -> Any:
-    """Build `claim_modules` from the task's `outside(state, x, y)`."""
+def claiming(base_distance: Function) -> Any:
+    """Build `claim_modules` from the task's `base_distance(state, x, y)`."""
 
     @inlined
     def claim_modules(
@@ -89,7 +89,7 @@ def claiming(outside: Function) -> Any:
                 if until > min(ahead, after_y, _after(x, rear, front, vx)):
                     continue
                 until += NEARER * ((x - sensed[ph.X]) ** 2 + (y - sensed[ph.Y]) ** 2)
-                until += outside(state, x, y) / CLOSING
+                until += base_distance(state, x, y) / CLOSING
                 if until < soonest[row, column]:
                     soonest[row, column] = until
                     owner[row, column] = slot
@@ -139,9 +139,9 @@ def is_turn(angle: float, before: float) -> bool:
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 
 
-def assigning(outside: Function) -> Any:
+def assigning(base_distance: Function) -> Any:
     """Build `assign_modules(view)`, which writes the parcel that each module obeys."""
-    claim_modules = claiming(outside)
+    claim_modules = claiming(base_distance)
 
     @inlined
     def assign_modules(view: StreamView) -> None:
@@ -156,9 +156,9 @@ def assigning(outside: Function) -> Any:
     return assign_modules
 
 
-def obeying(outside: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
+def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
     """Build `obey_command(view)`, which sets a surface's modules and counts their turns."""
-    assign_modules = assigning(outside)
+    assign_modules = assigning(base_distance)
 
     @inlined
     def obey_command(view: StreamView) -> None:

@@ -115,7 +115,7 @@ def _occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 
 def entering(has_room: Function) -> Any:
-    """Build `let_in(view)`, by the task's `has_room(surface, state, other)`."""
+    """Build `let_in(view)` with the task's `has_room(surface, state, other)`."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -132,16 +132,15 @@ def entering(has_room: Function) -> Any:
 
     @inlined
     def let_in(view: StreamView) -> int:
-        """Let the next parcel of an inlet that is due enter if there is room, the one whose time
-        came first; give its slot, or NOBODY.
+        """Let the earliest due parcel that has room enter; return its slot, or NOBODY.
 
-        Its task and its sensor have yet to begin.
+        Only the next parcel of each inlet may enter. Its task and its sensor have yet to begin.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)
         if slot == fs.NOBODY or count_waiting(streams, i) == 0:
             return fs.NOBODY
-        barred = 0  # a bit an inlet
+        barred = 0  # one bit per inlet
         open_inlets = view.stream_params.inlets
         arrival = streams.coming[i]
         while open_inlets > 0 and arrival < streams.due[i]:

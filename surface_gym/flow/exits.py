@@ -17,7 +17,7 @@ RUN_OUT = 6  # columns of supports after the last rotors, for parcels that exit 
 PITCH = 0.1  # [m]
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight ahead, y > 0 (left)
-NOWHERE = -1  # index for parcels that leave between exits
+NOWHERE = -1  # index for departures between exits
 
 
 @dataclass(frozen=True)

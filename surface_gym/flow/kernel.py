@@ -32,7 +32,7 @@ class StreamFunctions(NamedTuple):
 
     label: str  # name of its files in the cache
     begin: Function  # task
-    outside: Function
+    base_distance: Function
     has_room: Function
     has_departed: Function
     exit_taken: Function
@@ -368,7 +368,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     ended ones do not change. It returns the number of surfaces with a fault.
     """
     straighten, obey = functions.actuation.straighten, functions.actuation.obey
-    obey_command = obeying(functions.outside, functions.part_of, functions.commanded, obey)
+    obey_command = obeying(functions.base_distance, functions.part_of, functions.commanded, obey)
     run, earn = _running(functions), _earning(functions)
     observe_parcels, may_jam = _observing(functions), functions.may_jam
 
@@ -411,7 +411,7 @@ def make_assigning_kernel(functions: StreamFunctions) -> Any:
 
     It takes the arguments of `step_streams`, does no step, and returns 0.
     """
-    assign_modules = assigning(functions.outside)
+    assign_modules = assigning(functions.base_distance)
 
     def assign_streams(
         params: EnvParams,

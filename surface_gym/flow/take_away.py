@@ -422,7 +422,7 @@ class TakeAwayTask(StreamTask):
 
     @staticmethod
     @inlined
-    def outside(state: EnvState, x: float, y: float) -> float:
+    def base_distance(state: EnvState, x: float, y: float) -> float:
         """Return the distance of a point outside the sensed base, since parcels have any angle."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
