@@ -33,11 +33,11 @@ class BaseLine(Elements):
     A friction coefficient is one number, or an array (rows, columns) with one value per element.
     """
 
-    pitch: float | tuple[float, float] = 0.1  # [m] between neighbours: one, or in x and in y
+    pitch: float | tuple[float, float] = 0.1  # [m] distance of neighbours: one number, or x and y
     origin: tuple[float, float] = (0.05, 0.05)  # [m] centre of element [0, 0]
     mu_max: Any = 0.5  # [-] friction along a rotor's axis
-    mu_min: Any = 0.01  # [-] across it
-    mu_support: Any = 0.005  # [-] of a support
+    mu_min: Any = 0.01  # [-] friction across it
+    mu_support: Any = 0.005  # [-] friction of a support
     orientations: tuple[float, ...] = ORIENTATIONS  # [rad] available axis angles
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class BaseLine(Elements):
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Return least x, greatest x, least y, greatest y [m] of the elements' outer edges."""
+        """Return minimum x, maximum x, minimum y and maximum y [m] of the elements' outer edges."""
         left, low = self.column_edge(0), self.origin[1] - 0.5 * self.pitch_y
         return left, left + self.length, low, low + self.width
 
@@ -115,7 +115,7 @@ class Line(BaseLine):
 
     rows: int = 20
     columns: int = 30
-    zone_rows: int = 4  # of the widest line, an even number
+    zone_rows: int = 4  # rows of the widest line, an even number
     zone_columns: int = 16
     line_y: float = LINE_Y  # [m] middle of the line, halfway between two rows
 
@@ -183,7 +183,7 @@ class Field(BaseLine):
 
 @dataclass(frozen=True)
 class Pattern(BaseLine):
-    """A line of rotors and supports in any pattern. All rotors obey except in the lead-in.
+    """A line with any pattern of rotors and supports. All rotors obey except in the lead-in.
 
     The zone extends from the first row with a rotor to the last one. Parcels enter at its middle.
     """

@@ -41,15 +41,15 @@ def map_jobs(
     grace: float = GRACE,
     name: Callable[[int], str] = "job {}".format,
 ) -> Iterator[tuple[int, Result]]:
-    """Run jobs, and yield index and result of each when it is finished, in any order.
+    """Run jobs; yield index and result of finished jobs, in any order.
 
     A job whose process or node dies is restarted, from the beginning or from its files. An
-    interrupt, or any other end of this iteration, interrupts the running jobs and waits for their
-    last reports.
+    interrupt, or any other end of the iteration, interrupts running jobs, and waits for their last
+    reports.
 
     Args:
-        jobs: each called with one argument, `report`. The next one is taken from the iterable only
-            when a worker is free.
+        jobs: functions of one argument, `report`. The next job is taken from the iterable only when
+            a worker is free.
         workers: number of processes, or a cluster; with one process, jobs run in this process.
         on_report: called with a job's index and its report.
         grace: [s] for which interrupted jobs may go on.

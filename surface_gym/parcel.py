@@ -15,7 +15,7 @@ from surface_gym.physics.types import Body
 class Base(Protocol):
     """The interface of a base. All lengths are in the base's own frame.
 
-    A base is convex: the intersection of its edges' half planes with a circle around its centroid.
+    A base is convex: the intersection of its edges' half planes and a circle around its centroid.
     """
 
     @property
@@ -46,7 +46,7 @@ class Base(Protocol):
 
 
 def check_base(base: Any) -> None:
-    """Raise a ValueError that names the members of `Base` which an object lacks."""
+    """Raise a ValueError that names the members of `Base` that an object lacks."""
     asked = ("centroid", "gyration", "reach", "edges", "outline", "functions", "scaled")
     lacks = [name for name in asked if isinstance(base, type) or not hasattr(base, name)]
     if lacks:
@@ -183,7 +183,7 @@ class Polygon:
         turn = np.arctan2(
             side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0], (side * after).sum(axis=1)
         )
-        # At a vertex within a side the turn is only round-off; a negative turn is not convex.
+        # At a vertex within a side, the turn is only round-off. A negative turn is not convex.
         one_way = (turn > -1e-9).all() or (turn < 1e-9).all()
         turns_back = (np.abs(turn) > np.pi - 1e-9).any()
         if turns_back or not (one_way and abs(abs(turn.sum()) - 2.0 * np.pi) < 1e-6):

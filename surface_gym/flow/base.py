@@ -130,8 +130,8 @@ class StreamTask(Task):
       under the parcel.
     - `exit_taken(surface, state) -> int`, after a departure: the exit, or BETWEEN exits; by
       default, by the side and position of the departure.
-    - `base_distance(state, x, y) -> float`: the distance [m] of a module in the parcel's bounding box
-      from its base, to assign modules between neighbours; by default 0.
+    - `base_distance(state, x, y) -> float`: the distance [m] of a module in the parcel's bounding
+      box from its base, to assign modules between neighbours; by default 0.
 
     A parcel's goal, `state.goal`, holds EXIT, SIDE, FIRST and LAST (its exit, and the exit's side
     and span), INLET (of its entry) and ORDER (its place in the order of departure).

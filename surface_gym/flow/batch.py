@@ -89,8 +89,8 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
     """Collect the functions for the kernel of streams."""
     task, kind = config.task, config.action_kind
     names = (
-        "begin base_distance has_room has_departed exit_taken deliver advance may_jam inform reward "
-        "observe observe_neighbour observe_no_neighbour"
+        "begin base_distance has_room has_departed exit_taken deliver advance may_jam inform "
+        "reward observe observe_neighbour observe_no_neighbour"
     )
     return kernel.StreamFunctions(
         f"{type(task).__name__}-{type(config.sensors).__name__}-{config.actions}",

@@ -232,7 +232,7 @@ def _running(functions: StreamFunctions) -> Any:
 def _earning(functions: StreamFunctions) -> Any:
     """Build `earn(view) -> bool`, which computes parcels' rewards and reads their sensors.
 
-    It returns whether there are parcels and all of them are at rest.
+    It returns True if there are parcels, and all of them are at rest.
     """
     task_reward, sensor_read = functions.reward, functions.read_sensor
 
@@ -266,7 +266,7 @@ def _earning(functions: StreamFunctions) -> Any:
 def end(view: StreamView, stands: bool) -> None:
     """End the episode after a jam or at the time limit, and sum the surface's reward.
 
-    `stands` says whether nothing moved in the period that should have.
+    `stands` is true if nothing moved in the period although something should.
     """
     streams, i, timing = view.streams, view.i, view.params.timing
     if stands:
@@ -364,8 +364,8 @@ def _observing(functions: StreamFunctions) -> Any:
 def make_stream_kernel(functions: StreamFunctions) -> Any:
     """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
-    Among the chosen surfaces (count,), placed ones begin, running ones do one control period, and
-    ended ones do not change. It returns the number of surfaces with a fault.
+    Of all chosen surfaces (count,), it begins placed ones, steps running ones by one control
+    period, and leaves ended ones unchanged. It returns the number of surfaces with a fault.
     """
     straighten, obey = functions.actuation.straighten, functions.actuation.obey
     obey_command = obeying(functions.base_distance, functions.part_of, functions.commanded, obey)

@@ -104,7 +104,7 @@ class Sequence(TakeAwayTask):
     @staticmethod
     @inlined
     def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a parcel departed as Singulate asks, and in its turn."""
+        """Return whether a parcel departed correctly, as in Singulate and in its turn."""
         is_next = state.goal[fs.ORDER] <= surface.next_place
         return _deliver(surface, state, taken, results) and is_next
 

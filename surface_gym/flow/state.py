@@ -49,7 +49,7 @@ class StreamState(NamedTuple):
     departed: Array  # (surfaces, arrivals) [s] time of departure from the rotors; NaN before
     taken: Integers  # (surfaces, arrivals) exit taken, BETWEEN exits, or ON_ITS_WAY
     correct: Booleans  # (surfaces, arrivals) whether it departed correctly
-    results: Array  # (surfaces, arrivals, results) of the task as it departed; nan before
+    results: Array  # (surfaces, arrivals, results) the task's results at departure; NaN before
     final: Array  # (surfaces, arrivals, 6) pose and velocity at departure, like `truth`
     touches: Integers  # (surfaces, arrivals) number of touches begun
     # (surfaces, rows) arrival in each row, or NOBODY; with a gate, the last rows are waiting
@@ -61,9 +61,9 @@ class StreamState(NamedTuple):
     steps: Integers  # (surfaces,) physics steps since the start
     still: Array  # (surfaces,) [s] time without motion
     waited: Array  # (surfaces,) [s] total waiting time of parcels
-    next_place: Integers  # (surfaces,) least place in the order whose parcel has not departed
-    memory: Array  # (surfaces, surface_memories) what the task keeps of the surface
-    exit_memory: Array  # (surfaces, exits, exit_memories) what the task keeps of each exit
+    next_place: Integers  # (surfaces,) lowest place in the order whose parcel has not departed
+    memory: Array  # (surfaces, surface_memories) the task's memory
+    exit_memory: Array  # (surfaces, exits, exit_memories) the task's memory
     pressing: Array  # (surfaces, rows, rows) [N] mean force between two parcels at `touched_at`
     impulse: Array  # (surfaces,) [N s] largest impulse in a physics step
     squeeze: Array  # (surfaces,) [N] largest mean force
@@ -72,7 +72,7 @@ class StreamState(NamedTuple):
     commanded: Array  # (surfaces, rows, columns) [rad] last commanded axis angle of a module
     obeys: Booleans  # (surfaces or 1, rows, columns) whether a rotor is in the zone and not stuck
     tally: Integers  # (surfaces, 5) ENTERED ... TURNS so far
-    terms: Array  # (surfaces, terms) of the reward
+    terms: Array  # (surfaces, terms) terms of the reward
     reward: Array  # (surfaces,) sum of the terms
     outcome: Integers  # (surfaces,)
     fault: Integers  # (surfaces,)
@@ -89,20 +89,20 @@ class StreamParams(NamedTuple):
     patience: float  # [s] time without motion until a jam
     inlets: int  # number of inlets
     queue: int  # rows of parcels waiting at the gate; 0 without a gate
-    numbers: Array  # (numbers,) of the task alone, as its `numbers` makes them
+    numbers: Array  # (numbers,) result of the task's `numbers`
     touching: ContactMaterial  # contact material of parcels' sides
     waiting_reward: float  # per second and waiting parcel
     jam_reward: float  # once, at a jam
 
 
 class SurfaceView(NamedTuple):
-    """A surface as the functions of a task get it."""
+    """View of a surface for a task's functions."""
 
     params: StreamParams
-    memory: Array  # (surface_memories,) what the task keeps of the surface
-    exits: Array  # (exits, exit_memories) what the task keeps of each exit
+    memory: Array  # (surface_memories,) the task's memory of the surface
+    exits: Array  # (exits, exit_memories) the task's memory of the exits
     clock: float  # [s] since the start of the surface
-    next_place: int  # the least place in the order whose parcel has not departed
+    next_place: int  # lowest place in the order whose parcel has not departed
 
 
 class StreamView(NamedTuple):
@@ -130,7 +130,7 @@ def view_parcel(view: StreamView, row: int) -> EnvState:
 
 @inlined
 def view_task(view: StreamView) -> SurfaceView:
-    """View a surface as the functions of a task get it."""
+    """Return the view of a surface for a task's functions."""
     streams, i = view.streams, view.i
     return SurfaceView(
         view.stream_params, streams.memory[i], streams.exit_memory[i], streams.clock[i],

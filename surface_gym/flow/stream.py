@@ -44,18 +44,20 @@ class Stream:
     """
 
     arrivals: Law | Trace = EVERY_THREE_SECONDS
-    # "S", "B" or a Parcel, or a pair of one and its odds, by default 1
+    # "S", "B" or a Parcel, or pairs of a parcel and its odds (default 1)
     parcels: Any = ("S",)
-    # odds of exits by name, as a mapping or as pairs; None: equal odds of all exits
+    # odds of exits by name, as a mapping or as pairs; None: equal odds
     destinations: Any = None
-    speeds: Any = 1.5  # [m/s] of every parcel, or the bounds of a uniform draw
-    # odds of inlets by name, as a mapping or as pairs; None: equal odds of all inlets
+    speeds: Any = 1.5  # [m/s] one speed, or the bounds of a uniform draw
+    # odds of inlets by name, as a mapping or as pairs; None: equal odds
     origins: Any = None
-    # [-] where across its inlet each comes: -1 at its right end as it comes, 0 in the middle, 1 at
-    # its left; or the bounds of a uniform draw
+    # [-] lateral position in the inlet: -1 right, 0 middle, 1 left, seen along the motion; or the
+    # bounds of a uniform draw
     aside: Any = 0.0
-    turned: Any = 0.0  # [rad] how each is turned as it comes, or the bounds of a uniform draw
-    window: int = 1  # so many in a row are numbered in an order drawn by chance; 1: as they come
+    turned: Any = 0.0  # [rad] angle from the direction of motion, or the bounds of a uniform draw
+    window: int = (
+        1  # number of successive parcels in a random order of departure; 1: in order of arrival
+    )
 
     def __post_init__(self) -> None:
         checks.instance("arrivals", self.arrivals, (Law, Trace), LAWS)
@@ -74,18 +76,18 @@ class Stream:
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], exits: Exits | None = None) -> "Stream":
-        """Read a recorded stream from a file of the format of `read_trace`."""
+        """Read a recorded stream from a file in the format of `read_trace`."""
         return cls(laws.read_trace(path, exits))
 
     @cached_property
     def kinds(self) -> tuple[Parcel, ...]:
-        """The different parcels that may arrive."""
+        """The distinct parcels that may arrive."""
         if isinstance(self.arrivals, Trace):
             return self.arrivals.kinds
         return tuple(parcel for parcel, _ in self.parcels)
 
     def with_rate(self, rate: float) -> "Stream":
-        """Return the same stream at another mean rate [parcels/h]; not of a Schedule or a Trace."""
+        """Return the stream at another mean rate [parcels/h]; not for a Schedule or a Trace."""
         if not isinstance(self.arrivals, (Steady, Spread, Poisson)):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "
@@ -94,7 +96,7 @@ class Stream:
         return replace(self, arrivals=replace(self.arrivals, rate=rate))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
-        """Raise a ValueError if a destination is not among the exits, or an origin no inlet."""
+        """Raise a ValueError for unknown destinations or origins."""
         if isinstance(self.arrivals, Trace):
             self.arrivals.check(exits, inlets)
         for name, _ in self.destinations or ():
@@ -107,10 +109,13 @@ class Stream:
     ) -> Arrivals:
         """Draw the arrivals of an episode of a duration [s].
 
-        All times are drawn first, then three numbers a parcel, of its kind, its exit and its speed,
-        even where there is no choice: another mix or other speeds leave all else as it was. Then
-        come two more a parcel where either is drawn, of where across its inlet it comes and how it
-        is turned; one of its inlet where there are several; and last the numbers of the windows.
+        The order of draws is fixed, so a change of one parameter keeps all other draws:
+
+        - all arrival times;
+        - three numbers per parcel: kind, exit and speed, even without a choice;
+        - two numbers per parcel, if either is random: lateral position and angle;
+        - one number per parcel, if there are several inlets: the inlet;
+        - the orders within windows.
         """
         duration = checks.positive("duration", duration, most=checks.EPISODE)
         self.check(exits, inlets)
@@ -123,18 +128,18 @@ class Stream:
         coming = rng.random(len(time)) if len(inlets) > 1 else np.zeros(len(time))
         return Arrivals(
             time=time,
-            parcel=_drawn([odds for _, odds in self.parcels], kind),
+            parcel=_draw_index([odds for _, odds in self.parcels], kind),
             kinds=self.kinds,
             speed=_between(self.speeds, speed),
-            exit=_drawn_by_name(self.destinations, exits, leaving),
-            inlet=_drawn_by_name(self.origins, inlets, coming),
+            exit=_draw_by_name(self.destinations, exits, leaving),
+            inlet=_draw_by_name(self.origins, inlets, coming),
             aside=_between(self.aside, aside),
             turned=_between(self.turned, turned),
             number=self._numbers(rng, len(time)),
         )
 
     def _numbers(self, rng: np.random.Generator, count: int) -> Places:
-        """Number the parcels of one window after the other, each in an order by chance."""
+        """Return the order of departure, shuffled within each window."""
         number = np.arange(count)
         if self.window > 1:
             for first in range(0, count, self.window):
@@ -142,22 +147,22 @@ class Stream:
         return number
 
 
-def _drawn_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
-    """Return indices among exits or inlets, by their odds and by numbers (n,) in [0, 1)."""
+def _draw_by_name(odds: Any, among: Exits | Inlets, number: Numbers) -> Places:
+    """Draw indices of exits or inlets by their odds, from uniform numbers (n,) in [0, 1)."""
     if odds is None:
-        return _drawn([1.0] * len(among), number)
+        return _draw_index([1.0] * len(among), number)
     place = np.array([among.place(name) for name, _ in odds])
-    return place[_drawn([each for _, each in odds], number)]
+    return place[_draw_index([each for _, each in odds], number)]
 
 
 def _between(bounds: float | tuple[float, float], number: Numbers) -> Numbers:
-    """Return values (n,) between two bounds, by numbers (n,) uniform in [0, 1)."""
+    """Return values (n,) between two bounds, from uniform numbers (n,) in [0, 1)."""
     low, high = bounds if isinstance(bounds, tuple) else (bounds, bounds)
     return low + (high - low) * number
 
 
-def _drawn(odds: list[float], number: Numbers) -> Places:
-    """Return indices drawn by odds from uniform numbers (n,) in [0, 1)."""
+def _draw_index(odds: list[float], number: Numbers) -> Places:
+    """Draw indices by odds, from uniform numbers (n,) in [0, 1)."""
     shares = np.cumsum(odds)
     return np.searchsorted(shares[:-1], number * shares[-1], side="right")
 

@@ -140,15 +140,15 @@ AT_LEAST = 1e-3  # [m/s] minimum speed of a departing parcel, for the position a
 
 # Indices in a parcel's goal, after the common ones of streams.
 LOW, HIGH, LAST_REAR, RUNS, SLOPE_END, ASKED_GAP, NEXT = range(fs.GOALS, fs.GOALS + 7)
-# Places in the task's numbers.
+# Indices in the task's numbers.
 BELT_SPEED, LEAST_GAP, MOST_TURNED, NOTICE = range(4)
-# In what it keeps of a surface: [m] that the belt has moved, how often it has stopped or started,
-# and from DEMAND on [s] when it stops, and starts, in turn.
+# Indices in the memory of a surface: [m] motion of the belt, number of its stops and starts, and
+# from DEMAND on the times [s] of its stops and starts in turn.
 BELT, CHANGES, DEMAND = range(3)
-# In what it keeps of an exit: whether any parcel has taken it, and of the last one [m] where on the
-# belt its rear end lies.
+# Indices in the memory of an exit: whether any parcel has taken it, and [m] the last parcel's rear
+# on the belt.
 ANY, REAR_END = range(2)
-# In the results of a parcel: [m] behind the one before it on the belt, [rad] how it was turned.
+# Indices in the results of a parcel: [m] gap to the previous parcel on the belt, [rad] its angle.
 GAP_BEFORE, MISALIGNMENT = range(2)
 BEFORE = fs.OWN_MEMORY  # index in its memory: [m] x at the last decision
 
@@ -244,7 +244,7 @@ def is_there(row: NDArray[np.float32]) -> bool:
 
 
 def narrowest(parcel: Parcel) -> float:
-    """Compute the least extent [m] of a base, however it is turned: across one of its edges."""
+    """Compute the smallest extent [m] of a base over all angles, across one of its edges."""
     if not len(parcel.body.edges):
         return 2.0 * parcel.base.reach
     outline = parcel.base.outline
@@ -320,7 +320,7 @@ def compute_statistics(
 
 
 def _is_early(order: Integers, departed: Array) -> Booleans:
-    """Return (parcels,) whether a parcel departed before one with a lower place."""
+    """Return (parcels,) whether a parcel departed before a parcel with a lower place."""
     by_time = np.argsort(departed, kind="stable")
     after = np.minimum.accumulate(order[by_time][::-1])[::-1]
     early = np.zeros(len(order), dtype=np.bool_)
@@ -400,9 +400,10 @@ class TakeAwayTask(StreamTask):
         return bool(memory[CHANGES] % 2.0 == 0.0)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute the rate at which parcels lie on the take-away as close as is allowed.
+        """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
-        Each has its least extent along it. Nobody delivers more rightly, by one mouth or by each.
+        Every parcel has its smallest extent along the take-away. No controller delivers more
+        parcels correctly.
         """
         odds = np.array([each for _, each in self.stream.parcels])
         extent = np.array([narrowest(parcel) for parcel, _ in self.stream.parcels])
@@ -423,7 +424,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def base_distance(state: EnvState, x: float, y: float) -> float:
-        """Return the distance of a point outside the sensed base, since parcels have any angle."""
+        """Return the distance [m] from the sensed base to a point; 0 inside."""
         sensed = state.sensed
         cosine, sine = math.cos(sensed[THETA]), math.sin(sensed[THETA])
         dx, dy = x - sensed[X], y - sensed[Y]
@@ -477,14 +478,14 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return whether the take-away runs: before one that stands, parcels wait."""
+        """Return whether the take-away runs; while it stands, parcels wait."""
         return runs(surface)
 
     @staticmethod
     @inlined
     def deliver(surface: fs.SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
-        """Return whether a parcel departed through a mouth, with its gap, aligned, while the
-        take-away runs.
+        """Return whether a parcel departed correctly: by a mouth, with its gap, aligned, onto a
+        running take-away.
         """
         params, truth = surface.params, state.truth
         theta, speed = truth[THETA], max(truth[VX], AT_LEAST)

@@ -18,7 +18,7 @@ from surface_gym.paper.runs import NONE, SIZES, Integration, rotor_columns, tipp
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
-# shows progress over cases, with a description
+# function that shows progress over cases, with a description
 Track = Callable[[Sequence[Any], str], Iterable[Any]]
 
 INWARDS, OUTWARDS = 1, -1  # sign of the outer row's angle at y > 1 m

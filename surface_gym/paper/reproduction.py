@@ -23,7 +23,7 @@ NEAR_THE_LIMIT = (
     (runs.CONVERGED, Integration("explicit", runs.CONVERGED.dt / 2.0)),
     (runs.CONVERGED, Integration("implicit", 1e-3)),
 )
-# A tenth to either side. The sign function of Eq. (2) chatters, so the result of a coarse step is
+# A tenth to both sides. The sign function of Eq. (2) chatters, so the result of a coarse step is
 # random within this range.
 ABOUT_COARSE = tuple(
     Integration("explicit", runs.COARSE.dt * percent / 100.0) for percent in range(90, 111, 2)

@@ -194,7 +194,7 @@ def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
 
 @linked
 def _rebound(scratch: WorldScratch, island: Island, material: ContactMaterial) -> None:
-    """Let the sides of an island stop each other and part, with no time for friction below."""
+    """Apply compression and restitution to an island's sides, without surface friction."""
     for n in range(island.members):
         k = island.member[n]
         for axis in range(3):
@@ -247,10 +247,10 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
 
 @linked
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
-    """Move a pushed parcel: alone until it touches, then with its new velocity.
+    """Move a pushed parcel: with its own motion until the first touch, then with its new velocity.
 
     Args:
-        scratch: holds the velocity at the touch, impulses included.
+        scratch: holds the velocity at the touch, including impulses.
         hit: whether velocities change at the touch instead of over the step.
     """
     state, start, met = world.state[k], scratch.start[k], scratch.met[k]

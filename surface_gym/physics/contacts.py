@@ -105,8 +105,8 @@ def find_contacts(
     """Find the elements under the base of a parcel whose centre of mass is at (x, y).
 
     The search covers only the rows and columns around the base, so its cost does not depend on the
-    size of the surface. The contacts' data in `scratch` are rewritten only if other elements lie
-    under the base than at the last call, or after `invalidate_contacts`.
+    size of the surface. The contacts' data in `scratch` are rewritten only if the elements differ
+    from the last call, or after `invalidate_contacts`.
     """
     table, marks = scratch.table, scratch.marks
     cosine = math.cos(theta)
@@ -135,7 +135,7 @@ def find_contacts(
         to_column = bounded((high - grid_x) * per_pitch_x, -1.0, columns)
         first = max(0, math.ceil(from_column))
         last = min(columns - 1, math.floor(to_column))
-        last = min(last, first + ph.CAPACITY - 1 - count)  # for any input
+        last = min(last, first + ph.CAPACITY - 1 - count)  # bounds the index for any input
         if first > last:
             continue
         for column in range(first, last + 1):

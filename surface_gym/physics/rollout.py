@@ -39,7 +39,7 @@ def run_implicit(
 def run_explicit(
     grid: Grid, body: Body, states: Array, reports: NDArray[np.int64], scratch: Scratch, dt: float
 ) -> int:
-    """Fill states and reports as `run_implicit` does, by the paper's loop."""
+    """Fill states and reports like `run_implicit`, by the paper's loop."""
     for k in range(1, states.shape[0]):
         for j in range(ph.STATE_SIZE):
             states[k, j] = states[k - 1, j]
@@ -102,7 +102,7 @@ def run_world(
 
 @compiled
 def distance_between(world: World, i: int, j: int) -> float:
-    """Return the signed distance [m] of two parcels, negative where they overlap."""
+    """Return the signed distance [m] of two parcels; negative if they overlap."""
     first = sd.read_outline(world.bodies, world.body[i])
     second = sd.read_outline(world.bodies, world.body[j])
     gap = sd.signed_distance(
@@ -115,16 +115,16 @@ def distance_between(world: World, i: int, j: int) -> float:
 
 
 class RecordedSteps(NamedTuple):
-    """Steps of a run: step k leads from row k - 1 to row k; step 0 does not exist."""
+    """Steps of a run: step k leads from row k - 1 to row k; there is no step 0."""
 
-    before: Array  # (T, STATE_SIZE) the states recorded
+    before: Array  # (T, STATE_SIZE) recorded states
     length: Array  # (T,) [s]
     lead: Array  # (T,) [s] from a step's start to the pose at which contacts are found
     first: Integers  # (T + 1,) row of a step's first contact in `ContactForces`
 
 
 class ContactForces(NamedTuple):
-    """Contacts and forces of recorded steps, one step after the other, in the order of the grid."""
+    """Contacts and forces of successive recorded steps, in the order of the grid."""
 
     state: Array  # (T, STATE_SIZE) state after each step
     element: Integers  # (contacts, 2) row and column
@@ -181,7 +181,7 @@ def _begin(
 def repeat_implicit(
     grid: Grid, body: Body, steps: RecordedSteps, scratch: Scratch, observed: ContactForces
 ) -> None:
-    """Do the implicit steps with normal forces given, and record the friction at their ends."""
+    """Repeat the implicit steps with given normal forces, and record the friction at their ends."""
     for k in range(1, steps.before.shape[0]):
         state, first, length = observed.state[k], steps.first[k], steps.length[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
@@ -201,11 +201,11 @@ def repeat_explicit(
     scratch: Scratch,
     observed: ContactForces,
 ) -> None:
-    """Do the explicit steps with normal forces given, and record the friction at their starts.
+    """Repeat the explicit steps with given normal forces, and record the friction at their starts.
 
     Args:
         level: the grid without gravity along it, so that only friction accelerates.
-        observed: normal forces in, all else out.
+        observed: input: normal forces; output: all other fields.
     """
     for k in range(1, steps.before.shape[0]):
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
@@ -216,7 +216,7 @@ def repeat_explicit(
         along_x = 0.0
         other_x = grid.gravity_x
         for i in range(contacts.total):
-            # Apply the law to one contact: a scratch whose tables begin at it.
+            # Apply the law to one contact: its scratch's tables begin at the contact.
             one = Scratch(scratch.table[i:], scratch.marks[i:])
             fx, fy, _, _ = step.explicit_acceleration(
                 level, body.gyration, one, Contacts(1, 0), vx, before[ph.VY], before[ph.OMEGA]

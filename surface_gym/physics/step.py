@@ -115,7 +115,7 @@ def held_share(along_x: float, other_x: float) -> float:
 
     Args:
         along_x: [m/s^2] x component of the forces along the axes, divided by the mass.
-        other_x: [m/s^2] x component of all other forces, gravity included.
+        other_x: [m/s^2] x component of all other forces, including gravity.
     """
     return min(1.0, max(0.0, -other_x / along_x)) if along_x < 0.0 else 0.0
 
@@ -175,7 +175,7 @@ def explicit_acceleration(
     return along_x + other_x, along_y + other_y, (along_w + other_w) / gyration, vx
 
 
-# Reports of a step. From OFF_SURFACE on, the state stays as it was.
+# Reports of a step. From OFF_SURFACE on, the state does not change.
 BALANCED, TIPPING, OFF_SURFACE, UNSUPPORTED, STOPPED = range(5)
 
 

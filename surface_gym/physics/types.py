@@ -18,11 +18,11 @@ Places = NDArray[np.int32]
 class Grid(NamedTuple):
     """Surface under one parcel."""
 
-    axis: Places  # (rows, columns) the index of each rotor's axis in `direction`
+    axis: Places  # (rows, columns) index of a rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
     rotor: Booleans  # (rows, columns) a rotor, else a support
     stiffness: Array  # (rows, columns) [-] relative stiffness of an element; weights Eq. (1)
-    friction: Array  # (rows, columns, 3) [-] along a rotor's axis, across it, on a support
+    friction: Array  # (rows, columns, 3) [-] friction along a rotor's axis, across it, on a support
     x0: float  # [m] centre of element [0, 0]
     y0: float  # [m]
     pitch_x: float  # [m] from column to column
@@ -39,7 +39,7 @@ class Body(NamedTuple):
     """Parcel on a surface. It has no mass, since mass cancels out of Eq. (1)-(4)."""
 
     edges: Array  # (edges, 3) outward normal and distance from the centroid; n . p <= d inside
-    radius: float  # [m] of the circle around the centroid that holds the base
+    radius: float  # [m] radius of the base's circumscribed circle around the centroid
     com_x: float  # [m] centre of mass from the centroid, in the base frame
     com_y: float  # [m]
     com_height: float  # [m]
@@ -56,9 +56,11 @@ class Bodies(NamedTuple):
     # (bodies, 7) [m] radius, centre of mass x, y and height; [m^2] gyration; [m] from the centroid
     # to the rearmost point; [kg] mass
     body: Array
-    edges: Array  # (bodies, edges, 3) of the base, padded with edges that never bound
-    corners: Array  # (bodies, edges, 2) [m] of the base from its centroid, padded with repeats of
-    # the first; all at the centroid where it is a disc
+    edges: Array  # (bodies, edges, 3) edges of the base, padded with `parcel.NO_EDGE`
+    corners: (
+        Array  # (bodies, edges, 2) [m] corners from the base's centroid, padded with repeats of the
+    )
+    # first; all corners of a disc are at the centroid
 
 
 class Scratch(NamedTuple):

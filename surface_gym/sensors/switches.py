@@ -67,15 +67,13 @@ def covered_columns(
 
 
 @kernel_function
-def outside(
+def distance_and_normal(
     state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
 ) -> tuple[float, float, float]:
-    """Return the largest F_lambda (Section 3.2) of a point (dx, dy) from the centroid.
+    """Return the distance [m] from the base to a point (dx, dy) from the centroid, and the normal.
 
-    Also returns the outward normal of this edge, or of the circle for a disc.
-
-    Returns:
-        [m] distance of the point outside, and the normal (x, y).
+    The distance is the largest F_lambda (Section 3.2), negative inside. The normal (x, y) points
+    outwards from the closest edge, or from the circle of a disc.
     """
     x = cosine * dx + sine * dy
     y = cosine * dy - sine * dx
@@ -128,7 +126,7 @@ def _take_switch(
     outwards = -1.0 if covered else 1.0
     ux = outwards * (-estimate[VX] + estimate[OMEGA] * dy)
     uy = outwards * (-estimate[VY] - estimate[OMEGA] * dx)
-    distance, nx, ny = outside(state, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
+    distance, nx, ny = distance_and_normal(state, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
     lever = nx * dy - ny * dx
     speed = nx * estimate[VX] + ny * estimate[VY] - lever * estimate[OMEGA]
     variance = measure(estimate, -nx, -ny, lever, lead)
@@ -156,7 +154,7 @@ def _take_contradiction(
     dx = x - estimate[X]
     dy = y - estimate[Y]
     cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
-    distance, nx, ny = outside(state, dx, dy, cosine, sine, 0.0, 0.0)
+    distance, nx, ny = distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)
     wrong = distance if covered else -distance
     if wrong <= tolerance:
         return 0.0
@@ -276,7 +274,7 @@ def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
             if state.rotor[row, column] and covered != (has_first <= column <= has_last):
                 dx = state.elements.x0 + state.elements.pitch_x * column - estimate[X]
                 side = 1.0 if covered else -1.0
-                wrong = side * outside(state, dx, dy, cosine, sine, 0.0, 0.0)[0]
+                wrong = side * distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)[0]
                 if wrong > worst:
                     worst, worst_x, worst_y, worst_side = wrong, dx, dy, side
     return worst, worst_x, worst_y, worst_side
@@ -355,7 +353,7 @@ def _move(state: EnvState, tolerance: float) -> float:
         if wrong <= tolerance:
             return wrong
         cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
-        _, nx, ny = outside(state, dx, dy, cosine, sine, 0.0, 0.0)
+        _, nx, ny = distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)
         lever = nx * dy - ny * dx
         step = side * wrong / (1.0 + lever * lever / square)
         estimate[X] += step * nx
