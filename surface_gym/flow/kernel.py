@@ -364,7 +364,7 @@ def _observing(functions: StreamFunctions) -> Any:
 def make_stream_kernel(functions: StreamFunctions) -> Any:
     """Build `step_streams(params, stream_params, *arrays, scratch, sensor's scratch, chosen)`.
 
-    Of all chosen surfaces (count,), it begins placed ones, steps running ones by one control
+    Among all chosen surfaces (count,), it begins placed ones, steps running ones by one control
     period, and leaves ended ones unchanged. It returns the number of surfaces with a fault.
     """
     straighten, obey = functions.actuation.straighten, functions.actuation.obey
