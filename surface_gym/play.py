@@ -108,10 +108,10 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
 
 
 class OwnRun:
-    """The policy of a run, which is added to the package's agents when these exist."""
+    """The policy of a run, added to the package's agents once they exist."""
 
     def __init__(self) -> None:
-        self.write: Callable[[], tuple[str, str]] | None = None  # None: there is none, or it has
+        self.write: Callable[[], tuple[str, str]] | None = None  # None: no run, or already added
         self._lock = Lock()
 
     def join_once(self, agents: Path) -> None:
@@ -132,7 +132,7 @@ def writing_agents(folder: Path) -> Iterator[None]:
     print("agents are made meanwhile: reload the page in a few minutes to watch them")
     writing = subprocess.Popen(
         [sys.executable, "-m", "surface_gym.agents.export.web", str(folder)],
-        start_new_session=True,  # Ctrl-C is for the server, which then ends it
+        start_new_session=True,  # only the server gets Ctrl-C, and then ends this process
     )
     try:
         yield

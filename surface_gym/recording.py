@@ -237,11 +237,11 @@ class Recording:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Recording":
-        """Read a file that `save` wrote. It is read as numbers and text; nothing in it is executed.
+        """Read a file written by `save`. Only numbers and text are read; nothing in it is executed.
 
         Raises:
             ValueError: the file holds no recording; the message names the problem.
-            FileNotFoundError: there is no such file.
+            FileNotFoundError: the file does not exist.
         """
         file = _checked_file(path)
         try:

@@ -1,4 +1,4 @@
-"""Scenes and pictures of a batch's environments; imports drawing, so import it to draw."""
+"""Scenes and pictures of a batch's environments; importing it imports pygame."""
 
 import math
 from dataclasses import dataclass, replace
@@ -26,17 +26,17 @@ from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
-TRAIL = 0.6  # [m] shown of the way of a stream's parcel
-GLIDE = 0.5  # [s] for which a parcel that has left is shown
-FLASH = 0.1  # [s] for which a touch is shown
-RATE_OVER = 30.0  # [s] of the past whose parcels make the rate
-SOONEST_RATE = 5.0  # [s] of the past without which there is no rate
-APART = 1e-9  # [m, rad] beyond which a sensed pose differs from the true one
+TRAIL = 0.6  # [m] length of the trail of a stream's parcel
+GLIDE = 0.5  # [s] time for which a departed parcel is drawn
+FLASH = 0.1  # [s] time for which a touch is drawn
+RATE_OVER = 30.0  # [s] period of the displayed rate
+SOONEST_RATE = 5.0  # [s] minimum period of the displayed rate
+APART = 1e-9  # [m, rad] minimum difference of a drawn sensed pose from the true pose
 _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
 
 class Renderer:
-    """Draws the environments of a batch, and records what their pictures show of the past."""
+    """Draws the environments of a batch, and records the history for their pictures."""
 
     def __init__(self, batch: BaseBatch) -> None:
         self._batch = batch
@@ -45,14 +45,14 @@ class Renderer:
         self._tile_painter: TilePainter | None = None
 
     def record(self, env_index: int, begins: bool) -> None:
-        """Record an environment after its episode began or went on by a control period."""
+        """Record an environment after its start or a control period."""
         if env_index not in self._histories:
             history = _StreamHistory if hasattr(self._batch, "streams") else _ParcelHistory
             self._histories[env_index] = history(self._batch, env_index)
         self._histories[env_index].record(begins)
 
     def scene(self, env_index: int = 0, title: str | None = None) -> Scene:
-        """Describe what a picture of an environment shows now; by default the task is its title."""
+        """Return the current scene of an environment; the default title is the task."""
         return self._histories[env_index].scene(title)
 
     def draw(self, env_index: int = 0) -> Picture:
@@ -62,7 +62,7 @@ class Renderer:
         return self._painter.draw(self.scene(env_index))
 
     def draw_all(self) -> Picture:
-        """Draw all environments recorded, side by side."""
+        """Draw all recorded environments side by side."""
         if self._tile_painter is None:
             self._tile_painter = TilePainter()
         numbered = sorted(self._histories.items())
@@ -72,7 +72,7 @@ class Renderer:
 
 
 class _ParcelHistory:
-    """The trail of the only parcel of an environment."""
+    """The trail of an environment's only parcel."""
 
     def __init__(self, batch: Any, env_index: int) -> None:
         self._batch = batch
@@ -119,14 +119,14 @@ class _ParcelHistory:
 
 @dataclass(frozen=True, eq=False)
 class _Departure:
-    """A parcel that has left, as it did."""
+    """A departed parcel."""
 
     parcel: SceneParcel
     velocity: Array  # (3,) [m/s, m/s, rad/s]
-    departed: float  # [s] when
+    departed: float  # [s] time of departure
 
     def at(self, clock: float) -> SceneParcel:
-        """Move the parcel on as it left: no physics holds beyond the exit."""
+        """Return the parcel at a later time, with its velocity at departure."""
         since = np.linspace(0.0, clock - self.departed, 11)[1:, np.newaxis]
         way = np.array(self.parcel.pose) + since * self.velocity
         trail = _latest([*self.parcel.trail, *way[:, :2]])
@@ -136,7 +136,7 @@ class _Departure:
 class _StreamHistory:
     """The trails of a stream's parcels.
 
-    Parcels that have left are drawn for a moment more, under the others.
+    Departed parcels are drawn for a moment more, below the others.
     """
 
     def __init__(self, batch: Any, env_index: int) -> None:
@@ -145,7 +145,9 @@ class _StreamHistory:
         self._exits = exit_marks(batch.config)
         self._inlets = inlet_marks(batch.config)
         self._labels = _labels(batch.config.exits.names)
-        self._trails: dict[int, list[Array]] = {}  # by number of arrival, (2,) [m], oldest first
+        self._trails: dict[
+            int, list[Array]
+        ] = {}  # by arrival number: (2,) [m] positions, oldest first
         self._departed: list[_Departure] = []
 
     @property
@@ -166,7 +168,7 @@ class _StreamHistory:
                 continue
             truth = self._batch.view(i, slot).truth
             self._trails[number] = _latest([*trails.get(number, []), truth[:2].copy()])
-            if not streams.present[i, slot]:  # it has left since the last decision
+            if not streams.present[i, slot]:  # it departed after the last decision
                 wrong = self._takes_away and not streams.correct[i, number]
                 gone = replace(self._parcel(slot), sensed_pose=None, wrong=bool(wrong))
                 departed = float(streams.departed[i, number])
@@ -209,11 +211,11 @@ class _StreamHistory:
 
     @property
     def _takes_away(self) -> bool:
-        """Whether a conveyor takes parcels away, by whichever exit they leave."""
+        """Whether a take-away conveyor follows all exits."""
         return bool(self._batch.task.takes_away)
 
     def _parcel(self, slot: int) -> SceneParcel:
-        """Describe a parcel: by its exit, or on the way to a conveyor by its order or inlet."""
+        """Return a drawn parcel, coloured by exit; before a take-away, by order or inlet."""
         streams, i, task = self._batch.streams, self._index, self._batch.task
         number = int(streams.number[i, slot])
         asked, order = int(streams.exit[i, number]), int(streams.order[i, number])
@@ -226,7 +228,7 @@ class _StreamHistory:
         return replace(drawn, group=int(streams.inlet[i, number]))
 
     def _touching(self, slots: Integers, first: int) -> tuple[tuple[int, int], ...]:
-        """Find pairs of parcels in these slots that touched lately, counted from a first index."""
+        """Return pairs of indices of recently touching parcels; indices begin at `first`."""
         streams, i = self._batch.streams, self._index
         since = streams.steps[i] - streams.touched_at[i][np.ix_(slots, slots)]
         lately = since * self._batch.params.timing.dt <= FLASH + 1e-9
@@ -245,9 +247,9 @@ class _StreamHistory:
         return tuple(readings)
 
     def _rate(self) -> float:
-        """Compute the parcels per hour that left as they were to lately; nan if too early.
+        """Compute the recent rate of correct departures [parcels/h]; NaN if it is too early.
 
-        The rate never counts from before the first one left: until then the line was filling.
+        The period begins after the first departure, since the line is filling before.
         """
         streams, i = self._batch.streams, self._index
         gone = streams.taken[i] >= BETWEEN
@@ -260,7 +262,7 @@ class _StreamHistory:
 
 
 def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
-    """Describe the marks of a stream's exits: chutes beside the rotors, straight on past them."""
+    """Return the marks of a stream's exits: chutes beside the rotors, and straight ahead."""
     line, rotors_end = config.chosen_line, config.rotors_end
     first_row, rows, _, _ = config.rotors
     low = line.origin[1] + line.pitch_y * (first_row - 0.5)
@@ -269,7 +271,7 @@ def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
     marks = []
     for each in config.exits:
         span = None
-        if each.side == 0:  # over the last column where nothing comes after the rotors
+        if each.side == 0:  # over the last column, if nothing follows the rotors
             first, last = min(rotors_end, end - line.pitch_x), end
             if math.isfinite(each.first) or math.isfinite(each.last):
                 span = (max(low, line.line_y + each.first), min(high, line.line_y + each.last))
@@ -280,7 +282,7 @@ def exit_marks(config: EnvConfig) -> tuple[ExitMark, ...]:
 
 
 def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
-    """Describe the marks of a stream's inlets; none if parcels come in by the whole edge."""
+    """Return the marks of a stream's inlets; none if parcels enter over the whole edge."""
     if config.inlets == EDGE:
         return ()
     marks = []
@@ -292,7 +294,7 @@ def inlet_marks(config: EnvConfig) -> tuple[InletMark, ...]:
 
 
 def _parcel(view: EnvState, trail: Array) -> SceneParcel:
-    """Describe the parcel of a view as it is drawn."""
+    """Return the drawn parcel of a view."""
     true, sensed = view.truth[:VX], view.sensed[:VX]
     apart = np.abs(true - sensed).max() > APART
     return SceneParcel(
@@ -304,7 +306,7 @@ def _parcel(view: EnvState, trail: Array) -> SceneParcel:
 
 
 def _outline(view: EnvState) -> Array:
-    """Compute the perimeter (points, 2) [m] of the base from its centroid."""
+    """Return the perimeter (points, 2) [m] of the base from its centroid."""
     corners = view.corners
     if np.abs(corners).max() > 0.0:
         keep = np.ones(len(corners), dtype=bool)
@@ -314,13 +316,13 @@ def _outline(view: EnvState) -> Array:
 
 
 def _labels(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Abbreviate the exits' names to initials for parcels, where these differ between exits."""
+    """Abbreviate exit names to initials as labels of parcels, if initials are unique."""
     initials = tuple("".join(word[0] for word in name.split()).upper() for name in names)
     return initials if len(set(initials)) == len(initials) else names
 
 
 def _latest(points: list[Array]) -> list[Array]:
-    """Select the last points (2,) [m] of a way, as far back as the trail goes."""
+    """Return the last points (2,) [m] of a path, up to the length of the trail."""
     steps = np.hypot(*np.diff(points, axis=0).T)
-    back = np.cumsum(steps[::-1])  # from the latest to each before it
+    back = np.cumsum(steps[::-1])  # distances from the latest point
     return points[-1 - int(np.searchsorted(back, TRAIL, side="right")) :]

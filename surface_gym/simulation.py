@@ -36,14 +36,14 @@ ENDS = {
 
 
 class _Memory(threading.local):
-    """Each thread's scratch of the physics: making one takes longer than a run's other checks."""
+    """Scratch of the physics per thread; its allocation is slow."""
 
     def __init__(self) -> None:
         self._scratch = ph.make_scratch()
 
     @property
     def scratch(self) -> Scratch:
-        """Return the scratch without the contacts of a run before."""
+        """Return the scratch without contacts."""
         self._scratch.marks[ph.SPANS] = -1
         return self._scratch
 
@@ -456,7 +456,8 @@ def make_trajectory(
 ) -> Trajectory:  # fmt: skip
     """Return a parcel's trajectory until it leaves the surface.
 
-    `solved` is the method and what gave the normal forces, of a run that can be repeated.
+    Args:
+        solved: method and solver of normal forces, for a run that can be repeated; else None.
     """
     count, end = len(time), "duration"
     if reports.max() >= stepping.OFF_SURFACE:

@@ -36,7 +36,7 @@ class ElementGrid:
 class Elements(ElementGrid, ABC):
     """Elements on a grid; base class of surfaces and lines."""
 
-    # [-] friction along a rotor's axis, across it, and of a support: one, or one for each element
+    # [-] friction along a rotor's axis, across it, and of a support: one number or an array
     mu_max: Any
     mu_min: Any
     mu_support: Any
@@ -53,7 +53,7 @@ class Elements(ElementGrid, ABC):
 
     @cached_property
     def friction(self) -> Array:
-        """Return (rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
+        """Friction (rows, columns, 3) [-] along a rotor's axis, across it, and of a support."""
         each = (self.mu_max, self.mu_min, self.mu_support)
         grid = [np.broadcast_to(np.asarray(mu), (self.rows, self.columns)) for mu in each]
         return np.stack(grid, axis=-1)

@@ -218,7 +218,7 @@ class Trajectory:
 
     @property
     def recording(self) -> "Recording":
-        """The motion and its forces as a replay shows them."""
+        """Recording of the motion and its forces, for a replay."""
         from surface_gym.recorder import record_trajectory
 
         return record_trajectory(self)
@@ -254,7 +254,7 @@ class Trajectory:
 
     @staticmethod
     def load(path: str | PathLike[str]) -> "Trajectory":
-        """Read a file that `save` wrote; the trajectory is equal to the bit.
+        """Read a file written by `save`; the trajectory is equal to the bit.
 
         The file is read as numbers and text; nothing in it is executed. Arrays larger than the
         limit for trajectories are not unpacked. An invalid file raises a ValueError that names the

@@ -54,7 +54,7 @@ class Singulate(TakeAwayTask):
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
+    | "parcels" | MultiDiscrete, 2 per row of the table | two choices per parcel: the modules ahead of its centre and behind it |
 
     Modules at 0 deg brake a parcel, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45
     deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels", a module obeys
@@ -86,8 +86,8 @@ class Singulate(TakeAwayTask):
     | `right` | 1 | per correct departure |
     | `wrong` | -1 | per wrong departure |
     | `touch` | -0.02 | per parcel that begins to touch another |
-    | `progress` | 0.05 a metre | towards the end |
-    | `time` | -0.02 a second | per parcel on the surface |
+    | `progress` | 0.05 per metre | towards the end |
+    | `time` | -0.02 per second | per parcel on the surface |
     | `waiting` | 0 | per waiting parcel |
     | `jam` | -10 | once |
 

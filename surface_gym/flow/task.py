@@ -129,7 +129,7 @@ class Flow(StreamTask):
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 a row of the table | for each parcel two choices: the modules ahead of its centre, and those behind |
+    | "parcels" | MultiDiscrete, 2 per row of the table | two choices per parcel: the modules ahead of its centre and behind it |
 
     With "parcels", a module obeys the parcel on it, or else the first parcel that reaches it within
     `ahead` seconds, by the parcels' sensed boxes and velocities. If two parcels are on a module, it
@@ -165,9 +165,9 @@ class Flow(StreamTask):
     | `right` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
-    | `reach` | 1 a metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
-    | `time` | -0.2 a second | per parcel on the line |
-    | `waiting` | -0.1 a second | per waiting parcel |
+    | `reach` | 1 per metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
+    | `time` | -0.2 per second | per parcel on the line |
+    | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |
 
     ### End

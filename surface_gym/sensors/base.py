@@ -1,4 +1,4 @@
-"""The base class of sensors, the sensor of exact motion, and the estimate at entry."""
+"""The base class of sensors, the exact sensor, and the prior at entry."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,23 +16,23 @@ from surface_gym.tasks.features import Feature
 
 Singles = NDArray[np.float32]
 
-LEARNED = 3  # constants a sensor may learn: the factor of mu_max [-], x and y of the load [m]
+LEARNED = 3  # estimated constants: the factor of mu_max [-], x and y of the load [m]
 
 
 class Physics(NamedTuple):
-    """The model that a sensor may predict by."""
+    """Physical model of a sensor's predictions."""
 
-    friction: Array  # (rows, columns, 3) [-] as the sensor assumes it
-    stiffness: Array  # (rows, columns) [-] all the same
-    scratch: Scratch  # the sensor's own
+    friction: Array  # (rows, columns, 3) [-] assumed friction
+    stiffness: Array  # (rows, columns) [-] equal stiffness
+    scratch: Scratch  # scratch of the sensor
     dt: float  # [s] physics step
 
 
 class Group(NamedTuple):
-    """A group of features that the argument `observe` shows together."""
+    """A group of features, shown by `observe`."""
 
     features: tuple[Feature, ...]
-    # the kernel function `show(numbers, state, see, mirror)`, which writes them into `see`
+    # kernel function `show(numbers, state, see, mirror)`, which writes the features into `see`
     show: Callable[..., None]
 
 
@@ -52,82 +52,83 @@ class Sensor:
 
     A sensor is one class. Its fields are its parameters. Its static methods are `kernel_function`s,
     compiled into every batch that uses it, and write `state.sensed`, which a task observes. They
-    get the parameters as the array that `numbers` makes of them:
+    get the parameters as `numbers`, an array made by the method `numbers`:
 
     - `begin(numbers, state)`, at a start: set `state.sensor_state`.
-    - `update(numbers, state, physics)`, after every physics step, where the sensor `watches`.
-    - `read(numbers, state)`, when a controller asks: write pose and velocity into `state.sensed`.
+    - `update(numbers, state, physics)`, after every physics step, if the sensor `watches`.
+    - `read(numbers, state)`, when a controller reads it: write pose and velocity into
+      `state.sensed`.
 
-    A sensor may report other quantities. `groups` gives their features, which `observe` shows by
-    the name of a group, and the function that writes them, after `read`:
+    A sensor may report other quantities. `groups` returns their features by the names of groups for
+    `observe`, each with a function that writes them after `read`:
 
-    - `show(numbers, state, see, mirror)`: write the group's features into `see`. `mirror` is -1
-      where the task shows a mirror image of y, else 1.
+    - `show(numbers, state, see, mirror)`: write the group's features into `see`. `mirror` is -1 if
+      the task mirrors y, else 1.
 
     At every call, `state.truth` holds the true pose and velocity of the base's centroid. Noise
     comes from rows of `state.noise`; `state.noise_row[0]` is the index of the next row.
     """
 
-    sensor_size: ClassVar[int] = 0  # numbers of `state.sensor_state`
-    watches: ClassVar[bool] = False  # it looks between decisions
+    sensor_size: ClassVar[int] = 0  # size of `state.sensor_state`
+    watches: ClassVar[bool] = False  # whether it needs `update`
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         del dt
         return ()
 
     def draws(self, dt: float, steps: int) -> int:
-        """Return the most rows of noise that a start or `steps` physics steps of `dt` [s] use."""
+        """Return the maximum rows of noise for a start or for `steps` physics steps of `dt` [s]."""
         del dt, steps
         return 0
 
     @property
     def learned_spreads(self) -> tuple[float, float]:
-        """Return the scales of what it learns, of friction [-] and of the load [m]; 0: nothing."""
+        """Return the scales of the estimated friction [-] and load position [m]; 0: no estimate."""
         return 0.0, 0.0
 
     @property
     def groups(self) -> Mapping[str, Group]:
-        """Return the groups of quantities beyond pose and velocity, by name."""
+        """Return the groups of additional quantities by name."""
         return {"load": Group(LOAD_FEATURES, self.show_load)}
 
     def friction(self, line: BaseLine) -> Array:
-        """Return the friction (rows, columns, 3) [-] that `update` may predict by."""
+        """Return the friction (rows, columns, 3) [-] of the model in `update`."""
         return line.friction
 
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Leave the sensor state as it is."""
+        """Do nothing."""
 
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """See nothing in a physics step."""
+        """Do nothing."""
 
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write that nothing was learned, as `LOAD_FEATURES`: nominal values, and full doubt."""
+        """Write `LOAD_FEATURES` without an estimate: nominal values and full doubt."""
         for k in range(LEARNED):
             see[k] = 0.0
             see[LEARNED + k] = 1.0
 
 
-ENTRY_ROWS = 2  # of noise that a start uses
+ENTRY_ROWS = 2  # rows of noise at a start
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Prior of pose and velocity of a parcel as it enters.
+    """Prior of pose and velocity of a parcel at its entry.
 
-    The conveyor before the surface has a known speed and its guides align the parcel, so that the
-    first estimate is the truth with Gaussian errors of these standard deviations.
+    The conveyor before the surface has a known speed, and its guides align the parcel. So the first
+    estimate is the truth with Gaussian errors of these standard deviations.
     """
 
-    position: float = 0.002  # [m] in x and in y
+    position: float = 0.002  # [m] x and y
     angle: float = 0.01  # [rad]
-    speed: float = 0.05  # [m/s] in vx and in vy
+    speed: float = 0.05  # [m/s] vx and vy
     turning: float = 0.1  # [rad/s]
 
     def __post_init__(self) -> None:
@@ -141,15 +142,15 @@ class Entry:
 
     @property
     def params(self) -> tuple[float, float, float, float]:
-        """Return the prior as compiled code reads it."""
+        """Return the prior for compiled code."""
         return (self.position, self.angle, self.speed, self.turning)
 
 
 @kernel_function
 def enter(params: Array, first: int, state: EnvState) -> None:
-    """Write the prior of pose and velocity at a start into the first 6 of `state.sensor_state`.
+    """Write the prior of pose and velocity into the first 6 entries of `state.sensor_state`.
 
-    The Entry is in `params` from `first` on.
+    The Entry is in `params[first:]`.
     """
     row = state.noise_row[0]
     state.noise_row[0] = row + ENTRY_ROWS
@@ -162,7 +163,7 @@ def enter(params: Array, first: int, state: EnvState) -> None:
 
 @dataclass(frozen=True)
 class Exact(Sensor):
-    """A sensor that gives pose and velocity of the base's centroid as they are, without delay."""
+    """A sensor that reports exact pose and velocity of the base's centroid without delay."""
 
     @staticmethod
     @kernel_function

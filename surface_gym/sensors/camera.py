@@ -1,4 +1,4 @@
-"""Camera: late and noisy frames of the pose, and a Kalman filter that knows the physics."""
+"""Camera: noisy, delayed frames of the pose, and a Kalman filter with a physical model."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,55 +10,54 @@ from surface_gym.sensors import kalman
 from surface_gym.sensors.base import LEARNED, Entry, Physics, Singles
 from surface_gym.state import EnvState
 
-FRAMES = 16  # that can be under way at a time
-MOST_LATE = 8  # frames, however the periods are rounded
+FRAMES = 16  # maximum frames in transit
+MOST_LATE = 8  # maximum delay in frames, with any rounding
 
 # Columns of the params; the Entry comes last.
 (
-    EVERY,  # physics steps from frame to frame
+    EVERY,  # physics steps between frames
     LAG,  # physics steps from a frame to its arrival
     POSITION_NOISE,
     ANGLE_NOISE,
     DROP,
-    MODEL,  # what the observer doubts
+    MODEL,  # process noise of the observer
 ) = range(6)
 ENTRY = MODEL + kalman.MODEL_SIZE
 
-# A frame under way, of FRAMES that follow the observer's numbers: the physics step it was taken at,
-# 0 for none; then by how much its pose differs from what is estimated of that step.
+# A frame in transit has a physics step (0: none) and an innovation: its pose minus the estimate
+# at that step. FRAMES of them follow the observer's numbers.
 TAKEN, SURPRISE, FRAME_SIZE = 0, 1, 4
-SHARPEST = 1e-9  # [m] and [rad] no frame is trusted further
+SHARPEST = 1e-9  # [m] and [rad] minimum standard deviation of a frame
 
 
 @dataclass(frozen=True)
 class Camera(kalman.Observer):
-    """A sensor of the pose in frames, each with noise and latency, with a Kalman filter behind.
+    """A sensor of the pose in noisy, delayed frames, with a Kalman filter.
 
-    Frames fall on physics steps: a frame period is rounded to whole ones, and a frame can be used
-    from the first step on that ends no sooner than `latency` after it. The angle is continuous: a
-    turn beyond pi does not jump.
+    Frames are taken at physics steps, so a frame period is a whole number of steps. A frame is used
+    at the first step that ends at least `latency` after it. The angle is continuous: a turn beyond
+    pi does not jump.
 
-    The estimate is a Kalman filter's whose model is the physics itself: it moves on with the axes
-    as they are, nominal friction and the load over the base's centroid, its uncertainty damped as
-    friction damps it. A frame is compared with what was estimated of the time it was taken at. A
-    start is known as `entry` says.
+    The Kalman filter's model is the physics with the true axes, nominal friction and a centred
+    load. Friction damps its uncertainty. A frame is compared with the estimate at the time of the
+    frame. `entry` describes the prior at the start.
 
-    `friction_error` stands for friction that is not nominal, the densities for what else the
-    physics leaves out: loads off centre, elements that bear unequally.
+    `friction_error` describes the deviation from nominal friction. The densities describe all other
+    errors of the model, e.g. off-centre and uneven loads.
     """
 
     frame_rate: float = 50.0  # [Hz]
     latency: float | None = None  # [s] from a frame to its use; None: one frame period
-    position_noise: float = 0.001  # [m] standard deviation in x and in y
+    position_noise: float = 0.001  # [m] standard deviation of x and y
     angle_noise: float = math.radians(0.5)  # [rad] standard deviation
     drop: float = 0.0  # [-] probability of a frame to be lost
-    mu_max: float | None = None  # [-] friction the filter assumes; None: the line's own
+    mu_max: float | None = None  # [-] friction in the filter's model; None: the line's
     mu_min: float | None = None  # [-]
     mu_support: float | None = None  # [-]
-    friction_error: float = 0.05  # [-] share by which what friction does may be off
-    acceleration_density: float = 0.0003  # [m^2/s^3] of the physics' other error, in x and in y
-    turn_density: float = 0.03  # [rad^2/s^3] of the physics' other error in turning
-    entry: Entry = field(default_factory=Entry)  # what is known of a parcel as it enters
+    friction_error: float = 0.05  # [-] relative error of accelerations by friction
+    acceleration_density: float = 0.0003  # [m^2/s^3] other errors of the model, in x and y
+    turn_density: float = 0.03  # [rad^2/s^3] other errors of the model in turning
+    entry: Entry = field(default_factory=Entry)  # prior of a parcel at its entry
 
     rate = ("frame_rate", "frame")
     sensor_size = kalman.LAST + FRAMES * FRAME_SIZE
@@ -72,7 +71,7 @@ class Camera(kalman.Observer):
             checks.within("latency", self.latency, 0.0, MOST_LATE / self.frame_rate)
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         every = self.frame_steps(dt)
         lag = every if self.latency is None else math.ceil(self.latency / dt - 1e-9)
         return (
@@ -83,7 +82,7 @@ class Camera(kalman.Observer):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Reset the filter; frames from before never arrive."""
+        """Reset the filter, and drop frames in transit."""
         kalman.begin(numbers, ENTRY, state)
         for k in range(FRAMES):
             state.sensor_state[kalman.LAST + FRAME_SIZE * k + TAKEN] = 0.0
@@ -100,9 +99,9 @@ class Camera(kalman.Observer):
 
 @kernel_function
 def watch(numbers: Array, state: EnvState, first: int) -> int:
-    """Take a frame if one is due.
+    """Take a frame if one is due; return the place of the arriving frame, 0 without one.
 
-    Return the place of the frame that arrives, the frames lying from `first` on; 0 if none does.
+    The frames are in the sensor state from `first` on.
     """
     every = int(numbers[EVERY])
     if state.steps % every == 0:
@@ -117,13 +116,13 @@ def watch(numbers: Array, state: EnvState, first: int) -> int:
 
 @kernel_function
 def _place(first: int, number: int) -> int:
-    """Return the place of a frame in the sensor state, the frames lying from `first` on."""
+    """Return the place of a frame in the sensor state, given the place of the first frame."""
     return first + FRAME_SIZE * (number % FRAMES)
 
 
 @kernel_function
 def _take(numbers: Array, state: EnvState, first: int) -> None:
-    """Take a frame, or lose it; the frames lie in the sensor state from `first` on."""
+    """Take or lose a frame; the frames are in the sensor state from `first` on."""
     row = state.noise_row[0]
     state.noise_row[0] = row + 1
     noise = state.noise[row]
@@ -137,7 +136,7 @@ def _take(numbers: Array, state: EnvState, first: int) -> None:
 
 @kernel_function
 def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
-    """Update the innovations of all frames, from `first` on, for a shift of `shift` x GAIN."""
+    """Update the innovations of frames (from `first` on) after a correction `shift` x GAIN."""
     gain = state.sensor_state[kalman.GAIN :]
     for number in range(FRAMES):
         place = _place(first, number)
@@ -148,7 +147,7 @@ def shift_frames(state: EnvState, first: int, shift: float, dt: float) -> None:
 
 @kernel_function
 def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate by a frame, a coordinate at a time."""
+    """Correct the estimate by a frame, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)
@@ -158,14 +157,15 @@ def _use(numbers: Array, state: EnvState, place: int, dt: float) -> None:
 
 @kernel_function
 def age(state: EnvState, place: int, dt: float) -> float:
-    """Return the time [s] since the frame at a place of the sensor state was taken."""
+    """Return the time [s] since a frame."""
     return dt * (state.steps - state.sensor_state[place + TAKEN])
 
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return how much a frame of `lead` seconds ago moves the estimate and shrinks its covariance,
-    by coordinate `k` of the pose alone, along what `measure` left.
+    """Return the weights of a frame's coordinate `k` for the estimate and its covariance.
+
+    The frame is `lead` seconds old. The weights apply to the result of `measure`.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0
@@ -179,18 +179,22 @@ SPREADS = ENTRY + 4  # first column of its own parameters, after the Camera's
 
 @dataclass(frozen=True)
 class AdaptiveCamera(Camera):
-    """A `Camera` that also estimates the factor by which mu_max differs from its model, and the
-    place of the centre of mass over the base.
+    """A `Camera` that also estimates friction (a factor of mu_max) and the load's position on the
+    base.
 
-    Both are constant while a parcel is on the surface, and known at a start to the spreads given. A
-    parcel that is braked harder than predicted, or that turns where it should not, shows them; see
-    `surface_gym.sensors.kalman`. The argument `observe=("load",)` shows them.
+    Both are constant while a parcel is on the surface, with known spreads at the start. They show
+    in stronger braking than predicted, or in unexpected turning; see `surface_gym.sensors.kalman`.
+    `observe=("load",)` adds them to the observation.
     """
 
-    acceleration_density: float = 0.0001  # [m^2/s^3] less than a Camera's: the load is known of
+    acceleration_density: float = (
+        0.0001  # [m^2/s^3] smaller than a Camera's, since the load is estimated
+    )
     turn_density: float = 0.01  # [rad^2/s^3]
-    friction_spread: float = 0.1  # [-] standard deviation of the factor of mu_max from 1
-    load_spread: float = 0.015  # [m] of the centre of mass from the base's centroid, in x and in y
+    friction_spread: float = 0.1  # [-] prior standard deviation of the factor of mu_max
+    load_spread: float = (
+        0.015  # [m] prior standard deviation of the load from the centroid, in x and y
+    )
 
     sensor_size = kalman.LEARNING_LAST + FRAMES * FRAME_SIZE
 
@@ -204,13 +208,13 @@ class AdaptiveCamera(Camera):
         return self.friction_spread, self.load_spread
 
     def numbers(self, dt: float) -> tuple[float, ...]:
-        """Return the parameters as compiled code reads them, for physics steps of `dt` [s]."""
+        """Return the parameters for compiled code, for physics steps of `dt` [s]."""
         return (*super().numbers(dt), self.friction_spread, self.load_spread)
 
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Reset the filter; frames from before never arrive."""
+        """Reset the filter, and drop frames in transit."""
         kalman.begin(numbers, ENTRY, state)
         kalman.begin_learning(numbers, SPREADS, state)
         for k in range(FRAMES):
@@ -219,7 +223,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict, take and correct as a Camera does, the constants included."""
+        """Predict, take frames and correct like a Camera, including the constants."""
         kalman.predict_learning(numbers, MODEL, state, physics)
         place = watch(numbers, state, kalman.LEARNING_LAST)
         if place > 0:
@@ -228,7 +232,7 @@ class AdaptiveCamera(Camera):
     @staticmethod
     @kernel_function
     def show_load(numbers: Array, state: EnvState, see: Singles, mirror: float) -> None:
-        """Write what was learned, and the share of the doubt that remains, as `LOAD_FEATURES`."""
+        """Write the estimates and their relative standard deviations as `LOAD_FEATURES`."""
         estimate = state.sensor_state
         for j in range(LEARNED):
             spread = numbers[SPREADS + min(j, 1)]
@@ -240,7 +244,7 @@ class AdaptiveCamera(Camera):
 
 @kernel_function
 def _use_adaptive(numbers: Array, state: EnvState, place: int, dt: float) -> None:
-    """Correct the estimate and the constants by a frame, a coordinate at a time."""
+    """Correct the estimate and the constants by a frame, one coordinate at a time."""
     lead = age(state, place, dt)
     for k in range(3):
         shift, shrink = weigh(numbers, state, place, k, lead)

@@ -105,14 +105,14 @@ class Presence(Observer):
     squares.
     """
 
-    sample_rate: float = 200.0  # [Hz] of all sensors together; at most one sample a physics step
+    sample_rate: float = 200.0  # [Hz] rate of all sensors; at most one sample per physics step
     drop: float = 0.0  # [-] probability of a sample to be lost
     mu_max: float | None = None  # [-] friction assumed by the observer; None: the line's
     mu_min: float | None = None  # [-]
     mu_support: float | None = None  # [-]
     friction_error: float = 0.0  # [-] relative error of friction
-    acceleration_density: float = 0.1  # [m^2/s^3] of the physics' error, in x and in y
-    turn_density: float = 5.0  # [rad^2/s^3] of the physics' error in turning
+    acceleration_density: float = 0.1  # [m^2/s^3] error of the model, in x and y
+    turn_density: float = 5.0  # [rad^2/s^3] error of the model in turning
     tolerance: float = 0.001  # [m] tolerance of the switching position
     entry: Entry = field(default_factory=Entry)  # prior of a parcel at its entry
 

@@ -211,9 +211,8 @@ def _count_switches(state: EnvState, sampled: Array) -> int:
 def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
     """Correct the estimate by every module that switched since pose `sampled` (3,).
 
-    The time since this pose is `interval` [s]. Switches have a `tolerance` [m].
-
-    Switches of one sample share the error of the estimate, so together they have the weight of one.
+    The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
+    sample share the error of the estimate, so together they have the weight of one.
     """
     truth = state.truth
     switches = _count_switches(state, sampled)

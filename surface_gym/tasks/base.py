@@ -1,4 +1,4 @@
-"""The base class of tasks, and what tasks on a line share: entry, features, way out, failures."""
+"""The base class of tasks, and common parts of tasks on a line: entry, features, exit, failures."""
 
 import math
 from dataclasses import dataclass, field, fields, replace
@@ -19,7 +19,7 @@ from surface_gym.tasks.start import Draw, Numbers, Parcels, Start, parcels_to_dr
 
 
 def failures(outcomes: tuple[str, ...]) -> range:
-    """Return the numbers of a task's failures, in order of their names, for `outcome`."""
+    """Return the numbers of a task's failures for `outcome`, in the order of their names."""
     return range(st.FIRST_FAILURE, st.FIRST_FAILURE + len(outcomes))
 
 
@@ -27,22 +27,22 @@ def failures(outcomes: tuple[str, ...]) -> range:
 class Task:
     """The base class of tasks: starts, observation, reward, and the end of an episode.
 
-    A task is one class. Its fields are its parameters. The names below say what it deals in; its
-    static methods, each a `kernel_function`, are compiled into every batch of it. A subclass
-    inherits what it does not replace.
+    A task is one class. Its fields are its parameters. Its class variables describe observation,
+    reward and starts. Its static methods are `kernel_function`s, compiled into every batch of the
+    task. A subclass inherits everything that it does not replace.
 
-    The compiled functions read and write a `EnvState`:
+    The compiled functions read and write an `EnvState`:
 
     - `begin(state)`, at a start: set `state.memory` and `state.metrics`.
-    - `is_done(state) -> bool`, after every physics step: whether the episode ends in the middle of a
-      control period; by default, when no rotor bears the parcel.
-    - `outcome(state) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. Writes
-      `state.metrics`.
-    - `reward(state, outcome)`, then: write every one of `state.terms`.
-    - `observe(state)`, at a start and after every control period: write every feature into
+    - `is_done(state) -> bool`, after every physics step: whether the episode ends in the middle of
+      a control period; by default, when no rotor is under the parcel.
+    - `outcome(state) -> int`, after a control period: RUNNING, SUCCESS or one of the failures. It
+      also writes `state.metrics`.
+    - `reward(state, outcome)`, after `outcome`: write all of `state.terms`.
+    - `observe(state)`, at a start and after every control period: write all features into
       `state.observation`, from `state.sensed`.
-    - `mirror(state) -> float`: -1 where the observation is mirrored in y, so that what shows the
-      modules is mirrored with it; else 1.
+    - `mirror(state) -> float`: -1 if the observation is mirrored in y, so that features of modules
+      are mirrored too; else 1.
 
     They cannot read the task's fields. Parameters that they need go into the goal.
 
@@ -50,28 +50,32 @@ class Task:
     `decode_start` turns one into a start, and `cost` returns a planner's cost.
     """
 
-    parcels: Any = field(default=("S", "B"), kw_only=True)  # to draw from
-    # [m] beside where parcels enter, to either side at equal odds
+    parcels: Any = field(default=("S", "B"), kw_only=True)  # parcels to draw from
+    # [m] lateral offset of the entry, to both sides at equal odds
     entry_offset: float = field(default=0.0, kw_only=True)
-    entry_turn: float = field(default=0.0, kw_only=True)  # [rad] of how they enter, to that side
+    entry_turn: float = field(
+        default=0.0, kw_only=True
+    )  # [rad] angle at the entry, to the same side
     # control periods after which an episode is truncated; None: `periods`
     time_limit: int | None = field(default=None, kw_only=True)
 
     line: ClassVar[BaseLine] = Line()
     features: ClassVar[tuple[Feature, ...]]
-    terms: ClassVar[tuple[str, ...]]  # of the reward, in the order of `state.terms`
-    outcomes: ClassVar[tuple[str, ...]]  # how it may fail
+    terms: ClassVar[tuple[str, ...]]  # names of reward terms, in the order of `state.terms`
+    outcomes: ClassVar[tuple[str, ...]]  # names of the failures
     metrics: ClassVar[tuple[str, ...]] = ()  # numbers in `info`, in the order of `state.metrics`
-    options: ClassVar[tuple[str, ...]] = ()  # what `reset(options=...)` may fix
-    draws: ClassVar[int] = 0  # uniform numbers that a start is made of
-    goals: ClassVar[int] = 0  # numbers of `state.goal`
-    memories: ClassVar[int] = 0  # numbers of `state.memory`
-    has_path: ClassVar[bool] = False  # whether its starts come with a path
-    leaves_zone: ClassVar[bool] = False  # whether its end is that the parcel's rear leaves the zone
-    # whether goals at y < 0 are observed in a mirror, so that actions have to be mirrored, too
+    options: ClassVar[tuple[str, ...]] = ()  # names of reset options
+    draws: ClassVar[int] = 0  # uniform random numbers per start
+    goals: ClassVar[int] = 0  # size of `state.goal`
+    memories: ClassVar[int] = 0  # size of `state.memory`
+    has_path: ClassVar[bool] = False  # whether its starts have a path
+    leaves_zone: ClassVar[bool] = (
+        False  # whether an episode ends when the parcel's rear leaves the zone
+    )
+    # whether goals at y < 0 are observed in a mirror, so that actions must be mirrored too
     mirrored: ClassVar[bool] = False
-    is_stream: ClassVar[bool] = False  # whether it is a `StreamTask`, of many parcels at once
-    batch: ClassVar[str] = "surface_gym.core.batch:Batch"  # place of the class that runs it
+    is_stream: ClassVar[bool] = False  # whether it is a `StreamTask`
+    batch: ClassVar[str] = "surface_gym.core.batch:Batch"  # "module:Class" of its batch
     periods: ClassVar[int] = 100  # control periods after which an episode is truncated
 
     def __post_init__(self) -> None:
@@ -90,34 +94,34 @@ class Task:
 
     @property
     def name(self) -> str:
-        """Return the task's name, whatever its parameters."""
+        """Return the task's name without its parameters."""
         return type(self).__name__.lower()
 
     def start(self, draw: Draw) -> Start:
-        """Draw as many starts as `draw` has numbers for."""
+        """Draw one start per row of the numbers in `draw`."""
         del draw
         raise ValueError(f"{type(self).__name__}.start must be a method, as Task says, got none")
 
     @property
     def rows(self) -> int:
-        """Return the rows of parcels of an environment."""
+        """Rows of parcels per environment."""
         return 1
 
     @property
     def parcel_terms(self) -> tuple[str, ...]:
-        """Return the terms of the reward that a parcel earns."""
+        """Names of the reward terms of a parcel."""
         return self.terms
 
     def training_tasks(self) -> "tuple[Task, ...]":
-        """Return the tasks that agents learn this one on; by default the task itself."""
+        """Return the tasks for training on this one; by default, the task itself."""
         return (self,)
 
     def with_parcels(self, parcels: tuple[Parcel, ...]) -> "Task":
-        """Return the same task, with other parcels where it draws the default ones of its class."""
+        """Return the task with other parcels, if its own are the defaults of its class."""
         return replace(self, parcels=parcels) if draws_default_parcels(self) else self
 
     def count_periods(self, control_period: float) -> int:
-        """Return the control periods [s] of an episode at most."""
+        """Return the maximum control periods [s] of an episode."""
         del control_period
         return self.periods
 
@@ -126,11 +130,11 @@ class Task:
         return used
 
     def action_kind(self, config: Any) -> Any:
-        """Return the task's own kind of action in an environment; None: the kinds of every task."""
+        """Return the task's own kind of action; None: the common kinds."""
         del config
 
     def check(self, config: Any) -> None:
-        """Raise a ValueError where an environment's configuration does not suit the task."""
+        """Raise a ValueError if an environment's configuration does not suit the task."""
         randomisation = config.randomisation
         for parcel in self.parcels:
             try:
@@ -142,48 +146,46 @@ class Task:
                 ) from None
 
     def displaced_start(self, draw: Draw) -> Start:
-        """`start`, with parcels entering `entry_offset` aside and turned by `entry_turn`."""
+        """Draw starts like `start`, with `entry_offset` and `entry_turn` at the entry."""
         start = self.start(draw)
         if (self.entry_offset, self.entry_turn) == (0.0, 0.0):
             return start
-        # The side comes from digits of a drawn number that hardly count otherwise.
+        # Low digits of a random number determine the side.
         side = np.where(draw.numbers[0] * 1e6 % 1.0 < 0.5, 1.0, -1.0)
         x, y, theta = start.pose
         y, theta = np.add(y, self.entry_offset * side), np.add(theta, self.entry_turn * side)
         return start._replace(pose=(x, y, theta))
 
     def check_goal(self, goal: Numbers) -> None:
-        """Raise a ValueError for a goal (goals,) from a machine that no start of the task has."""
+        """Raise a ValueError if a goal (goals,) from a machine is impossible for the task."""
         checks.limited("goal", goal, checks.FARTHEST)
 
     def benchmark(self) -> Benchmark:
-        """Describe the starts that methods are compared on, and the columns of the task's table."""
+        """Return the starts of the comparison, and the columns of its table."""
         return default_benchmark(self)
 
     def path_metrics(
         self, path: Numbers, parcel: Parcel, line: BaseLine, zone: tuple[int, int] | None
     ) -> dict[str, float]:
-        """Metrics of a benchmark episode beside those in `info`, from its true poses (times, 3)."""
+        """Return additional metrics of an episode from its true poses (times, 3)."""
         del path, parcel, line, zone
         return {}
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:
-        """Return the task's own numbers of an environment, as pairs of texts, for drawing."""
+        """Return the task's displayed numbers of an environment, as pairs of texts."""
         del state
         return []
 
     def goal(self, state: EnvState) -> Any:
-        """Return what drawing shows of the goal, one of `surface_gym.rendering`'s; or None."""
+        """Return the drawn goal, a class of `surface_gym.rendering`, or None."""
         del state
 
     def decode(self, seen: ObservationTable) -> Any:
-        """Decode observations into SI units, for rules; by default observations of a parcel on a
-        line.
-        """
+        """Decode observations into SI units for rules; by default, for parcels on a line."""
         return decode_line(seen)
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into its start; by default on a line, without a goal."""
+        """Decode the first observation into its start; by default, on a line without a goal."""
         if self.goals > 0:
             raise ValueError(
                 f"{type(self).__name__}.decode_start must be a method, as Task says, got none"
@@ -191,13 +193,13 @@ class Task:
         return line_start(seen, decode_line(seen), self.parcels, ())
 
     def cost(self) -> PlanCost:
-        """Say what planners minimise."""
+        """Return the cost for planners."""
         raise ValueError(f"{type(self).__name__}.cost must be a method, as Task says, got none")
 
     @staticmethod
     @kernel_function
     def begin(state: EnvState) -> None:
-        """Remember nothing."""
+        """Do nothing."""
 
     @staticmethod
     @kernel_function
@@ -219,7 +221,7 @@ def draws_default_parcels(task: Task) -> bool:
 
 
 def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tuple[float, float]:
-    """Return two finite numbers in [low, high], the first not above the second, or raise an error."""
+    """Return two finite numbers in [low, high] in ascending order, or raise an error."""
     first, last = checks.array(name, value, (2,)).tolist()
     if not low <= first <= last <= high:
         raise ValueError(
@@ -231,13 +233,13 @@ def rising(name: str, value: Any, low: float, high: float, hint: str = "") -> tu
 
 BRAKING = 0.5 * GRAVITY  # [m/s^2] mu_max g of Table 1: every axis at 0 deg under a parcel
 ROLLING_LOSS = 0.01 * GRAVITY  # [m/s^2] mu_min g of Table 1: every axis at 90 deg
-STALL_SPEED = 1e-3  # [m/s] slower than this, friction has won on a flat surface
+STALL_SPEED = 1e-3  # [m/s] slower parcels count as stalled on a level surface
 
-# How every task of a line may fail; each goes on with its own.
+# Common failures of tasks on a line; further failures follow.
 LINE_OUTCOMES = ("off the surface", "off the line", "stalled")
 OFF_SURFACE, OFF_LINE, STALLED = failures(LINE_OUTCOMES)
 
-# Features of a parcel, which tasks share.
+# Common features of a parcel.
 OFFSET = Feature("lateral offset", -10.0, 10.0, "y from the line's middle", "m", 0.3)
 DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.0, 1.0))
 FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
@@ -261,26 +263,26 @@ COLUMN = columns(PARCEL_FEATURES)
 
 
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
-    """Return where [m] the zone of a parcel starts and ends; `zone`: its columns, or None."""
+    """Return start and end x [m] of a parcel's zone; `zone`: its columns, or None."""
     _, _, first, columns = line.site(parcel.base, zone).zone
     start = line.column_edge(first)
     return start, start + line.pitch_x * columns
 
 
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
-    """Return the pose [m, m, rad] of parcels as they enter: the rear at the edge, in the middle."""
+    """Return the pose [m, m, rad] of parcels at entry: rear at the edge, on the line's middle."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
 
 
 @kernel_function
 def rear_to_go(state: EnvState, x: float, theta: float) -> float:
-    """Return the distance [m] from the rear of a parcel at x, turned by theta, to the zone's end."""
+    """Return the distance [m] from the rear of a parcel at x with angle theta to the zone's end."""
     return st.zone_end(state) - x + st.reach_along(state, theta, -1.0, 0.0)
 
 
 @kernel_function
 def over_zone_end(state: EnvState) -> bool:
-    """Return whether the parcel is off the rotors, or its rear past the zone's end."""
+    """Return whether the parcel is off the rotors, or its rear is past the zone's end."""
     if not state.on_rotors:
         return True
     if state.com[X] <= st.zone_end(state):
@@ -291,7 +293,7 @@ def over_zone_end(state: EnvState) -> bool:
 
 @kernel_function
 def failure(state: EnvState) -> int:
-    """Return the failure that has happened, among the failures of every line task; RUNNING if none."""
+    """Return the failure among the common failures of line tasks; RUNNING without failure."""
     if not state.on_surface:
         return OFF_SURFACE
     if not state.on_rotors:
@@ -301,8 +303,10 @@ def failure(state: EnvState) -> int:
 
 @kernel_function
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
-    """Return SUCCESS or `missed` where the parcel's rear is past the zone's end, as the goal is
-    reached or not; before that a `failure`, if any.
+    """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
+
+    It is a `failure` first, if there is one. Past the zone's end, it is SUCCESS if the goal is
+    reached, else `missed`.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:
@@ -312,7 +316,7 @@ def leaving(state: EnvState, reached: bool, missed: int) -> int:
 
 @kernel_function
 def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
-    """Write the features that tasks on a line share, with y times `mirror`; return the offset [m]."""
+    """Write the common features of line tasks, with y times `mirror`; return the offset [m]."""
     sensed, elements, see = state.sensed, state.elements, state.observation
     offset = mirror * (sensed[Y] - elements.line_y)
     x = 2.0 * math.pi / elements.pitch_x * (sensed[X] - elements.x0)
@@ -333,7 +337,7 @@ def show_on_line(state: EnvState, column: Any, mirror: float) -> float:
 
 @kernel_function
 def see_parcel(state: EnvState) -> None:
-    """Write `PARCEL_FEATURES` from the sensor's pose and velocity."""
+    """Write `PARCEL_FEATURES` from the sensed pose and velocity."""
     show_on_line(state, COLUMN, 1.0)
     see, x, theta = state.observation, state.sensed[X], state.sensed[THETA]
     front = x + st.reach_along(state, theta, 1.0, 0.0)

@@ -1,6 +1,7 @@
-"""Benchmarks of tasks: the scenarios that methods are compared on, and the columns of the tables.
+"""Benchmarks of tasks: the scenarios of the comparison, and the columns of its tables.
 
-A scenario of a task of one parcel is a list of starts, of a task on streams an offered stream.
+A scenario of a task of one parcel is a list of starts; a scenario of a stream task is an offered
+stream.
 """
 
 import math
@@ -16,30 +17,30 @@ if TYPE_CHECKING:
 
 Numbers = NDArray[np.float64]
 
-DRAWN = 500  # starts of a benchmark that draws them
-ENTRANCE = math.inf  # a rate: as many parcels as the entrance takes
-# Kinds of methods that are compared on a stream unless it names others; "planner" is one more.
+DRAWN = 500  # number of random starts
+ENTRANCE = math.inf  # offered rate above every entry limit
+# Default kinds of compared methods on a stream; another kind is "planner".
 KINDS = ("baseline", "rule", "agent")
 PARCELS = ("S", "B")
 SIDES = (1, -1)
 
 
 class Runs(Protocol):
-    """Results of one method: every seed on the same episodes."""
+    """Results of one method, with the same episodes for every seed."""
 
     @property
     def success(self) -> NDArray[np.bool_]:
-        """(seeds, starts) whether each succeeded."""
+        """(seeds, starts) whether the episode succeeded."""
 
     @property
     def time(self) -> Numbers:
-        """(seeds, starts) [s] until the end."""
+        """(seeds, starts) [s] duration of the episode."""
 
     def metric(self, name: str) -> Numbers:
-        """(seeds, starts) size of one of the task's metrics."""
+        """(seeds, starts) absolute value of one of the task's metrics."""
 
     def mean(self, name: str) -> float:
-        """Mean of a statistic of streams over episodes, by the parcels delivered; nan: none."""
+        """Mean of a statistic of streams over episodes, weighted by deliveries; NaN: none."""
 
     def most(self, name: str) -> float:
         """Largest value of a statistic of streams."""
@@ -47,31 +48,35 @@ class Runs(Protocol):
 
 @dataclass(frozen=True)
 class ResultColumn:
-    """A column of a task's table beside the success rates."""
+    """A column of a task's table, after the success rates."""
 
     name: str
     label: str
     meaning: str
-    value: Callable[[Runs, Runs], float]  # of a method and of the fixed layout; nan: none
+    value: Callable[
+        [Runs, Runs], float
+    ]  # from results of a method and of the fixed layout; NaN: none
     form: str = ".2f"
     scale: float = 1.0  # to the label's unit
-    unit: str = ""  # behind the number
-    every_start: bool = False  # undefined where a method did not run on all starts
+    unit: str = ""  # unit after the number
+    every_start: bool = False  # whether it needs results of all starts
 
 
 @dataclass(frozen=True)
 class ErrorPlot:
-    """The metric whose distribution is drawn."""
+    """The metric whose distribution is plotted."""
 
     metric: str
     label: str
     scale: float = 1.0  # to the label's unit
-    limit: float | None = None  # [label's unit] of success; None: success is something else
+    limit: float | None = (
+        None  # [label's unit] limit of success; None: success is defined otherwise
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
-    """Starts of every parcel at every entry speed to either side, in this order."""
+    """Starts of every parcel, at every entry speed, to both sides, in this order."""
 
     speeds: Numbers  # (speeds,) [m/s]
 
@@ -82,7 +87,7 @@ class SpeedGrid:
 
     @property
     def starts(self) -> tuple[dict[str, Any], ...]:
-        """Options of each start."""
+        """Reset options of all starts."""
         return tuple(
             {"speed": speed, "side": side, "parcel": parcel}
             for parcel in PARCELS
@@ -91,26 +96,28 @@ class SpeedGrid:
         )
 
     def success(self, runs: Runs, parcel: str) -> NDArray[np.bool_]:
-        """(seeds, speeds) whether a parcel succeeded to both sides."""
+        """(seeds, speeds) whether a parcel succeeded on both sides."""
         return np.asarray(self._of(runs.success, parcel).all(axis=-1))
 
     def success_rate(self, runs: Runs, parcel: str) -> float:
-        """[-] of one parcel's starts."""
+        """[-] success rate of one parcel's starts."""
         return float(self._of(runs.success, parcel).mean())
 
     def slower_time(self, runs: Runs, parcel: str) -> Numbers:
-        """(seeds, speeds) [s] of the slower side; inf where it failed."""
+        """(seeds, speeds) [s] time of the slower side; infinite after a failure."""
         time: Numbers = self._of(np.where(runs.success, runs.time, np.inf), parcel)
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """[m/s] from which on every start of every seed succeeds; nan if the fastest does not."""
+        """[m/s] smallest speed from which all starts of all seeds succeed; NaN: the largest fails."""
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
 
     def worst_time(self, runs: Runs, fixed: Runs, parcel: str) -> float:
-        """[-] greatest time over the fixed layout's, at the speeds at which that one succeeds."""
+        """[-] largest ratio of times to the fixed layout's, over speeds at which the fixed layout
+        succeeds.
+        """
         reference = self.slower_time(fixed, parcel)[0]
         managed = np.isfinite(reference)
         return float((self.slower_time(runs, parcel)[:, managed] / reference[managed]).max())
@@ -121,29 +128,29 @@ class SpeedGrid:
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """The starts that methods are compared on, and the columns of the task's table."""
+    """The starts of the comparison, and the columns of the task's table."""
 
     task: "Task"
     columns: tuple[ResultColumn, ...]
-    starts: tuple[dict[str, Any], ...] = ({},) * DRAWN  # options; what they leave open is drawn
+    starts: tuple[dict[str, Any], ...] = ({},) * DRAWN  # reset options; all other values are drawn
     description: str = f"{DRAWN} starts drawn by the task's own law"
-    example: dict[str, Any] = field(default_factory=dict)  # options of the start that is filmed
+    example: dict[str, Any] = field(default_factory=dict)  # reset options of the filmed start
     example_description: str = "a start drawn by the task"
     error: ErrorPlot | None = None
-    grid: SpeedGrid | None = None  # of starts whose times are compared by entry speed
+    grid: SpeedGrid | None = None  # starts whose times are compared by entry speed
 
 
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
 ) -> ResultColumn:
-    """Compute the median size of a metric over starts."""
+    """Make a column with the median size of a metric over starts."""
     return ResultColumn(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
 def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> ResultColumn:
-    """Compute the size of a metric that nine in ten starts stay below."""
+    """Make a column with the 90th percentile of the size of a metric."""
     return ResultColumn(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,
@@ -151,7 +158,7 @@ def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) 
 
 
 def default_benchmark(task: "Task") -> Benchmark:
-    """Drawn starts, the size of every metric, and the time of an episode."""
+    """Return random starts, with columns for all metrics and the time of an episode."""
     columns = []
     for name in task.metrics:
         label = name.replace("_", " ")
@@ -170,18 +177,18 @@ def default_benchmark(task: "Task") -> Benchmark:
 
 @dataclass(frozen=True, eq=False)
 class Offer:
-    """A stream of parcels that is offered to every method.
+    """A stream of parcels offered to every method.
 
     Args:
-        name: for tables.
-        task: with its stream, its exits, and how long it takes.
-        rates: [parcels/h] offered: of several the first at which nearly all leave rightly, else the
-            last; None: the stream's own; `ENTRANCE`: all that the entrance takes. Without a rate
-            the highest is searched that a method sustains.
-        group: of offers that a table shows together; only the first group is compared by default.
-        arguments: of the environment beside the method's, as sensors that no preset has.
-        kinds: of methods that are compared.
-        most_touches: [-] per delivery allowed where controllers choose clearances in a trial.
+        name: name in tables.
+        task: task with stream, exits and duration.
+        rates: [parcels/h] offered rates; of several, the first at which nearly all departures are
+            correct, else the last; None: the stream's own rate; `ENTRANCE`: the entry limit.
+            Without a rate, the highest sustained rate is searched.
+        group: group of offers in a table; only the first group is compared by default.
+        arguments: additional arguments of the environment, e.g. sensors of no preset.
+        kinds: compared kinds of methods.
+        most_touches: [-] allowed touches per delivery if controllers choose clearances in a trial.
     """
 
     name: str
@@ -194,34 +201,34 @@ class Offer:
 
     @property
     def scenario(self) -> str:
-        """The name by which results are kept."""
+        """Name of the offer in results."""
         return f"{self.name}, {self.group}" if self.group else self.name
 
 
 @dataclass(frozen=True, eq=False)
 class StreamBenchmark:
-    """The streams that methods are compared on, and the columns of the task's table."""
+    """The streams of the comparison, and the columns of the task's table."""
 
     task: Any  # a `StreamTask`
     offers: tuple[Offer, ...]
-    columns: tuple[ResultColumn, ...]  # beside the rate and the share of right parcels
-    description: str  # of the offers
-    presets: tuple[str, ...] = ("exact", "camera")  # of streams
+    columns: tuple[ResultColumn, ...]  # columns after the rate and the share of correct departures
+    description: str  # description of the offers
+    presets: tuple[str, ...] = ("exact", "camera")  # presets of the streams
     replications: int = 10
-    warm_up: float = 0.0  # [s] at least, in which nothing counts
-    filmed: str = ""  # name of the offer on film; "": the first
-    held_out: tuple[Offer, ...] = ()  # that no agent trained on, with sensors of their own
+    warm_up: float = 0.0  # [s] minimum time before counting begins
+    filmed: str = ""  # name of the filmed offer; "": the first
+    held_out: tuple[Offer, ...] = ()  # offers without trained agents, with their own sensors
 
 
 def mean_column(
     name: str, label: str, meaning: str, form: str = ".1f", scale: float = 1.0, unit: str = ""
 ) -> ResultColumn:
-    """Compute the mean of a statistic of streams, by the parcels delivered."""
+    """Make a column with the mean of a statistic of streams, weighted by delivered parcels."""
     return ResultColumn(name, label, meaning, lambda runs, _: runs.mean(name), form, scale, unit)
 
 
 def share_column(name: str, label: str, meaning: str) -> ResultColumn:
-    """Compute a share [%] that is a statistic of streams."""
+    """Make a column with a share [%] from a statistic of streams."""
     return mean_column(name, label, meaning, ".2f", 100.0, " %")
 
 
@@ -230,6 +237,6 @@ STAY = mean_column("time_mean", "time [s]", "on the surface, mean")
 
 
 def default_stream_benchmark(task: Any) -> StreamBenchmark:
-    """Offer a task's own stream for two minutes."""
+    """Return a task's own stream for two minutes."""
     offers = (Offer("its own stream", replace(task, duration=120.0)),)
     return StreamBenchmark(task, offers, (TOUCHES, STAY), "the task's own stream")

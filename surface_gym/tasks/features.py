@@ -1,4 +1,4 @@
-"""Features of observations: their scales, their columns, and their values in SI units.
+"""Features of observations: scales, columns, and values in SI units.
 
 A feature is the number (value - offset) / scale. Kernels write values by their `Feature`s, decoders
 read them, and the documentation lists them.
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from surface_gym.compiler.jit import kernel_function
 
-DIGITS = 12  # hexadecimal, of a digest
+DIGITS = 12  # hexadecimal digits of a digest
 
 
 @dataclass(frozen=True)
@@ -22,17 +22,17 @@ class Feature:
     """One number of an observation."""
 
     name: str
-    low: float  # [-] it cannot be below
-    high: float  # [-] it cannot be above
+    low: float  # [-] lower bound
+    high: float  # [-] upper bound
     meaning: str = ""
-    unit: str = ""  # of the value, the offset and the scale
+    unit: str = ""  # unit of value, offset and scale
     scale: float = 1.0
     offset: float = 0.0
-    bent: bool = False  # whether the hyperbolic tangent is shown, which cannot be decoded
+    bent: bool = False  # whether it is the hyperbolic tangent, which cannot be decoded
 
     @property
     def formula(self) -> str:
-        """Return the formula of the number that is shown, for tables."""
+        """Return the formula of the feature, for tables."""
         unit = f" {self.unit}" if self.unit else ""
         text = f"value - {self.offset:g}{unit}" if self.offset else "value"
         if self.scale != 1.0 or self.unit:
@@ -42,7 +42,7 @@ class Feature:
 
 
 class Column(NamedTuple):
-    """Place and scale of a feature, as numbers that a kernel compiles in as constants."""
+    """Column and scale of a feature, compiled into kernels as constants."""
 
     place: int
     offset: float
@@ -51,12 +51,12 @@ class Column(NamedTuple):
     high: float
 
     def of(self, table: Any) -> Any:
-        """Read the values of a table (..., features) in SI units."""
+        """Return the values of a table (..., features) in SI units."""
         return decode(self, table[..., self.place])
 
 
 def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
-    """Return the `Column`s of features by the features' names."""
+    """Return the `Column`s of features by feature name."""
     found: dict[str, Column] = {}
     for place, each in enumerate(features):
         if each.name in found:
@@ -66,32 +66,32 @@ def find_columns(features: Iterable[Feature]) -> dict[str, Column]:
 
 
 def columns(features: Iterable[Feature]) -> Any:
-    """Return the `Column`s of features by their names, as `columns(FEATURES).lateral_offset`.
+    """Return the `Column`s of features as attributes, e.g. `columns(FEATURES).lateral_offset`.
 
-    Letters and digits of a name stay; everything between them becomes an underscore. A missing name
-    raises an AttributeError that contains it; in a kernel the compiler raises an error.
+    Letters and digits of a name stay; all other characters become underscores. A missing name
+    raises an AttributeError, and a compiler error in a kernel.
     """
     found = find_columns(features)
     names = [re.sub("[^0-9a-z]+", "_", name.lower()).strip("_") for name in found]
-    make: Any = namedtuple  # its names are no literals
+    make: Any = namedtuple  # its names are not literals
     return make("Columns", names)(*found.values())
 
 
 def compute_digest(features: Iterable[Feature]) -> str:
-    """Compute the digest of the features' names and scales; a policy fits one digest only."""
+    """Compute the digest of the features' names and scales; a policy requires one digest."""
     shown = [(each.name, each.offset, each.scale, each.bent) for each in features]
     return hashlib.sha256(repr(shown).encode()).hexdigest()[:DIGITS]
 
 
 @kernel_function
 def encode(column: Column, value: float) -> float:
-    """Return the number that is shown for a value."""
+    """Return the feature of a value."""
     return (value - column.offset) / column.scale
 
 
 @kernel_function
 def decode(column: Column, shown: Any) -> Any:
-    """Return the value of a shown number, or of an array of them."""
+    """Return the value of a feature, or of an array of features."""
     value = shown if column.scale == 1.0 else column.scale * shown
     return value if column.offset == 0.0 else column.offset + value
 
@@ -110,7 +110,7 @@ def show(see: Any, column: Column, value: float) -> None:
 
 @kernel_function
 def show_within(see: Any, column: Column, value: float) -> None:
-    """Write a value into an observation, clipped to the bounds of its feature."""
+    """Write a value into an observation, clipped to the feature's bounds."""
     see[column.place] = min(column.high, max(column.low, encode(column, value)))
 
 

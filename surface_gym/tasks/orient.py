@@ -16,7 +16,7 @@ from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
 ANGLE = 0  # index in the goal: [rad] goal theta
-LEFT_TO_TURN = 0  # index in the memory: [rad] remaining angle at the last decision
+REMAINING_TURN = 0  # index in the memory: [rad] remaining angle at the last decision
 ANGLE_ERROR = 0  # index in the metrics: [rad] theta - goal angle
 
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
@@ -77,7 +77,7 @@ class Orient(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `turn` | 1 a radian | decrease of the angle to the goal |
+    | `turn` | 1 per radian | decrease of the angle to the goal |
     | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
@@ -179,7 +179,7 @@ class Orient(base.Task):
     def begin(state: EnvState) -> None:
         """Store the remaining angle."""
         state.metrics[ANGLE_ERROR] = state.truth[THETA] - state.goal[ANGLE]
-        state.memory[LEFT_TO_TURN] = abs(state.metrics[ANGLE_ERROR])
+        state.memory[REMAINING_TURN] = abs(state.metrics[ANGLE_ERROR])
 
     is_done = staticmethod(base.over_zone_end)
 
@@ -198,11 +198,11 @@ class Orient(base.Task):
         left_to_turn = abs(state.metrics[ANGLE_ERROR])
         left = outcome in (SUCCESS, MISSED)
         terms = state.terms
-        terms[0] = TURN_REWARD * (state.memory[LEFT_TO_TURN] - left_to_turn)
+        terms[0] = TURN_REWARD * (state.memory[REMAINING_TURN] - left_to_turn)
         terms[1] = PRECISION_REWARD * math.exp(-left_to_turn / PRECISION_SCALE) if left else 0.0
         terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
         terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
-        state.memory[LEFT_TO_TURN] = left_to_turn
+        state.memory[REMAINING_TURN] = left_to_turn
 
     @staticmethod
     @kernel_function

@@ -81,7 +81,7 @@ class Slow(base.Task):
 that which rolling to the zone's end turns into the asked one, over the entry speed |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure but "missed", so that leaving the zone always pays |
+    | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |
 
     ### Info
 

@@ -93,10 +93,10 @@ class Sort(Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `reach` | 2 a metre | gain of lateral reach: the offset to the asked side and what the present \
+    | `reach` | 2 per metre | gain of lateral reach: the offset to the asked side and what the present \
 speed would still cover coasting at 45 deg; beyond 0.6 m no more. For side 0, 0.3 x less the \
 distance from the line's middle takes its place |
-    | `time` | -0.3 a second | time that passed |
+    | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |
     | `haste` | 4 | once, at success, times 1 s over the time it took |
     | `failure` | -1 | once, at any failure |

@@ -77,7 +77,7 @@ class Stop(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `approach` | 1 a metre | decrease of the distance to the goal x |
+    | `approach` | 1 per metre | decrease of the distance to the goal x |
     | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |

@@ -21,19 +21,19 @@ from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
 
-SPEED, FIRST_X, STEP_X = range(3)  # places in the goal: [m/s] asked, [m] x of the path
-LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # places in the memory: sums over time
+SPEED, FIRST_X, STEP_X = range(3)  # indices in the goal: [m/s] asked speed, [m] x of the path
+LAST_X, SQUARED_ERROR, SQUARED_SPEED_ERROR = range(3)  # indices in the memory: sums over time
 RMS_ERROR, SPEED_ERROR, CROSS_ERROR = range(3)  # indices in the metrics: [m], [m/s], [m]
 
 OUTCOMES = ("off the path", "stalled", "off the surface")
 OFF_PATH, STALLED, OFF_SURFACE = failures(OUTCOMES)
 
-FARTHEST = 0.15  # [m] off the path an episode goes on
-STALL_SPEED = 0.05  # [m/s] slower than this is a failure: a stop is no way to follow
+FARTHEST = 0.15  # [m] maximum offset from the path
+STALL_SPEED = 0.05  # [m/s] slower parcels count as stalled
 STEEPEST = 3.0  # [-] slope of a path
 HIGHEST_TILT = math.radians(30.0)  # [rad]
 
-# The reward, term by term. All but the last two are paid a metre of x, so that time earns nothing.
+# The reward, term by term. All but the last two are per metre of x, so that time earns nothing.
 TERMS: tuple[str, ...] = (
     "distance",
     "precision",
@@ -43,22 +43,22 @@ TERMS: tuple[str, ...] = (
     "failure",
 )
 DISTANCE_REWARD = 0.3
-PRECISION_REWARD = 1.0  # on the path, falling with the error by
-PRECISION_SCALE = 0.005  # [m] a factor e
-CROSS_REWARD = -8.0  # a metre of error
+PRECISION_REWARD = 1.0  # on the path, decreasing with the error
+PRECISION_SCALE = 0.005  # [m] error that divides the reward by e
+CROSS_REWARD = -8.0  # per metre of error
 SPEED_REWARD = -2.0  # per m/s of error
 SUCCESS_REWARD = 2.0
 FAILURE_REWARD = -2.0
 
-AHEAD = (0.0, 0.1, 0.2, 0.35)  # [m] where the path's slope is seen
+AHEAD = (0.0, 0.1, 0.2, 0.35)  # [m] distances ahead at which the path's slope is observed
 
-# For planners. On a field all places are alike but for that within a pitch: a parcel is put beside
-# one module.
+# For planners. A field is periodic, so only the position within a pitch matters: a parcel is put
+# beside one module.
 PLAN_COLUMN, PLAN_ROW = 10, 10
-PLAN_ZONE = (6, 25)  # columns that a search may take a parcel over from there
-PIECE = 0.007  # [m] along x, of the path as rebuilt
-BEHIND = 60  # pieces of it behind the parcel
-# Errors that cost as much as each other.
+PLAN_ZONE = (6, 25)  # columns that a search may use from there
+PIECE = 0.007  # [m] length along x of a piece of the rebuilt path
+BEHIND = 60  # pieces behind the parcel
+# Errors of equal cost.
 PLAN_CROSS_ERROR = 0.003  # [m] off the path
 PLAN_SPEED_ERROR = 0.08  # [m/s] off the asked speed
 PLAN_CROSS_SPEED = 0.09  # [m/s] across the path at the horizon
@@ -74,32 +74,33 @@ FEATURES = (
     *DIRECTION, TURNING_SPEED, SIZE, *PHASE,
 )  # fmt: skip
 COLUMN = columns(FEATURES)
-SLOPE = COLUMN.slope_0_m_ahead.place  # the first of several
+SLOPE = COLUMN.slope_0_m_ahead.place  # column of the first slope
 
 
 @dataclass(frozen=True)
 class Track(Task):
     """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
 
-    A field of rotors everywhere, tilted downhill towards +x; the path is a curve y(x) across it.
+    The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x)
+    across it.
 
-    The surface is under-actuated: a module brakes along its axis and lets roll across it, but never
-    pushes. Gravity alone drives the parcel, and only downhill: to go across, its speed has to be
-    turned, and at little tilt there is none to waste.
+    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
+    pushes. Gravity alone drives the parcel, and only downhill. Motion across the field requires
+    turning the velocity, which costs speed.
 
     ### Start
 
-    The centre on the path's first point, at the asked speed along the path, theta 0. Asked speed:
-    uniform in `speeds`; tilt: uniform in `tilts`. Parcel and kind of path: equal odds. The path, by
-    `surface_gym.tasks.paths.random_path`, from x = 0.4 m to 5.6 m: a sine wave, a change of lanes,
-    a polyline or a cubic spline. The option `path` takes one of the classes of that module, or
-    points (n, 2) [m] of a polyline; its slope may be 3 at most.
+    The centre starts on the path's first point, at the asked speed along the path, with theta 0.
+    Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path: equal odds.
+    The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
+    spline: see `surface_gym.tasks.paths.random_path`. The option `path` takes a class of that
+    module, or points (n, 2) [m] of a polyline. Its slope is at most 3.
 
     ### Goal and end
 
     "success": the centre is past the path's last x. Each failure ends the episode as `terminated`:
 
-    - "off the path": the centre is 0.15 m or more off the path, square to it;
+    - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
     - "stalled": slower than 0.05 m/s;
     - "off the surface": the centre of mass passes the edge of the surface.
 
@@ -107,24 +108,24 @@ class Track(Task):
 
     ### Reward
 
-    All but the last two are paid a metre of x gained, so that time earns nothing.
+    All terms except the last two are per metre of x gained, so that time earns nothing.
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `distance` | 0.3 a metre | x gained |
-    | `precision` | 1 a metre | times exp(-abs(`cross_error`) / 5 mm) |
+    | `distance` | 0.3 per metre | x gained |
+    | `precision` | 1 per metre | times exp(-abs(`cross_error`) / 5 mm) |
     | `cross_error` | -8 a metre and metre | times abs(`cross_error`) |
     | `speed_error` | -2 a metre and m/s | times how far the speed along the path is off the \
-asked one |
+    d one |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
     ### Info
 
-    - `rms_error` [m]: root mean square of the error across the path over the time so far.
+    - `rms_error` [m]: root mean square of the error across the path, over the time so far.
     - `speed_error` [m/s]: root mean square of the difference between the speed along the path and
       the asked speed, over the time so far.
-    - `cross_error` [m]: the present error across the path, positive to its left.
+    - `cross_error` [m]: current error across the path, positive to its left.
 
     ### Example
 
@@ -142,7 +143,7 @@ asked one |
 
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked
     tilts: tuple[float, float] = (0.0, math.radians(15.0))  # [rad]
-    kinds: tuple[str, ...] = shapes.KINDS  # of paths to draw
+    kinds: tuple[str, ...] = shapes.KINDS  # kinds of paths to draw
 
     line = Field()
     features = FEATURES
@@ -167,14 +168,16 @@ asked one |
             checks.one_of("kinds", kind, shapes.KINDS)
 
     def training_tasks(self) -> tuple[Task, ...]:
-        """Return the task on steep fields: below 10 deg of tilt keeping a heading costs more speed
-        than the slope gives.
+        """Return the task on steep fields.
+
+        Below 10 deg of tilt, keeping a heading costs more speed than the slope gives.
         """
         return (replace(self, tilts=(math.radians(10.0), math.radians(15.0))),)
 
     def start(self, draw: Draw) -> Start:
-        """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds. The centre
-        starts on the path at the asked speed along it, theta at 0.
+        """Draw asked speed and tilt, uniform; parcel and kind of path with equal odds.
+
+        The centre starts on the path at the asked speed along it, with theta 0.
         """
         pace, slant, size, which = draw.numbers[:4]
         speed = draw.within("speed", between(*self.speeds, pace), 0.1, 5.0)
@@ -195,8 +198,10 @@ asked one |
         checks.positive("goal[2]", goal[STEP_X], *checks.LENGTH)
 
     def _paths(self, draw: Draw, which: Numbers) -> tuple[Numbers, Numbers]:
-        """Return x and y [m] (starts, PATH_POINTS) of each start's path: an option, or one drawn,
-        laid onto the line and cut where that ends.
+        """Return x and y [m] (starts, PATH_POINTS) of each start's path: an option, or a random
+        path.
+
+        The path is moved onto the line, and cut at its end.
         """
         given = {start: shapes.path_option(value) for start, value in draw.given("path")}
         kinds = [self.kinds[k] for k in (which * len(self.kinds)).astype(int)]
@@ -226,11 +231,11 @@ asked one |
         )
 
     def decode_start(self, seen: ObservationTable) -> Start:
-        """Decode the first observation into a start; beyond what is shown the path is straight."""
+        """Decode the first observation into a start; unobserved parts of the path are straight."""
         shown, line = self.decode(seen), seen.line
         x = line.origin[0] + line.pitch_x * PLAN_COLUMN + float(shown.x_in_pitch[0])
         y = line.origin[1] + line.pitch_y * PLAN_ROW + float(shown.y_in_pitch[0])
-        # The centre is over the middle of a piece.
+        # The centre is at the middle of a piece.
         from_centre = PIECE * (np.arange(PATH_POINTS) - BEHIND - 0.5)
         slope = np.interp(from_centre[:-1] + 0.5 * PIECE, AHEAD, shown.slope[0])
         path = np.concatenate([[0.0], np.cumsum(PIECE * slope)])
@@ -244,7 +249,7 @@ asked one |
         )
 
     def benchmark(self) -> Benchmark:
-        """Drawn starts on steep sines; a task with parameters of its own keeps its law."""
+        """Return random starts on steep sines; a task with its own parameters keeps its starts."""
         of_rms = median_column(
             "rms_error", "rms error [mm]", "off the path, median over starts", ".1f", 1e3
         )
@@ -299,7 +304,7 @@ asked one |
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
-        """Return the state of the episode, by the true motion, and add up the errors."""
+        """Return the state of the episode by the true motion, and add the errors."""
         memory = state.memory
         error, speed_error, _ = _errors(state, state.truth)
         if state.period > 0.0:
@@ -319,7 +324,7 @@ asked one |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Pay for every metre of x, more the nearer to the path and the speed."""
+        """Reward every metre of x, and more if path and speed are closer to the goal."""
         error, speed_error, _ = _errors(state, state.truth)
         distance = max(0.0, state.truth[X] - state.memory[LAST_X])
         state.memory[LAST_X] = state.truth[X]
@@ -380,7 +385,7 @@ def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> N
 
 @kernel_function
 def _path_at(state: EnvState, x: float) -> tuple[float, float]:
-    """Return y [m] of the path at x, and its slope there; beyond its ends it goes on straight."""
+    """Return y [m] and slope of the path at x; the path is straight beyond its ends."""
     step = state.goal[STEP_X]
     along = (x - state.goal[FIRST_X]) / step
     i = int(bounded(along, 0.0, PATH_POINTS - 2.0))
@@ -391,8 +396,10 @@ def _path_at(state: EnvState, x: float) -> tuple[float, float]:
 
 @kernel_function
 def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
-    """Return the distance [m] off the path, the speed [m/s] above the asked one along it, and the
-    speed [m/s] across it, positive to its left.
+    """Return the errors (cross error, speed error, cross speed) of a motion.
+
+    The cross error [m] is the distance from the path, positive to its left. The speed error [m/s]
+    is the excess of the speed along the path. The cross speed [m/s] is positive to the path's left.
     """
     y, slope = _path_at(state, motion[X])
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -402,18 +409,18 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class PathObservation:
-    """Parcels beside their paths, decoded; arrays (num_envs,) where nothing else is said."""
+    """Decoded observations of parcels beside their paths; arrays have shape (num_envs,) by default."""
 
-    cross_error: Numbers  # [m] off the path, square to it, positive to its left
-    speed_error: Numbers  # [m/s] over the asked speed, along the path
-    cross_speed: Numbers  # [m/s] square to the path, positive to its left
+    cross_error: Numbers  # [m] perpendicular distance from the path, positive to its left
+    speed_error: Numbers  # [m/s] excess over the asked speed, along the path
+    cross_speed: Numbers  # [m/s] speed perpendicular to the path, positive to its left
     asked_speed: Numbers  # [m/s]
-    slope: Numbers  # (num_envs, 4) dy/dx of the path `AHEAD` [m] of the centre
+    slope: Numbers  # (num_envs, 4) dy/dx of the path at `AHEAD` [m] from the centre
     tilt: Numbers  # [rad]
     theta: Numbers  # [rad]
     omega: Numbers  # [rad/s]
-    half_length: Numbers  # [m] of the base, taken as a square
-    x_in_pitch: Numbers  # [m] of the centre past the nearest module's, in -pitch/2 to pitch/2
+    half_length: Numbers  # [m] half length of the base, a square
+    x_in_pitch: Numbers  # [m] centre past the nearest module's, from -pitch/2 to pitch/2
     y_in_pitch: Numbers  # [m]
 
     @property
@@ -431,9 +438,9 @@ class PathObservation:
         grid: tuple[float, float],
         path: Numbers,
     ) -> Start:
-        """Build the start of the first parcel, one of some in size, at a place (x, y) [m].
+        """Make the start of the first parcel, the closest in size, at a point (x, y) [m].
 
-        The grid is the path's first x and its step in x [m], the path its y (PATH_POINTS,) [m].
+        The grid holds first x and step [m] of the path; the path is y (PATH_POINTS,) [m].
         """
         vx, vy = (float(each[0]) for each in self.velocity)
         parcel = nearest_parcel(parcels, float(self.half_length[0]))
@@ -443,14 +450,16 @@ class PathObservation:
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
-    """Compute the mean squares of the errors so far, each over what is as bad, and where they lead."""
+    """Compute mean squares of the errors, each relative to errors of equal cost, and of the final
+    ones.
+    """
     parcels = nodes.parcels
     since = np.maximum(parcels.clock, 1e-9)
     off = parcels.memory[:, SQUARED_ERROR] / since / PLAN_CROSS_ERROR**2
     pace = parcels.memory[:, SQUARED_SPEED_ERROR] / since / PLAN_SPEED_ERROR**2
     lost = np.where(parcels.outcome > SUCCESS, FAILED**2, 0.0)
     x, _, _, vx, vy, _ = parcels.truth.T
-    # The nodes of a search have their path in common.
+    # All nodes of a search have the same path.
     first, step = parcels.goal[0, FIRST_X], parcels.goal[0, STEP_X]
     piece = np.clip((x - first) / step, 0.0, PATH_POINTS - 2.0).astype(np.int64)
     slope = np.diff(parcels.path[0])[piece] / step

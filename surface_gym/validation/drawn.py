@@ -39,11 +39,17 @@ CASES = (SlopeCase(10.0), PUSHED)
 def uneven_normal_forces(
     arms: Array, heights: Array, stiffness: Array, weight: float, load: ArrayLike
 ) -> Array:
-    """Compute the normal forces / mass (n,) [m/s^2] of contacts of unequal height and stiffness.
+    """Compute the normal forces / mass (n,) [m/s^2] of contacts with unequal heights and
+    stiffnesses.
 
-    The weight [m/s^2] acts at `load` (2,) [m], and `arms` (n, 2) [m] lead to the contacts, both
-    from the centre of mass. Heights (n,) [m] are above the plane, stiffness (n,) [1/s^2] is per
-    mass. If the parcel tips, the moments are as close to balance as possible.
+    Args:
+        arms: (n, 2) [m] contacts from the centre of mass.
+        heights: (n,) [m] heights above the plane.
+        stiffness: (n,) [1/s^2] stiffness per mass.
+        weight: [m/s^2] normal load per mass.
+        load: (2,) [m] point of action of the weight from the centre of mass.
+
+    If the parcel tips, the moments are as close to balance as possible.
     """
     scale = float(np.abs(arms).max()) or 1.0
     target = np.array([1.0, *(np.asarray(load) / scale)])

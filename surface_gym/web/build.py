@@ -1,9 +1,9 @@
 """The command that writes environments as WebAssembly: `surface-gym web FOLDER`.
 
-Each task, with the arguments it has by default and all groups of features in the observation of one
-parcel, becomes four files: the module `sort.wasm`, its memory `sort.bin` with one environment of it
-placed by seed 0, `sort.json`, which says what lies where in it, and `sort.starts`, the starts of
-more seeds. Beside them lies the playground: pages, scripts, and an empty table.
+Every task, with its default arguments and all groups of features, becomes four files: the module
+`sort.wasm`; its memory `sort.bin` with one environment placed by seed 0; its layout `sort.json`;
+and `sort.starts`, the starts of more seeds. The folder also gets the playground: pages, scripts,
+and an empty table.
 """
 
 import argparse
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from surface_gym.config import EnvConfig
 
 PAGE = Path(__file__).parent / "page"
-MODULES = Path(__file__).parent / "modules"  # of the package: a release brings them
+MODULES = Path(__file__).parent / "modules"  # the package's modules, part of a release
 TABLE, NOISE = "table", "noise"
-CAMERA = "-camera"  # ends the name of a task whose parcels a camera senses
+CAMERA = "-camera"  # suffix of a task's name with a camera
 TASKS = (*SHIPPED, *(task + CAMERA for task in SHIPPED))
 ALL = (TABLE, NOISE, *TASKS)
-KINDS = ("wasm", "bin", "json", "starts")  # of a task's files
-SITE = "site.json"  # what a page finds beside it
-AGENTS = ("agents.bin", "agents.json")  # which `surface_gym.agents.export.web` writes,
-EACH_AGENT = "agent-*.*"  # and what a page loads of one that is chosen
+KINDS = ("wasm", "bin", "json", "starts")  # suffixes of a task's files
+SITE = "site.json"  # description of the site, for pages
+AGENTS = ("agents.bin", "agents.json")  # files of `surface_gym.agents.export.web`
+EACH_AGENT = "agent-*.*"  # files of one agent, loaded when it is chosen
 
 
 def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
-    """Configure a task's environment as pages have it: of one parcel, all groups are observed.
+    """Return the configuration of a task's environment on a page.
 
     Args:
-        task: its name, or a task with parameters of its own.
+        task: a task's name, or a task with its own parameters.
         has_camera: whether a camera senses the parcels; otherwise sensors are exact.
     """
     from surface_gym.config import EnvConfig
@@ -52,11 +52,11 @@ def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
 
 
 def write_task(task: str, folder: Path, own: Any = None) -> str:
-    """Write the files of a task into a folder, and describe them in a line.
+    """Write the files of a task into a folder; return a line that describes them.
 
     Args:
         task: a task's name, which may end in `-camera`, or the base name of a custom task's files.
-        folder: where to write.
+        folder: output folder.
         own: a custom task.
     """
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
@@ -91,9 +91,9 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
 
 
 def write_pages(folder: Path, tasks: Sequence[str]) -> None:
-    """Write the playground's pages and scripts, and what there is beside them.
+    """Write pages and scripts of the playground, and the description of the site.
 
-    The package's own folder gets no pages, which lie beside it.
+    The package's own folder gets no pages, since they are beside it.
     """
     if folder != MODULES:
         shutil.copytree(PAGE, folder, dirs_exist_ok=True)
@@ -103,9 +103,10 @@ def write_pages(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def write_site(folder: Path, tasks: Sequence[str]) -> None:
-    """Write modules of tasks and of a table into a folder, and the pages; print what is done.
+    """Write pages, and modules of tasks and of a table, into a folder; print progress.
 
-    A module that is there, or in the package, is not compiled again unless its source was edited.
+    An existing module (in the folder or in the package) is compiled again only if its source was
+    edited.
     """
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [TABLE, NOISE, *tasks]
@@ -120,7 +121,7 @@ def write_site(folder: Path, tasks: Sequence[str]) -> None:
 
 
 def _drop_old_agents(folder: Path) -> None:
-    """Remove the list of agents if a module was compiled later, which they may not fit."""
+    """Remove the list of agents if a module was compiled later, since they may not fit."""
     agents = folder / AGENTS[-1]
     compiled = max((each.stat().st_mtime for each in folder.glob("*.wasm")), default=0.0)
     if agents.is_file() and agents.stat().st_mtime < compiled:
@@ -128,7 +129,7 @@ def _drop_old_agents(folder: Path) -> None:
 
 
 def _copy(name: str, folder: Path) -> None:
-    """Copy a file of the package's modules into a folder that lacks it."""
+    """Copy a file of the package's modules into a folder without it."""
     if (MODULES / name).is_file() and not (folder / name).exists():
         shutil.copyfile(MODULES / name, folder / name)
 
@@ -145,7 +146,7 @@ class PackageModules:
             self.folder = Path.home() / ".cache" / "surface_gym" / "modules"
         self._lock = threading.Lock()
         self._checked: set[str] = set()
-        self._own: dict[str, tuple[Any, Path]] = {}  # a user's task and its folder, by file name
+        self._own: dict[str, tuple[Any, Path]] = {}  # custom task and its folder, by file name
         if not self._are_current():
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (AGENTS[-1], *(f"{task}.json" for task in ALL)):
@@ -164,7 +165,7 @@ class PackageModules:
     def prepare(self, name: str) -> None:
         """Write the missing files of a task if `name` is the name of one of them."""
         task, _, kind = name.partition(".")
-        if task not in (*ALL, *self._own) or kind not in KINDS:  # such as table.js, a script
+        if task not in (*ALL, *self._own) or kind not in KINDS:  # e.g. table.js, a script
             return
         own, folder = self._own.get(task, (None, self.folder))
         with self._lock:
@@ -176,7 +177,7 @@ class PackageModules:
             self._checked.add(task)
 
     def _are_current(self) -> bool:
-        """Whether the folder is one of this version, with all tasks."""
+        """Return whether the folder has all tasks, from this version."""
         try:
             site = json.loads((self.folder / SITE).read_text())
             return bool(site["version"] == __version__ and site["tasks"] == list(TASKS))
@@ -185,7 +186,7 @@ class PackageModules:
 
 
 def write_own(own: Any, folder: Path, package: Path) -> str:
-    """Write a user's task into a folder, as if the package in its folder had it; name it."""
+    """Write a custom task into a folder, like a task of the package; return its base name."""
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())
     print(write_task(name, folder, own), flush=True)

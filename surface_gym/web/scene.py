@@ -67,8 +67,8 @@ class TableScene:
     surface: Surface
     parcels: tuple[ThrownParcel, ...] = ()
     duration: float = 20.0  # [s], a multiple of dt
-    dt: float = 0.005  # [s] of a step
-    restitution: float = 0.0  # [-] between parcels
+    dt: float = 0.005  # [s] time step
+    restitution: float = 0.0  # [-] restitution between parcels
     side_friction: float = 0.3  # [-]
     changes: tuple[tuple[int, Surface], ...] = ()  # step of the change, and the new surface
 
@@ -130,10 +130,10 @@ class TableScene:
 
     @classmethod
     def from_json(cls, text: str) -> "TableScene":
-        """Read a scene from `to_json` or from the page.
+        """Read a scene from the result of `to_json`, or from the page.
 
         Raises:
-            ValueError: the text is no such scene.
+            ValueError: the text is not a valid scene.
         """
         try:
             return _read(json.loads(text))
@@ -225,7 +225,7 @@ def pack(text: str) -> str:
 
 
 def unpack(fragment: str) -> str:
-    """Unpack what `pack` made, or raise a ValueError."""
+    """Unpack the result of `pack`, or raise a ValueError."""
     if not fragment.startswith(MARK):
         raise ValueError(f"url must hold a scene after #, which begins with {MARK}, got none")
     coded = fragment.removeprefix(MARK)
@@ -317,7 +317,7 @@ def _read(fields: dict[str, Any]) -> TableScene:
 
 
 def _changed(before: Surface, change: dict[str, Any]) -> Surface:
-    """Return a surface with a change."""
+    """Return a surface after a change."""
     axis = before.axis.copy()
     for module, angle in change.get("axis", ()):
         axis.ravel()[module] = angle

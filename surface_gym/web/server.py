@@ -19,7 +19,7 @@ from urllib.parse import unquote, urlsplit
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")  # names of this machine in a browser
-CONNECTIONS = 64  # at a time: a browser opens six
+CONNECTIONS = 64  # maximum connections; a browser opens six
 FIRST_PAGE = "playground.html"
 KINDS = {
     ".css": "text/css; charset=utf-8",
@@ -107,7 +107,7 @@ class Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     def find(self, path: str) -> Path | None:
-        """Find the file of a path, such as `/playground.js`."""
+        """Find the file of a path, e.g. `/playground.js`."""
         name = unquote(path).lstrip("/")
         if self._prepare is not None:
             self._prepare(name)
@@ -177,5 +177,5 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _is_here(host: str) -> bool:
-    """Return whether a request's Host is one of `NAMES`, with a port or without."""
+    """Return whether a request's Host is one of `NAMES`, with or without a port."""
     return re.fullmatch(rf"({'|'.join(map(re.escape, NAMES))})(:[0-9]+)?", host.lower()) is not None

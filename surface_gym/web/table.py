@@ -23,7 +23,7 @@ from surface_gym.physics.types import Array, Grid
 from surface_gym.simulation import make_bodies
 from surface_gym.surface import Surface
 
-PARCELS = 24  # maximum number at once
+PARCELS = 24  # maximum number of parcels
 
 
 @compiled
@@ -36,11 +36,11 @@ def step_table(
     turned: int,
     dt: float,
 ) -> int:
-    """Do a step of `dt`; parcels that leave the surface become absent.
+    """Do a step of `dt` [s]; parcels that leave the surface become absent.
 
     Args:
         angle: (rows, columns) [rad] angles of the axes.
-        turned: 0 if nothing but the parcels' motion has changed since the last step.
+        turned: 0 if only parcels have moved since the last step.
 
     Returns:
         The number of pairs of parcels that pushed each other.
