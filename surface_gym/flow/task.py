@@ -165,7 +165,7 @@ class Flow(StreamTask):
     | `right` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
-    | `reach` | 1 per metre | how far towards the asked exit: 0.2 of the way along the line up to the exit's start, from there on the gain of lateral reach, as in Sort. Straight on: 0.2 of the way, less the distance from the middle |
+    | `reach` | 1 per metre | progress to the parcel's exit: 0.2 of the distance along the line up to the exit's start, then the gain of lateral reach as in Sort. For an exit straight ahead: 0.2 of the distance along the line minus the distance from the middle |
     | `time` | -0.2 per second | per parcel on the line |
     | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |

@@ -77,8 +77,8 @@ class Slow(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 per ratio | by which the excess shrank: how far the speed is, either way, from \
-that which rolling to the zone's end turns into the asked one, over the entry speed |
+    | `excess` | 1 per ratio | decrease of the excess over the entry speed. The excess is the \
+absolute difference from the speed that rolls to the goal speed at the zone's end |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |

@@ -93,9 +93,9 @@ class Sort(Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `reach` | 2 per metre | gain of lateral reach: the offset to the asked side and what the present \
-speed would still cover coasting at 45 deg; beyond 0.6 m no more. For side 0, 0.3 x less the \
-distance from the line's middle takes its place |
+    | `reach` | 2 per metre | gain of lateral reach: the offset to the goal side plus the distance \
+that the parcel would still coast at 45 deg, up to 0.6 m. For side 0, it is 0.3 x minus the \
+distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |
     | `haste` | 4 | once, at success, times 1 s over the time it took |

@@ -114,9 +114,9 @@ class Track(Task):
     | --- | --- | --- |
     | `distance` | 0.3 per metre | x gained |
     | `precision` | 1 per metre | times exp(-abs(`cross_error`) / 5 mm) |
-    | `cross_error` | -8 a metre and metre | times abs(`cross_error`) |
-    | `speed_error` | -2 a metre and m/s | times how far the speed along the path is off the \
-    d one |
+    | `cross_error` | -8 per metre and metre of error | times abs(`cross_error`) |
+    | `speed_error` | -2 per metre and m/s | times the absolute difference between the speed along \
+the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
@@ -409,7 +409,7 @@ def _errors(state: EnvState, motion: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class PathObservation:
-    """Decoded observations of parcels beside their paths; arrays have shape (num_envs,) by default."""
+    """Decoded observations of parcels beside their paths; arrays (num_envs,) by default."""
 
     cross_error: Numbers  # [m] perpendicular distance from the path, positive to its left
     speed_error: Numbers  # [m/s] excess over the asked speed, along the path
