@@ -1,8 +1,8 @@
-"""Actions: their meaning for the modules.
+"""Actions and their effect on the modules.
 
-A command is one number a part: an index into the orientations on offer, or an angle. Which part a
-module follows, what a number says and how an axis turns are functions that a batch's kernel is
-built from. Only rotors that obey turn; every other axis stays as it is.
+A command has one number per part: an index into the orientations, or an angle. Three functions of a
+batch's kernel depend on the kind of action: which part a module follows, how a number sets an axis,
+and how an axis turns. Only obeying rotors turn; all other axes stay.
 """
 
 import math
@@ -201,7 +201,7 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
             surfaces.target[i, row, column] = ROLLING
 
 
-# Kinds of action by name: which part of it a module follows.
+# Function that returns a module's part, by kind of action.
 KINDS: dict[str, Callable[..., Any]] = {
     "modules": part_of_modules,
     "halves": part_of_halves,

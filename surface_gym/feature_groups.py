@@ -1,6 +1,6 @@
-"""Groups of features for `observe`: the outline of the parcel, and the rotors beneath it.
+"""Groups of features for `observe`: the outline of the parcel, and the rotors below it.
 
-Each group says what a real controller needs to know of it; see `GROUPS`.
+A comment in `GROUPS` states the knowledge that a real controller needs for each group.
 """
 
 import math
@@ -16,7 +16,7 @@ from surface_gym.state import EnvState
 from surface_gym.tasks.base import LENGTH, WIDTH
 from surface_gym.tasks.features import Feature, columns, show
 
-AXIS_SIZE = 2  # numbers that show an axis: cosine and sine of twice its angle, as it has no ends
+AXIS_SIZE = 2  # features of an axis: cosine and sine of twice its angle, which has period pi
 
 
 @inlined
@@ -26,8 +26,9 @@ def show_nothing(acting: ActionParams, state: EnvState, first: int, mirror: floa
 
 @inlined
 def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float) -> bool:
-    """Return whether a point (dx, dy) [m] from the sensed centroid is under the base, which is
-    turned by an angle of this cosine and sine.
+    """Return whether a point (dx, dy) [m] from the sensed centroid is under the base.
+
+    The base is turned by an angle with this cosine and sine.
     """
     x, y = cosine * dx + sine * dy, cosine * dy - sine * dx
     edges, radius = state.edges, state.body[RADIUS]
@@ -39,9 +40,9 @@ def _is_under(state: EnvState, cosine: float, sine: float, dx: float, dy: float)
 
 @inlined
 def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: float) -> None:
-    """Write the window's occupancy into the observation from `first` on:
+    """Write the window's occupancy into the observation from `first` on.
 
-    1 for each module that obeys and is sensed to lie under the parcel, rows reversed if `mirror` is
+    It is 1 for an obeying module under the sensed parcel, else 0. Rows are reversed if `mirror` is
     negative.
     """
     corner = window_corner(state, mirror)
@@ -64,7 +65,7 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 
 @inlined
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
-    """Write a module's axis into the observation from `place` on; 0 where there is no rotor."""
+    """Write a module's axis into the observation from `place` on; 0 without a rotor."""
     rows, columns = state.rotor.shape
     twice_cosine = twice_sine = 0.0
     if 0 <= row < rows and 0 <= column < columns and state.rotor[row, column]:
@@ -101,7 +102,7 @@ def show_zone_axes(acting: ActionParams, state: EnvState, first: int, mirror: fl
             _show_axis(state, row, column, first + AXIS_SIZE * (place * columns + along), mirror)
 
 
-QUADRANT_SIZE = 3  # numbers that a quadrant of the parcel shows of its rotors
+QUADRANT_SIZE = 3  # features of the rotors in a quadrant of the parcel
 QUADRANTS = ("ahead left", "ahead right", "behind left", "behind right")
 
 PARCEL_FEATURES = (
@@ -132,7 +133,7 @@ def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
     for k in range(corners.shape[0]):
         twice += corners[last, 0] * corners[k, 1] - corners[k, 0] * corners[last, 1]
         last = k
-    if state.edges[0, 2] > state.body[RADIUS]:  # a disc, which has neither edges nor corners
+    if state.edges[0, 2] > state.body[RADIUS]:  # a disc without edges and corners
         twice = 2.0 * math.pi * state.body[RADIUS] ** 2
     show(see, OUTLINE.length, 0.5 * (front + rear))
     show(see, OUTLINE.width, 0.5 * (left + right))
@@ -141,7 +142,7 @@ def show_parcel(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
 
 @inlined
 def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: float) -> None:
-    """Write `ROTOR_FEATURES`, mirrored if `mirror` < 0."""
+    """Write `ROTOR_FEATURES`, mirrored if `mirror` is negative."""
     for k in range(4 * QUADRANT_SIZE):
         see[k] = 0.0
     rows, columns = state.rotor.shape
@@ -183,12 +184,12 @@ def show_rotors(acting: ActionParams, state: EnvState, see: Singles, mirror: flo
 
 # Groups of features of one parcel for `observe`, in addition to its sensor's features.
 MODULE_GROUPS = {
-    # The parcel's outline, by a scale drawing or a picture; not where its load lies.
+    # Known from a drawing or a picture of the parcel; the load's position stays unknown.
     "parcel": Group(PARCEL_FEATURES, show_parcel),
-    # Each axis' angle, by encoders or computed from its commands; and where supports are.
+    # Known from encoders, or computed from commands; and the positions of supports.
     "rotors": Group(ROTOR_FEATURES, show_rotors),
 }
-# With every sensor; what a sensor that learns has learned is its own.
+# Available with every sensor, in addition to the sensor's own groups.
 GROUPS: dict[str, Group] = {**MODULE_GROUPS, **Sensor().groups}
 
 
@@ -207,7 +208,7 @@ def offered_groups(sensor: Sensor) -> dict[str, Group]:
 def group_features(
     observe: tuple[str, ...], groups: Mapping[str, Group] = GROUPS
 ) -> tuple[Feature, ...]:
-    """Return the features of the groups asked for."""
+    """Return the features of the requested groups."""
     return tuple(
         feature for name, group in groups.items() if name in observe for feature in group.features
     )

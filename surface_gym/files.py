@@ -27,8 +27,8 @@ SUFFIX = ".part"  # suffix of an unfinished file
 LINE = 2**20  # [bytes] maximum line of a text
 TABLE = ARCHIVE = 4 * 2**30  # [bytes] on the disk
 MEMBERS = 1000  # maximum members of an archive; the largest here has about fifty
-SMALL = 2**24  # [bytes] that any file may unpack to
-RATIO = 200  # [-] of the bytes that a larger one unpacks to, over its own
+SMALL = 2**24  # [bytes] unpacked size that is always allowed
+RATIO = 200  # [-] maximum ratio of unpacked to packed size above that
 CHECKSUM = b"sha256: "  # begins an archive's comment, before 64 hexadecimal digits
 REASON = 300  # maximum characters of a description
 # Errors of libraries for damaged files: text, YAML, JSON, zip, arrays, tensors.

@@ -28,8 +28,8 @@ from surface_gym.executors import (
 Result = TypeVar("Result")
 OnReport = Callable[[int, Any], None]  # called with a job's index and its report
 
-MAX_LOSSES = 10  # processes that one job may cost without a report in between
-GRACE = 60.0  # [s] for interrupted jobs to write their files and to report
+MAX_LOSSES = 10  # maximum successive losses of a job's process without a report
+GRACE = 60.0  # [s] for interrupted jobs to write files and report
 
 Workers = int | Cluster  # number of processes on this machine, or a cluster
 
