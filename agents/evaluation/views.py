@@ -264,7 +264,7 @@ def list_numbers(task: str, results: Results) -> list[dict[str, Any]]:
 
 
 def _values(key: Key, sample: Sample, results: Results) -> dict[str, dict[str, float]]:
-    """Return the numbers of a sample, in the lab also those of each shape."""
+    """Return the numbers of a sample, in the lab also of each shape."""
     task, scenario, preset, method = key
     benchmark = find_benchmark(task)
     if isinstance(benchmark, StreamBenchmark):
