@@ -104,7 +104,7 @@ class TestEven:
             while not ended.any():
                 actions = controller.predict(observations)[0] if controller else straight
                 observations, _, _, ended, infos = envs.step(actions)
-            assert tuple(infos["right"]) == correct
+            assert tuple(infos["correct"]) == correct
             assert (infos["wrong"] > 0).any() == (controller is None)
 
 

@@ -124,7 +124,7 @@ def _schedule_zones(
             break
         groups = ColumnGroups(columns, count, exclusive)
         made = make_library(exact, groups, slack=CLEARANCES[0][0])
-        if made.right.all() and np.isfinite(made.gaps).all():
+        if made.correct.all() and np.isfinite(made.gaps).all():
             odds, queue = np.ones(len(made.signature)), config.stream_task.queue
             rates[groups] = predict_rate(made, odds, PREDICTED, queue)
     tried = (

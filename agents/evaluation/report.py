@@ -374,7 +374,7 @@ def _capacity_card(samples: dict[str, Sample]) -> dict[str, Any]:
 
 def _stream_card(samples: dict[str, Sample]) -> dict[str, Any]:
     (learned,) = (each for each in samples.values() if each.kind == AGENT)
-    gaps = learned.mean("right_gaps")
+    gaps = learned.mean("correct_gaps")
     return {
         "right_an_hour_of_each_seed": [round(each) for each in learned.of_seeds.mean(axis=1)],
         "share_right": round(learned.share_correct, 4),

@@ -143,7 +143,7 @@ class LineMeasurement:
 
     rate: float  # [parcels/h] correct deliveries
     margin: float  # [parcels/h] half width of the 95 % confidence interval
-    share_right: float  # [-] share of correct deliveries
+    share_correct: float  # [-] share of correct deliveries
     touches_per_1000: float  # [-] touches per 1000 deliveries
     jams: int  # episodes that ended in a jam
     turns_per_parcel: float  # turns of all axes per parcel
@@ -176,14 +176,14 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         found = compute_statistics(streams, k, jammed, obeying, duration - counted)
         delivered += found.delivered
         turns.append(found.turns_per_hour)
-        right = found.delivered * (1.0 - found.missort_rate) if found.delivered else 0.0
+        correct = found.delivered * (1.0 - found.missort_rate) if found.delivered else 0.0
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
-        each.append(HOUR * right / counted)
+        each.append(HOUR * correct / counted)
     departed = streams.tally[:, [CORRECT, WRONG]].sum()
     return LineMeasurement(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
-        share_right=sum(each) * counted / HOUR / max(1, delivered),
+        share_correct=sum(each) * counted / HOUR / max(1, delivered),
         touches_per_1000=1000.0 * touches / max(1, delivered),
         jams=int((streams.outcome == JAM).sum()),
         turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, departed)),
@@ -238,12 +238,12 @@ class Search:
                 other = make_library(config, layout.groups, margin=margin, slack=slack)
             else:
                 other = other.with_clearance(margin, slack)
-            self._libraries[key] = other if other.right.all() else None
+            self._libraries[key] = other if other.correct.all() else None
         library = self._libraries[key]
         if library is None:
             return None
         kept = library.maneuvers.choice < choices
-        if len(np.unique(library.maneuvers.kind[kept])) < len(library.right):
+        if len(np.unique(library.maneuvers.kind[kept])) < len(library.correct):
             return None
         gaps = library.gaps[np.ix_(kept, kept)]
         return replace(library, maneuvers=library.maneuvers.pick(kept), gaps=gaps, runs=())

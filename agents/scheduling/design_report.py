@@ -70,7 +70,7 @@ class FlowAnswer(report.Answer):
         ]
         runs = [
             (
-                f"{run.share_right:.4f}", f"{run.touches_per_1000:.1f}",
+                f"{run.share_correct:.4f}", f"{run.touches_per_1000:.1f}",
                 f"{run.turns_per_parcel:.1f}", round(run.turns_per_hour),
             )
             for run in (row.run for row in rows)
@@ -82,7 +82,7 @@ class FlowAnswer(report.Answer):
         ]
         stuck = [
             (
-                *name, f"{share:.0%}", round(run.rate), f"{left:.3f}", f"{run.share_right:.4f}",
+                *name, f"{share:.0%}", round(run.rate), f"{left:.3f}", f"{run.share_correct:.4f}",
                 run.jams,
             )
             for name, row in zip(names, rows, strict=True)
@@ -101,8 +101,8 @@ class FlowAnswer(report.Answer):
         )
         who = ("hardware", "angles")
         line_header = (*who, "carries", "line", "actuators", "predicted")
-        run_header = (*who, "measured", "right", "touches/1000", "turns", "an hour")
-        stuck_header = (*who, "stuck", "right/h", "of all", "share right", "jams")
+        run_header = (*who, "measured", "correct", "touches/1000", "turns", "turns/h")
+        stuck_header = (*who, "stuck", "correct/h", "of all", "correct", "jams")
 
         def table(k: int, name: str, header: tuple[str, ...], *parts: Any) -> report.ReportTable:
             cells = tuple(sum(each, ()) for each in zip(*parts, strict=True))

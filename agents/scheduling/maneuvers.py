@@ -212,7 +212,7 @@ class Library:
     lead: Lead
     maneuvers: Maneuvers
     signature: Numbers  # (kinds, features) features that identify parcel, speed and exit
-    right: Booleans  # (kinds,) whether some maneuver was correct in every try
+    correct: Booleans  # (kinds,) whether some maneuver was correct in every try
     runs: tuple[tuple[LoneRuns, ...], ...]  # runs of the maneuvers, by surface and variant of entry
     # (maneuvers, maneuvers) [s] gap between entries of a parcel (row) and its follower (column)
     gaps: Numbers
@@ -298,7 +298,7 @@ def make_library(
         for seed in range(tries)
     ]
     beyond = [_try(config, lead, tried, 0, variant) for variant in (EARLY, LATE)]
-    share = np.mean([run.right for same in (*runs, beyond) for run in same], axis=0)
+    share = np.mean([run.correct for same in (*runs, beyond) for run in same], axis=0)
     count = len(lead.kinds)
     best = np.zeros(count)
     np.maximum.at(best, tried.kind, share)

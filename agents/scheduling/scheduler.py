@@ -29,7 +29,7 @@ from .maneuvers import MARGIN, ColumnGroups, Library, make_library
 CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
 SLACKS = np.geomspace(0.1, 4.0, 24)  # [-] slacks to try if some touches are allowed
 LONGEST_GAP = 8.0  # [s] gap if two parcels never keep clear
-LEAST_RIGHT = 0.999  # [-] minimum share of correct deliveries in a trial
+LEAST_CORRECT = 0.999  # [-] minimum share of correct deliveries in a trial
 TRIED = 16  # episodes per trial
 TRIAL = 20.0  # [s] duration of an episode
 TRIAL_SEED = 1_000_003
@@ -131,7 +131,7 @@ class Scheduler(BatchController):
 
 
 def make_scheduler(
-    config: EnvConfig, groups: ColumnGroups | None = None, least_right: float = LEAST_RIGHT
+    config: EnvConfig, groups: ColumnGroups | None = None, least_correct: float = LEAST_CORRECT
 ) -> Scheduler | None:
     """Make the scheduler with the highest throughput without touches.
 
@@ -140,17 +140,17 @@ def make_scheduler(
 
     Args:
         config: configuration with actions "parcels" without groups, "modules" with them.
-        least_right: [-] minimum share of correct deliveries in a trial; otherwise the result is
+        least_correct: [-] minimum share of correct deliveries in a trial; otherwise the result is
             None.
     """
     library = make_library(config, groups)
     apart = (library.with_clearance(margin, slack) for slack, margin in CLEARANCES)
     tried = (Scheduler(config, each) for each in apart if np.isfinite(each.gaps).all())
-    return choose_by_trial(config, tried, least_right)
+    return choose_by_trial(config, tried, least_correct)
 
 
 def choose_by_trial(
-    config: EnvConfig, schedulers: Iterable[Scheduler], least_right: float = LEAST_RIGHT
+    config: EnvConfig, schedulers: Iterable[Scheduler], least_correct: float = LEAST_CORRECT
 ) -> Scheduler | None:
     """Return the first scheduler without touches and jams in its trial.
 
@@ -158,12 +158,12 @@ def choose_by_trial(
 
     Args:
         schedulers: candidates, in order of decreasing throughput.
-        least_right: [-] minimum share of correct deliveries; if all have less, the result is None.
+        least_correct: [-] minimum share of correct deliveries, else the result is None.
     """
     chosen, fewest = None, math.inf
     for scheduler in schedulers:
         trial = run_trial(config, scheduler, fewest)
-        enough = trial.right >= least_right * max(1, trial.right + trial.wrong)
+        enough = trial.correct >= least_correct * max(1, trial.correct + trial.wrong)
         if trial.jams == 0 and trial.touches < fewest and enough:
             chosen, fewest = scheduler, trial.touches
         if fewest == 0:
@@ -185,17 +185,17 @@ def find_quiet(
         most_touches: [-] maximum touches per delivery.
     """
     tried = entrance_bound(config) / HOUR * TRIED * TRIAL  # maximum number of parcels
-    found, right = make(count - 1), 0
+    found, correct = make(count - 1), 0
     low, high = 0, count
     while low < high:
         middle = (low + high) // 2
         scheduler = make(middle)
         trial = run_trial(config, scheduler, most_touches * tried)
-        if trial.jams == 0 and trial.touches <= most_touches * (trial.right + trial.wrong):
-            found, right, high = scheduler, trial.late, middle
+        if trial.jams == 0 and trial.touches <= most_touches * (trial.correct + trial.wrong):
+            found, correct, high = scheduler, trial.late, middle
         else:
             low = middle + 1
-    return found, right
+    return found, correct
 
 
 def find_plain(
@@ -228,7 +228,7 @@ def begin_streams(config: EnvConfig, count: int, seed: int) -> StreamBatch:
 class Trial(NamedTuple):
     """Counts of episodes with a parcel always at the gate."""
 
-    right: int  # parcels that departed by their own exit
+    correct: int  # parcels that departed by their own exit
     late: int  # correct departures in the second half of the episodes
     wrong: int  # parcels that departed by another exit
     touches: int
@@ -248,5 +248,5 @@ def run_trial(config: EnvConfig, scheduler: Scheduler, most_touches: float) -> T
             early = int(tally[:, CORRECT].sum())
         action, state = scheduler.predict(batch.observation, state)
         batch.step(busy.action_kind.commands(action, TRIED))
-    right, wrong, touches = tally[:, [CORRECT, WRONG, TOUCHES]].sum(axis=0).tolist()
-    return Trial(right, right - early, wrong, touches, int((batch.outcome == JAM).sum()))
+    correct, wrong, touches = tally[:, [CORRECT, WRONG, TOUCHES]].sum(axis=0).tolist()
+    return Trial(correct, correct - early, wrong, touches, int((batch.outcome == JAM).sum()))

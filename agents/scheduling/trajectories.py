@@ -63,7 +63,7 @@ class LoneRuns:
     pose: Numbers  # (runs, moments, 3) [m, m, rad] poses of the centroid every DT from entry
     moments: Integers  # (runs,) number of moments until departure
     outline: Numbers  # (runs, corners, 2) [m] corners from the centroid, padded with the last one
-    right: Booleans  # (runs,) whether it departed by its own exit
+    correct: Booleans  # (runs,) whether it departed by its own exit
     signature: Numbers  # (runs, features) features that identify the waiting parcel
 
     def pick(self, chosen: Booleans) -> "LoneRuns":

@@ -66,7 +66,7 @@ def right_exits(act: Act, episodes: int = 50) -> dict[str, float]:
         while env.agents:
             said = act(np.array([seen[agent] for agent in env.agents]))
             seen, *_, infos = env.step(dict(zip(env.agents, said, strict=True)))
-            right += sum(info.get("outcome") == "right" for info in infos.values())
+            right += sum(info.get("outcome") == "correct" for info in infos.values())
     return {"left by their exit": round(right / coming, 3)}
 
 

@@ -228,7 +228,13 @@ DRAWN_STREAMS = (
     "steps", "still", "waited", "obeys", "tally", "outcome", "correct", "results", "final",
     "next_place", "memory", "exit_memory", "pressing", "impulse", "squeeze",
 )  # fmt: skip
-TALLIED = {"entered": ENTERED, "right": CORRECT, "wrong": WRONG, "touches": TOUCHES, "turns": TURNS}
+TALLIED = {
+    "entered": ENTERED,
+    "correct": CORRECT,
+    "wrong": WRONG,
+    "touches": TOUCHES,
+    "turns": TURNS,
+}
 
 
 class CudaStreamBatch(BaseCudaBatch):

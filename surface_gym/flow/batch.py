@@ -134,7 +134,7 @@ def list_figures(task: StreamTask) -> tuple[str, ...]:
     return tuple(f"episode_{each.name}" for each in fields(task.statistics))
 
 
-COUNTS = ("entered", "right", "wrong", "touches", "turns")  # names of the tally's columns
+COUNTS = ("entered", "correct", "wrong", "touches", "turns")  # names of the tally's columns
 
 
 class StreamBatch(BaseBatch):

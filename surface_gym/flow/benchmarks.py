@@ -126,7 +126,7 @@ ALIGNMENT = math.radians(10.0)
 PLANNED = (*KINDS, "planner")
 TAKE_AWAY_PRESETS = ("exact", "camera", "lab")
 TAKE_AWAY_COLUMNS: tuple[ResultColumn, ...] = (
-    share_column("right_gaps", "gaps", "of at least the asked gap on the take-away"),
+    share_column("correct_gaps", "gaps", "of at least the asked gap on the take-away"),
     share_column("aligned", "aligned", "of the parcels that left by a mouth"),
     share_column("beside", "beside", "that left beside the mouths or over the sides"),
     TOUCHES,
@@ -189,6 +189,6 @@ def sequencing_benchmark(task: Any) -> StreamBenchmark:
     )
     description = (
         f"at the rate that is named, or the highest, in steps of {RATES[1] - RATES[0]:g} an hour, "
-        "at which 99.9 % of all leave rightly and none of the streams jams"
+        "at which 99.9 % of all depart correctly and none of the streams jams"
     )
     return _on_slope(task, offers, description, "window of 4, 3000 an hour")

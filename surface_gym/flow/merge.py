@@ -68,7 +68,7 @@ class Merge(TakeAwayTask):
         >>> truncated = False
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
-        >>> info["entered"], info["right"], info["wrong"]
+        >>> info["entered"], info["correct"], info["wrong"]
         (9, 2, 4)
 
     ### Version history

@@ -98,8 +98,8 @@ class FlowParallelEnv(StreamParallelEnv):
       `orientations="any"`, two angles.
     - reward: the parcel's reward, without `waiting` and `jam`.
     - terminated: the parcel has departed, or there is a jam. Truncated: at the time limit.
-    - info: `time` [s], `exit` (name of the goal exit); at the end also `outcome`: "right" or
-      "wrong" after a departure, else "jam" or "out of time". In tasks with a take-away, "right"
+    - info: `time` [s], `exit` (name of the goal exit); at the end also `outcome`: "correct" or
+      "wrong" after a departure, else "jam" or "out of time". In tasks with a take-away, "correct"
       also requires the correct gap, angle and order.
 
     `possible_agents` are all agents that arrive or may still arrive in this episode; before the
@@ -186,7 +186,7 @@ class FlowParallelEnv(StreamParallelEnv):
             departed = not streams.present[0, slot]
             info = {"time": float(streams.clock[0]), "exit": self.config.exits.names[asked]}
             if departed:
-                info["outcome"] = "right" if streams.correct[0, number] else "wrong"
+                info["outcome"] = "correct" if streams.correct[0, number] else "wrong"
             elif outcome == RUNNING:
                 there.append(number)
             else:

@@ -74,7 +74,7 @@ class Sequence(TakeAwayTask):
         >>> truncated = False
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
-        >>> info["entered"], info["right"], info["wrong"]
+        >>> info["entered"], info["correct"], info["wrong"]
         (6, 4, 1)
 
     ### Version history

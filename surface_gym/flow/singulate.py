@@ -83,7 +83,7 @@ class Singulate(TakeAwayTask):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `right` | 1 | per correct departure |
+    | `correct` | 1 | per correct departure |
     | `wrong` | -1 | per wrong departure |
     | `touch` | -0.02 | per parcel that begins to touch another |
     | `progress` | 0.05 per metre | towards the end |
@@ -99,7 +99,7 @@ class Singulate(TakeAwayTask):
     ### Info
 
     `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
-    for free rows; the numbers of `entered`, `right`, `wrong`, `touches` and `turns` so far, and of
+    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
     `waiting` parcels; the terms of the reward, each as `reward_` and its name. At the end of an
     episode (0 before), its figures: the fields of `surface_gym.flow.take_away.TakeAwayStatistics`,
     each as `episode_` and its name. These are parcels per hour, share of correct gaps, gaps,
@@ -118,7 +118,7 @@ class Singulate(TakeAwayTask):
         >>> truncated = False
         >>> while not truncated:  # every parcel rolls on
         ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
-        >>> info["entered"], info["right"], info["wrong"]
+        >>> info["entered"], info["correct"], info["wrong"]
         (10, 2, 4)
 
     ### Version history

@@ -127,8 +127,8 @@ FEATURES: tuple[Feature, ...] = (
 COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
 AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # first columns of the neighbours
 
-PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "progress", "time")
-RIGHT_REWARD = 1.0  # once, at a correct departure
+PARCEL_TERMS: tuple[str, ...] = ("correct", "wrong", "touch", "progress", "time")
+CORRECT_REWARD = 1.0  # once, at a correct departure
 WRONG_REWARD = -1.0  # once, at a wrong departure
 TOUCH_REWARD = -0.02  # per parcel that begins to touch another
 PROGRESS_REWARD = 0.05  # per metre towards the end
@@ -258,7 +258,7 @@ class TakeAwayStatistics:
 
     delivered: int  # number of departed parcels
     parcels_per_hour: float  # [1/h] correct departures
-    right_gaps: float  # [-] share of sufficient gaps on the take-away
+    correct_gaps: float  # [-] share of sufficient gaps on the take-away
     gap_mean: float  # [m] mean gap between successive parcels on the take-away
     gap_5: float  # [m] 5th percentile of the gaps
     gap_spread: float  # [m] standard deviation of the gaps
@@ -300,7 +300,7 @@ def compute_statistics(
     return TakeAwayStatistics(
         delivered=delivered,
         parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
-        right_gaps=fs.mean(gaps >= task.gap - ROUND_OFF),
+        correct_gaps=fs.mean(gaps >= task.gap - ROUND_OFF),
         gap_mean=fs.mean(gaps),
         gap_5=fs.percentile(gaps, 5.0),
         gap_spread=float(gaps.std()) if gaps.size else np.nan,
@@ -533,7 +533,7 @@ class TakeAwayTask(StreamTask):
     def reward(state: EnvState, outcome: int) -> None:
         """Reward delivery and progress, and penalise touches and time."""
         terms = state.terms
-        terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
+        terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
         terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
         terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
         terms[3] = PROGRESS_REWARD * (state.truth[X] - state.memory[BEFORE])

@@ -47,9 +47,9 @@ COLUMN, NEIGHBOUR = columns(FEATURES), columns(NEIGHBOUR_FEATURES)
 AHEAD, BEHIND = COLUMN.gap_ahead.place, COLUMN.gap_behind.place  # first columns of the neighbours
 
 # Flow's reward by term; parcels earn the first ones.
-PARCEL_TERMS: tuple[str, ...] = ("right", "wrong", "touch", "reach", "time")
+PARCEL_TERMS: tuple[str, ...] = ("correct", "wrong", "touch", "reach", "time")
 TERMS: tuple[str, ...] = (*PARCEL_TERMS, *SURFACE_TERMS)
-RIGHT_REWARD = 1.0  # once, at a departure by its exit
+CORRECT_REWARD = 1.0  # once, at a departure by its exit
 WRONG_REWARD = -1.0  # once, at a departure by a wrong exit or between exits
 TOUCH_REWARD = -0.5  # per parcel that begins to touch another
 REACH_REWARD = 1.0  # per metre of reach gained
@@ -162,7 +162,7 @@ class Flow(StreamTask):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `right` | 1 | per departure by the parcel's exit |
+    | `correct` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
     | `reach` | 1 per metre | progress to the parcel's exit: 0.2 of the distance along the line up to the exit's start, then the gain of lateral reach as in Sort. For an exit straight ahead: 0.2 of the distance along the line minus the distance from the middle |
@@ -178,7 +178,7 @@ class Flow(StreamTask):
     ### Info
 
     `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
-    for free rows; the numbers of `entered`, `right`, `wrong`, `touches` and `turns` so far, and of
+    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
     `waiting` parcels; the terms of the reward, each as `reward_` and its name. At the end of an
     episode (0 before), its figures: the fields of `surface_gym.flow.state.FlowStatistics`, each as
     `episode_` and its name. These are parcels per hour, share of missorted parcels, touches and
@@ -224,7 +224,7 @@ class Flow(StreamTask):
         """Reward delivery, reach and a short time, and penalise touches."""
         reach = _reach(state)
         terms = state.terms
-        terms[0] = RIGHT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
+        terms[0] = CORRECT_REWARD if outcome == fs.DEPARTED_CORRECT else 0.0
         terms[1] = WRONG_REWARD if outcome == fs.DEPARTED_WRONG else 0.0
         terms[2] = TOUCH_REWARD * state.memory[fs.TOUCHED]
         terms[3] = REACH_REWARD * (reach - state.memory[REACH])

@@ -41,7 +41,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; with traffic also correct and wrong parcels."""
+        """Write title and readings above an area; with traffic also delivered and wrong parcels."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots
@@ -56,7 +56,7 @@ class Strips:
         else:  # slots as wide as their texts
             size, lift = self.large, 3
             wrong = scene.traffic.missorted
-            numbers.append(("right", str(sum(scene.traffic.delivered)), ink.INK))
+            numbers.append(("delivered", str(sum(scene.traffic.delivered)), ink.INK))
             numbers.append(("wrong", str(wrong), ink.GOAL if wrong else ink.INK))
             room = min(ink.text_width(title, self.large), area.width // 3)
             starts, rooms = self._fitted_slots(area, numbers, room)

@@ -383,4 +383,6 @@ def test_a_fault_is_named_by_the_features_or_the_terms() -> None:
     )
     batch.episodes.fault[0] = BAD_REWARD
     batch.terms[0] = math.inf
-    assert str(batch._fault()).startswith("Flow.reward must write finite terms, got {'right': inf")
+    assert str(batch._fault()).startswith(
+        "Flow.reward must write finite terms, got {'correct': inf"
+    )

@@ -42,7 +42,7 @@ class TestPhysics:
         run = sg.simulate(surface, box, start, (1.7, 0.0, 0.0), duration=10.0)
         for period in itertools.count(1):
             info = env.step(flows.same_choice(env, choice))[4]
-            if info["right"] + info["wrong"] > 0:
+            if info["correct"] + info["wrong"] > 0:
                 break
             truth = flows.truths(env.batch)[0]
             np.testing.assert_array_equal(truth[:3], run.pose[8 * period])
@@ -158,7 +158,7 @@ class TestRewards:
             assert parcels.reward.sum() == pytest.approx(shared, abs=1e-9)
             assert reward == pytest.approx(parcels.reward.sum() + found["waiting"] + found["jam"])
         assert info["touches"] > 0
-        assert info["right"] + info["wrong"] > 0
+        assert info["correct"] + info["wrong"] > 0
 
     def test_term_by_term(self) -> None:
         env = flows.bare(actions="modules", duration=4.0)
@@ -167,7 +167,7 @@ class TestRewards:
             for name in totals:
                 totals[name] += info[REWARD + name]
         streams = env.batch.streams
-        assert totals["right"] == info["right"]
+        assert totals["correct"] == info["correct"]
         assert totals["wrong"] == -info["wrong"]
         assert totals["touch"] == pytest.approx(-0.5 * 2 * info["touches"])
         entered = int(streams.tally[0, ENTERED])
@@ -187,7 +187,7 @@ class TestRewards:
         assert set(terms(info).values()) == {0.0}
         played = flows.play(env, flows.ROLL)
         earned = sum(step[4]["reward_reach"] for step in played)
-        assert played[-1][4]["right"] == 0
+        assert played[-1][4]["correct"] == 0
         wanted = 0.0
         for number, truth in flows.truths(env.batch).items():
             start = env.batch.streams.start[0, number]

@@ -159,7 +159,7 @@ class TestAgents:
         # Nobody is on the line before the third comes: time runs on by itself.
         assert came["parcel_2"] == pytest.approx(3.0, abs=0.041)
         outcomes = [ends[f"parcel_{k}"]["outcome"] for k in range(3)]
-        assert outcomes == ["wrong", "right", "out of time"]
+        assert outcomes == ["wrong", "correct", "out of time"]
         assert ends["parcel_1"]["time"] < 2.2
 
     def test_the_first_may_come_late_or_not_at_all(self) -> None:
@@ -224,11 +224,11 @@ class TestTakeAway:
                 {agent: each["outcome"] for agent, each in infos.items() if "outcome" in each}
             )
         ended = {number_of(agent): outcome for agent, outcome in outcomes.items()}
-        gone = {number for number, outcome in ended.items() if outcome in ("right", "wrong")}
+        gone = {number for number, outcome in ended.items() if outcome in ("correct", "wrong")}
         assert gone == set(np.flatnonzero(~np.isnan(streams.departed[0])))
-        assert all((ended[k] == "right") == streams.correct[0, k] for k in gone)
+        assert all((ended[k] == "correct") == streams.correct[0, k] for k in gone)
         by_the_exit = {k for k in gone if streams.taken[0, k] == streams.exit[0, k]}
-        assert {ended[k] for k in by_the_exit} == {"right", "wrong"}
+        assert {ended[k] for k in by_the_exit} == {"correct", "wrong"}
 
     def test_possible_ones_after_the_end_are_those_that_entered(self, task: str) -> None:
         env = FlowParallelEnv(task=task, duration=2.0, stream=FAST[task])

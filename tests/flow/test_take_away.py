@@ -183,7 +183,7 @@ class TestEnvironments:
                 sum(value for name, value in info.items() if name.startswith("reward_"))
             )
             assert not terminated
-        assert info["episode_delivered"] == info["right"] + info["wrong"]
+        assert info["episode_delivered"] == info["correct"] + info["wrong"]
 
     def test_rows_say_where_parcels_are(self, task: str) -> None:
         batch = rolled(begun(registration.TASKS[task]().stream, task), 3.0)

@@ -239,7 +239,7 @@ class TestWays:
         env, info = sent(choice, asked)
         streams = env.batch.streams
         assert streams.taken[0, 0] == env.config.exits.place(taken)
-        assert (info["right"], info["wrong"]) == ((1, 0) if asked == taken else (0, 1))
+        assert (info["correct"], info["wrong"]) == ((1, 0) if asked == taken else (0, 1))
         assert streams.departed[0, 0] > streams.entered[0, 0]
         assert info["parcels"].tolist() == [-1] * 24
         if taken == "straight":  # its rear past the last rotors, within a physics step
@@ -252,7 +252,7 @@ class TestWays:
         beside = Exits((Exit("here", 1, x + 1e-6, x + 1.0), Exit("before", 1, 0.0, x - 1e-6)))
         env, info = sent(flows.MINUS_45, "here", around)
         assert env.batch.streams.taken[0, 0] == 0
-        assert info["right"] == 1
+        assert info["correct"] == 1
         # Also straight on where that is no exit.
         for choice, exits in ((flows.MINUS_45, beside), (flows.ROLL, Exits((Exit("here", 1),)))):
             env, info = sent(choice, "here", exits)

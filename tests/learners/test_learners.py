@@ -212,7 +212,7 @@ def test_agents_of_a_flow_live_in_one_stretch_each(monkeypatch: pytest.MonkeyPat
                 break
             seen = {agent: seen[agent] for agent in flow.agents}
             assert all(seen[a].tolist() == expected[a].tolist() for a in seen)
-    assert {"jam", "right"} <= outcomes
+    assert {"jam", "correct"} <= outcomes
 
 
 @pytest.mark.parametrize("algo", ["ppo", "dqn"])

@@ -137,9 +137,9 @@ def run_in_python(task: str, agent: Any, seed: int, **arguments: Any) -> list[fl
         rewards += float(reward)
         if terminated:  # parcels have jammed
             break
-    assert info["right"] > 0
+    assert info["correct"] > 0
     batch = env.unwrapped.batch
-    tally = [info[each] for each in ("entered", "right", "wrong", "touches")]
+    tally = [info[each] for each in ("entered", "correct", "wrong", "touches")]
     return [rewards, info["time"], *tally, *batch.parcels.truth[batch.streams.present[0]].flat]
 
 

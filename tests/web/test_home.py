@@ -95,7 +95,7 @@ def test_more_than_a_zone_takes_wait_there_and_modules_deliver_what_the_docs_say
     run_until(page, 40.0, 4000)
     assert page.evaluate("home.lines.map(({ rate }) => rate)") == pytest.approx([4000] * 2, rel=0.1)
     for line in (0, 1):
-        assert int(reading(page, line, "right")) > 30
+        assert int(reading(page, line, "delivered")) > 30
         assert int(reading(page, line, "waiting")) <= 2
         assert reading(page, line, "touches") == "0"
         assert not page.locator("figure").nth(line).locator("[data-reading=wrong]").is_visible()

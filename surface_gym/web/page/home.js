@@ -43,9 +43,9 @@ class LineRun extends TaskRun {
 
   /** Count what has come about, and what waits. */
   count() {
-    const [entered, right, wrong, touches] = [...this.machine.view("streams.tally")].map(Number);
+    const [entered, delivered, wrong, touches] = [...this.machine.view("streams.tally")].map(Number);
     const waiting = this.machine.get("streams.due") - entered;
-    return { time: this.time, right, wrong, touches, waiting };
+    return { time: this.time, delivered, wrong, touches, waiting };
   }
 
   /** Whether all boxes have come that there are. */
@@ -129,7 +129,7 @@ class Line {
     const [first, last] = [this.past[0], this.past.at(-1)];
     const time = first ? last.time - first.time : 0;
     if (time < MEAN_LEAST) return Number.NaN;
-    return EXACT_TO * Math.round((HOUR * (last.right - first.right)) / time / EXACT_TO);
+    return EXACT_TO * Math.round((HOUR * (last.delivered - first.delivered)) / time / EXACT_TO);
   }
 
   draw(share) {
@@ -144,9 +144,9 @@ class Line {
 
   /** Say how the line stands, for those who hear it. */
   get summary() {
-    const { right, waiting } = this.run.count();
+    const { delivered, waiting } = this.run.count();
     const rate = written(this.rate);
-    return `${this.name}: ${written(right)} right deliveries, ${rate} an hour; ${written(waiting)} wait`;
+    return `${this.name}: ${written(delivered)} deliveries, ${rate} per hour; ${written(waiting)} wait`;
   }
 }
 

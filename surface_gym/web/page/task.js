@@ -165,11 +165,11 @@ export class TaskRun {
       ["reward", this.rewards.toFixed(2)],
     ];
     if (this.about.stream) {
-      const [entered, right, wrong, touches] = machine.view("streams.tally");
+      const [entered, correct, wrong, touches] = machine.view("streams.tally");
       found.push(
         ["entered", `${entered}`],
-        ["left right", `${right}`],
-        ["left wrong", `${wrong}`],
+        ["delivered", `${correct}`],
+        ["wrong", `${wrong}`],
         ["touches", `${touches}`],
       );
     } else {

@@ -85,7 +85,7 @@ class TestStreams:
         # Two values: half the interval is 12.706 of the mean's standard error.
         assert found.margin == pytest.approx(12.706 * 180.0, rel=1e-4)
         assert found.mean("touches_per_1000") == pytest.approx(40.0)  # by the parcels delivered
-        assert math.isnan(found.mean("right_gaps"))
+        assert math.isnan(found.mean("correct_gaps"))
 
     def test_of_several_seeds_each_counts_alike(self) -> None:
         one = stream_rows(KEY, [10, 20], jam=[1, 0], squeeze_most=[5.0, 9.0])

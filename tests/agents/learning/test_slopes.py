@@ -81,7 +81,7 @@ def test_rewards_of_rows_and_episodes_are_those_of_the_environment() -> None:
         assert info["episode"]["l"] == pytest.approx(4.0)
         assert info["episode"]["r"] == pytest.approx(sum(info["reward_terms"].values()))
     delivered = [
-        info["reward_terms"]["right"] - info["reward_terms"]["wrong"] for info in made.infos
+        info["reward_terms"]["correct"] - info["reward_terms"]["wrong"] for info in made.infos
     ]
     assert left.tolist() == [round(each) for each in delivered]
     assert max(delivered) > 1.0

@@ -50,7 +50,7 @@ class TestTimeSlots:
         found, batch = played(TimeSlots, task, **arguments)
         assert batch.outcome[0] != JAM
         assert found.parcels_per_hour > least
-        assert found.right_gaps == 1.0
+        assert found.correct_gaps == 1.0
         assert found.aligned > 0.99
         assert found.beside < 0.01
 
@@ -68,7 +68,7 @@ class TestTimeSlots:
     def test_it_holds_off_what_it_was_tuned_on(self, arguments) -> None:
         found, batch = played(TimeSlots, "singulate", stream=bulk(12_000.0), **arguments)
         assert batch.outcome[0] != JAM
-        assert found.right_gaps > 0.98
+        assert found.correct_gaps > 0.98
         assert found.parcels_per_hour > 2500.0
 
     def test_a_thin_stream_passes_as_it_comes(self) -> None:
@@ -81,7 +81,7 @@ def test_one_that_holds_and_releases_keeps_parcels_longer_and_gaps_right() -> No
     held, batch = played(HoldAndRelease, "singulate", stream=bulk(14_000.0))
     slots, _ = played(TimeSlots, "singulate", stream=bulk(14_000.0))
     assert batch.outcome[0] != JAM
-    assert held.right_gaps > 0.99
+    assert held.correct_gaps > 0.99
     assert held.parcels_per_hour > 2500.0
     assert held.time_mean > slots.time_mean
 
@@ -91,7 +91,7 @@ def test_parcels_leave_in_their_order(window: int, rate: float) -> None:
     found, batch = played(PassAndPark, "sequence", stream=shuffled(rate, window))
     assert batch.outcome[0] != JAM
     assert found.order_errors == 0.0
-    assert found.right_gaps == 1.0
+    assert found.correct_gaps == 1.0
     assert batch.streams.tally[0, 2] == 0  # wrong
     assert found.parcels_per_hour > 0.85 * rate
 

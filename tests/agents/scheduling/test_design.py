@@ -51,7 +51,7 @@ def test_the_line_carries_the_rate_and_one_a_column_shorter_does_not(found):
 def test_what_is_measured_is_what_was_predicted(found):
     _, _, row = found
     assert row.run.rate == pytest.approx(row.predicted, rel=0.04)
-    assert row.run.share_right == pytest.approx(1.0)
+    assert row.run.share_correct == pytest.approx(1.0)
     assert row.run.touches_per_1000 == row.run.jams == 0
     assert sum(row.run.share_at) == pytest.approx(1.0)
     assert row.run.turns_per_parcel > 1.0

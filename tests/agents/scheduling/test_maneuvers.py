@@ -38,7 +38,7 @@ def pair(found: Library, ahead: str, behind: str) -> np.ndarray:
 class TestLibrary:
     def test_every_kind_has_maneuvers_that_lead_it_right(self) -> None:
         found = library()
-        assert found.right.all()
+        assert found.correct.all()
         assert set(found.maneuvers.kind) == {0, 1, 2}
         assert (found.options[2] >= 0).sum() == 1  # straight on there is one way
         own = found.options[0][found.options[0] >= 0]
@@ -65,13 +65,13 @@ class TestLibrary:
     def test_exits_are_met_and_what_misses_them_is_left_out(self) -> None:
         few = Exits([Exit("left", 1, 0.6, 1.0), Exit("straight", 0)])
         found = library(gated(S_BOXES, exits=few))
-        assert found.right.all()
+        assert found.correct.all()
         assert len(found.options[0]) < 4
 
     def test_what_nothing_leads_right_is_said_and_still_led(self) -> None:
         slow = Stream(Steady(1000.0), speeds=0.05)
         found = library(gated(slow, duration=3.0))
-        assert not found.right.any()
+        assert not found.correct.any()
         assert (found.options[:, 0] >= 0).all()
 
     def test_what_varies_asks_for_wider_gaps(self) -> None:
@@ -119,7 +119,7 @@ class TestGroups:
         same, other = [], []
         for groups in (ColumnGroups(), ColumnGroups(10, 1), ColumnGroups(10, 1, exclusive=True)):
             found = library(config, groups)
-            assert found.right.all()
+            assert found.correct.all()
             same.append(pair(found, "left", "left").min())
             other.append(pair(found, "left", "right").min())
         assert same[0] <= same[1] < same[2]

@@ -54,7 +54,7 @@ def runs(opens: list[int], config=None) -> trajectories.LoneRuns:
 class TestLoneRuns:
     def test_they_begin_where_a_parcel_enters_whenever_that_is(self) -> None:
         found = runs([1, 4, 8])
-        assert found.right.all()
+        assert found.correct.all()
         config = gated()
         np.testing.assert_allclose(found.pose[:, 0, 0], config.entry_x + box("S").rear)
         np.testing.assert_allclose(found.pose[1, :200], found.pose[0, :200], atol=2e-4)
