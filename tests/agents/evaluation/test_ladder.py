@@ -29,7 +29,7 @@ def test_zones_are_as_long_as_lets_most_parcels_in(monkeypatch) -> None:
     def library(_: object, groups: Any, **__: float) -> Any:
         tried.append(groups.columns)
         right = np.array([groups.columns in known])
-        return SimpleNamespace(right=right, gaps=np.zeros(1), signature=right, groups=groups)
+        return SimpleNamespace(correct=right, gaps=np.zeros(1), signature=right, groups=groups)
 
     monkeypatch.setattr(ladder, "make_library", library)
     monkeypatch.setattr(ladder, "predict_rate", lambda made, *_: known[made.groups.columns])
