@@ -13,7 +13,7 @@ from rich.console import Console
 
 from surface_gym.parallel import Workers, map_jobs, without_report
 
-from .method import PLANNER, Method
+from .method import PLANNER, Method, is_on_streams
 from .results import KEY, Key, make_rows, read_results, write_results
 from .robustness import FEWER
 from .scenario import Row, ScenarioJob
@@ -65,10 +65,12 @@ def compute(
 def order_jobs(jobs: Sequence[ScenarioJob]) -> list[ScenarioJob]:
     """Spread slow jobs among the others, so that results come from the beginning.
 
-    Slow jobs do not come last, where a single one would keep the other processes waiting.
+    Slow jobs do not come last, where a single one would keep the other processes waiting. Quick
+    jobs with one parcel come first, since their kernels compile faster than kernels of streams.
     """
     slow = [job for job in jobs if _is_slow(job.method)]
     quick = [job for job in jobs if not _is_slow(job.method)]
+    quick.sort(key=lambda job: is_on_streams(job.scenario.task))
     places = [(SLOW_BY * (k + 1) / (len(slow) + 1), job) for k, job in enumerate(slow)]
     places += [(k / len(quick), job) for k, job in enumerate(quick)]
     return [job for _, job in sorted(places, key=itemgetter(0))]
