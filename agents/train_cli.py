@@ -26,17 +26,15 @@ class Options:
     """Options of the command outside a run's configuration."""
 
     resume: Path | None = None
-    """Alone: go on with a run or a search that was broken off.
-
-    A user's task or algorithm must be named by --task or --algo too, since a file must not say what
-    code is run.
+    """Resume an interrupted run or search. Custom tasks and algorithms must also be named by --task
+    or --algo, since a file must not select code to execute.
     """
     search: Path | None = None
-    """Search hyper-parameters as this file says; with --task, --out and --name only."""
+    """Search hyper-parameters as defined by this file; only with --task, --out and --name."""
     hyperparams: Path | None = None
     """File of hyper-parameters with the defaults."""
     cluster: str | None = None
-    """Address of a Ray cluster to share the work with; auto: the one that this machine joined."""
+    """Address of a Ray cluster to use instead; "auto" for the cluster of this machine."""
 
 
 @dataclass(frozen=True)

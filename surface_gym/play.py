@@ -38,7 +38,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--run", type=Path, help=watched)
     served = f"to serve pages at; 0: any that is free; by default {PORT}"
     parser.add_argument("--port", type=int, default=PORT, help=served)
-    parser.add_argument("--no-browser", action="store_true", help="only serve, and print where")
+    parser.add_argument(
+        "--no-browser", action="store_true", help="only serve, and print the address"
+    )
     options = parser.parse_args(arguments)
     try:
         if options.task not in (None, *TASKS) and ":" not in options.task:

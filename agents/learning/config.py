@@ -77,7 +77,7 @@ class TrainConfig:
     num_envs: int = 64
     """Number of environments."""
     preset: PresetName = NOMINAL
-    """Conditions to train for: nominal, the two boxes and axes that turn at once; or lab."""
+    """Conditions of training: nominal (the two boxes, and axes that turn at once) or lab."""
     hidden: tuple[int, ...] = (64, 64)
     """Units of the hidden layers of policy and value."""
     learning_rate: float = 1e-3
@@ -126,11 +126,12 @@ class ParcelConfig(TrainConfig):
     observe: tuple[str, ...] = ()
     """Additional groups of features in the observation: parcel, rotors, load."""
     camera_share: float = 0.5
-    """[-] of environments with a late and noisy camera and varied friction, or the lab preset; the
-    others have exact sensors.
+    """[-] share of environments with a noisy, delayed camera and varied friction, or with the lab
+    preset; the others have exact sensors.
     """
     zones: tuple[int, ...] = ()
-    """Columns of other zones, on equal shares of half of the environments with exact sensors."""
+    """Columns of other zones, used in equal shares by half of the environments with exact sensors.
+    """
     friction: float = 0.2
     """[-] spread of the varied friction."""
 

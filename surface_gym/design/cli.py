@@ -51,82 +51,87 @@ class Question:
     """
 
     parcel: Annotated[str | None, tyro.conf.arg(metavar="LxW")] = None
-    """A rectangular base, length along the line by width, in m:
-
-    0.3x0.4. S and B are the study's boxes.
+    """Rectangular base, length (along the line) x width in m, e.g. 0.3x0.4; S and B are the study's
+    boxes.
     """
     disc: Annotated[float | None, tyro.conf.arg(metavar="RADIUS")] = None
-    """A round base of this radius [m]."""
+    """Radius of a round base [m]."""
     polygon: Annotated[str | None, tyro.conf.arg(metavar="'X,Y X,Y X,Y'")] = None
-    """A convex base by its corners [m]: '0,0 0.3,0 0.2,0.25'."""
+    """Corners of a convex base [m], e.g. '0,0 0.3,0 0.2,0.25'."""
     mass: MaybeFloat = None
-    """[kg]; cancels out of the motion, unless --inertia is given."""
+    """Mass [kg]. It has no effect on the motion unless --inertia is given."""
     inertia: MaybeFloat = None
-    """[kg m^2] about the vertical through the centre of mass; else of a load spread evenly."""
+    """Moment of inertia [kg m^2] about the vertical axis through the centre of mass; the default
+    assumes an even load.
+    """
     com_offset: tuple[float, float] = (0.0, 0.0)
-    """[m] of the centre of mass from the base's centroid."""
+    """Centre of mass [m] from the base's centroid."""
     com_height: float = 0.1
-    """[m] of the centre of mass above the base."""
+    """Height [m] of the centre of mass above the base."""
 
     purpose: Literal["sort", "slow", "stop", "turn"] = "sort"
     """Task of the surface."""
     side: Literal["right", "left"] = "right"
-    """Sort: to this side of the line, as the parcel sees it."""
+    """Sort: goal side of the line, seen along the motion."""
     ratio: MaybeFloat = None
-    """Slow: to this share of the entry speed or less; 0.5."""
+    """Slow: goal ratio of exit and entry speed, an upper limit without --tolerance; the default is
+    0.5.
+    """
     place: MaybeFloat = None
-    """Stop: with the base's middle so far into the zone [m]; else anywhere on it."""
+    """Stop: goal position [m] of the base's middle from the zone's start; the default is anywhere
+    in the zone.
+    """
     angle_deg: MaybeDegrees = None
-    """Turn: by this angle, anti-clockwise; 30."""
+    """Turn: goal angle [deg], anti-clockwise; the default is 30."""
     tolerance: MaybeFloat = None
     """Allowed error of the ratio, the place [m] or the angle [deg]."""
 
     speed: MaybeFloat = None
-    """[m/s] at entry; else 1 is assumed, and the answer says so."""
+    """Entry speed [m/s]; the default is 1."""
     tilt_deg: Degrees = 0.0
-    """Of the surface, downhill along the line."""
+    """Tilt of the surface [deg], downhill along the line."""
     pitch: Annotated[str, tyro.conf.arg(metavar="P or PXxPY")] = "0.1"
-    """[m] between neighbours: 0.1, or along the line by across 0.1x0.12."""
+    """Distance of neighbours [m]: one number, or along the line x across it, e.g. 0.1x0.12."""
     mu_max: float = 0.5
     """Friction along a rotor's axis."""
     mu_min: float = 0.01
-    """Friction across it."""
+    """Friction across a rotor's axis."""
     mu_support: float = 0.005
     """Friction of a support."""
     columns: MaybeInt = None
-    """Columns of the zone; else the fewest that do it in 95 % of the draws."""
+    """Columns of the zone; the default is the fewest that succeed in 95 % of the draws."""
     rows: MaybeInt = None
-    """Rows of rotors; else as many as lie under the parcel."""
+    """Rows of rotors; the default is the rows under the parcel."""
 
     friction: float = 0.2
-    """Unknown: mu_max by up to this share."""
+    """Unknown: maximum relative change of mu_max."""
     rolling: float = 0.2
-    """Unknown: mu_min and mu_support by up to this share."""
+    """Unknown: maximum relative change of mu_min and mu_support."""
     com_spread: float = 0.1
-    """Unknown: the centre of mass by up to this share of half the base."""
+    """Unknown: maximum offset of the centre of mass, relative to half the base."""
     mass_spread: float = 0.0
-    """Unknown: the mass at its inertia by up to this share."""
+    """Unknown: maximum relative change of the mass at a given inertia."""
     unevenness: float = 0.35
     """Unknown: log-normal spread of the elements' stiffness; 0.35 is about 1 micrometre."""
     lateral: float = 0.0
-    """Unknown: normal spread of the place across the line [m]."""
+    """Unknown: standard deviation of the lateral entry position [m]."""
     heading_deg: Degrees = 0.0
-    """Unknown: normal spread of the heading."""
+    """Unknown: standard deviation of the heading [deg]."""
     speed_spread: float = 0.0
-    """Unknown: normal spread of the entry speed [m/s]."""
+    """Unknown: standard deviation of the entry speed [m/s]."""
     tilt_spread_deg: Degrees = 0.0
-    """Unknown: normal spread of the tilt."""
+    """Unknown: standard deviation of the tilt [deg]."""
     draws: int = 100
-    """Of the unknown quantities."""
+    """Number of draws of the unknown quantities."""
     seed: int = 0
-    """Of the draws."""
+    """Seed of the draws."""
     step: float = 0.005
-    """[s] of the simulation."""
+    """Time step [s] of the simulation."""
 
     workers: int = field(default_factory=parallel.usable_cores)
-    """Threads that share the runs; results do not depend on their number."""
+    """Number of threads; results do not depend on it."""
     cluster: str | None = None
-    """Address of a Ray cluster that shares the runs instead, "auto" for this machine's."""
+    """Address of a Ray cluster to use instead; "auto" for a local cluster."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
     """Folder for the tables and the figure."""
 
@@ -279,7 +284,7 @@ class AskSpeed(Question):
     """Find the smallest and the largest entry speed."""
 
     highest: MaybeFloat = None
-    """[m/s] entry speed to try; else 3, or half as much again as --speed."""
+    """Highest entry speed to try [m/s]; the default is 3, or 1.5 times --speed."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.least_speed(
@@ -292,7 +297,7 @@ class AskTilt(Question):
     """Find the smallest and the largest tilt of the surface; with --speed 0, from rest."""
 
     highest_deg: MaybeDegrees = None
-    """Tilt to try; else 15, or half as much again as --tilt-deg."""
+    """Highest tilt to try [deg]; the default is 15, or 1.5 times --tilt-deg."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
@@ -316,15 +321,15 @@ class AskLayout(Question):
     """Search for the best fixed layout over a range of entry speeds."""
 
     speeds: tuple[float, float] = (0.3, 2.7)
-    """[m/s] least and most; --speed does not count."""
+    """Smallest and largest entry speed [m/s]; --speed has no effect."""
     speed_step: float = 0.02
-    """[m/s] between them."""
+    """Step of the entry speeds [m/s]."""
     any_angle: bool = False
-    """Search any axes, not 0, 45, -45 and 90 deg only."""
+    """Search any axis angles, not only 0, 45, -45 and 90 deg."""
     members: int = 40
-    """Layouts in the search's population."""
+    """Layouts in the population of the search."""
     epochs: int = 12
-    """Of the search, of ten generations each."""
+    """Epochs of the search, of ten generations each."""
     resume: bool = False
     """Resume an interrupted search from its layout.npz in --out."""
 

@@ -29,22 +29,24 @@ class AskFlow:
     rate: Annotated[float, tyro.conf.arg(metavar="PER_HOUR")]
     """Throughput in parcels per hour, each delivered to its own exit."""
     mix: Annotated[str, tyro.conf.arg(metavar="S=1,B=1")] = "S"
-    """Parcels and their odds: S and B are the study's boxes, 0.3x0.4 is length by width in m."""
+    """Parcels and their odds, e.g. "S=2,0.3x0.4=1": S and B are the study's boxes, others are
+    length x width in m.
+    """
     exits: Annotated[str, tyro.conf.arg(metavar="EXITS")] = "sides"
-    """At equal odds: sides, chutes, or a list as left:1.0-2.5,right:1.0-2.5,straight, in m from the
-    line's entry; sides and chutes are as long as the line.
+    """Exits with equal odds: sides, chutes, or a list of positions [m] from the line's entry, e.g.
+    left:1.0-2.5,right:1.0-2.5,straight. Sides and chutes are as long as the line.
     """
     speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SPEED [SPEED]")] = (1.5,)
-    """[m/s] at entry; or the least and the greatest."""
+    """Entry speed [m/s]: one number, or the smallest and the largest."""
     longest: float = 6.0
-    """[m] longest line to try."""
+    """Longest line to try [m]."""
 
     workers: int = field(default_factory=parallel.usable_cores)
-    """Processes that share the work; results do not depend on their number."""
+    """Number of processes; results do not depend on it."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
     """Folder for the tables and the figure."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File for all figures, as JSON."""
+    """File for all numbers as JSON."""
 
     checkpoint = None  # no checkpoint, since the answer takes a minute
     assumed = remark = ""
