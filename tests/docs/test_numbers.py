@@ -1,0 +1,73 @@
+"""Success rates on pages are those of shipped agents; the README repeats the results."""
+
+import re
+
+import pytest
+import yaml
+
+from tests.docs.reading import DOCS, ROOT
+
+# Rows of the tables of one parcel in docs/comparison.md, and of its lab.
+EXACT = {
+    "sort": "Sort: success, both boxes",
+    "slow": "Slow: exit speed within 0.01 of the entry speed's asked share",
+    "stop": "Stop: within 5 mm; median error [mm]",
+    "track": "Track: sines at 10 to 15 deg of tilt; rms error [mm]; speed error [m/s]",
+    "orient": "Orient: by 15, 30 and 45 deg, within 2 deg",
+}
+PPO, DQN, PPO_LAB, DQN_LAB = 4, 5, 5, 6  # columns
+
+
+def read_rows(page: str) -> dict[str, list[list[str]]]:
+    """Return the cells of all rows of a page's tables, by their first cell."""
+    rows: dict[str, list[list[str]]] = {}
+    for line in (ROOT / page).read_text().splitlines():
+        if line.startswith("| "):
+            cells = [cell.strip().replace("**", "") for cell in line.strip("|").split("|")]
+            rows.setdefault(cells[0], []).append(cells)
+    return rows
+
+
+def read_success(agent: str, preset: str) -> str:
+    """Return a shipped agent's success rate, as pages write it."""
+    card = yaml.safe_load((ROOT / "agents" / "shipped" / agent / "card.yaml").read_text())
+    return f"{card['results'][preset]['success']:.3f}"
+
+
+@pytest.mark.parametrize("task", EXACT)
+def test_success_of_agents_is_that_of_their_cards(task):
+    rows = read_rows("docs/comparison.md")
+    ((*exact, _),) = rows[EXACT[task]]
+    for agent, column in (("ppo", PPO), ("dqn", DQN)):
+        assert exact[column].split(";")[0] == read_success(f"{task}-{agent}", "exact")
+    ((*lab, last),) = rows[task.capitalize()]
+    assert lab[PPO_LAB] == read_success(f"{task}-ppo-lab", "lab")
+    assert last == (read_success("sort-dqn-lab", "lab") if task == "sort" else "")
+
+
+def test_agents_for_the_lab_have_the_results_of_their_cards():
+    table = (DOCS / "robustness.md").read_text().partition("## Agents for the lab")[2]
+    rows = re.findall(
+        r"^\| (\w+)[^|]*? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", table, re.MULTILINE
+    )
+    agents = ["sort-ppo", "sort-dqn", "slow-ppo", "stop-ppo", "track-ppo", "orient-ppo"]
+    assert [name.lower() for name, *_ in rows] == [agent.split("-")[0] for agent in agents]
+    for agent, (_, *shown) in zip(agents, rows, strict=True):
+        presets = ("exact", "camera", "lab")
+        assert shown == [read_success(f"{agent}-lab", preset) for preset in presets], agent
+
+
+def test_the_readme_repeats_numbers_of_the_results():
+    results, readme = read_rows("docs/comparison.md"), read_rows("README.md")
+    for task, row in EXACT.items():
+        ((_, *shown),) = readme[task.capitalize()]
+        _, _, *exact = results[row][0]
+        assert shown[:3] == [cell.split(";")[0] for cell in exact[:3]], task
+        _, best, rule, _, _, ppo, *_ = results[task.capitalize()][0]
+        assert shown[3:] == [best, rule, ppo], task
+    text = re.sub(r" ±\d+", "", (DOCS / "comparison.md").read_text())
+    known = set(re.findall(r"\d+", text))
+    streams = (ROOT / "README.md").read_text().partition("**A stream of parcels.**")[2]
+    rates = re.findall(r"(?<=\| )\**(\d{3,5})(?=\**)", streams)
+    assert len(rates) > 35
+    assert set(rates) <= known
