@@ -61,7 +61,8 @@ class Algorithm:
     served: str = "one of a single parcel"  # description of supported tasks
     # arguments of its environments beside task, actions, control period and observed groups
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    build_options: tuple[str, ...] = ()  # arguments of `load` that `build` takes, too
+    # arguments of `load` that `build` takes, too; None: not known
+    build_options: tuple[str, ...] | None = None
 
     def check(self, task: Task, actions: str) -> None:
         """Raise a ValueError unless it supports a task with a kind of action."""
@@ -384,10 +385,10 @@ def from_files(
         card = read_card(files)
         own, algorithm = card.env_config(task), ALGORITHMS.find(card.algo)
         algorithm.check(own.task, card.actions)
-        for name in options:
-            if name not in algorithm.build_options:
-                raise ValueError(f"{name} must be left out for {algorithm.label}")
-        return algorithm.build(card, read_weights(files), own, **options)
+        taken = algorithm.build_options
+        unused = [name for name in options if taken is not None and name not in taken]
+        if not unused:
+            return algorithm.build(card, read_weights(files), own, **options)
     except ModuleNotFoundError as error:
         raise ImportError(
             f"a policy needs {error.name}, which is not installed: "
@@ -397,3 +398,4 @@ def from_files(
         raise ValueError(
             f"{files.folder} holds a damaged or foreign policy: {describe_damage(error)}"
         ) from None
+    raise ValueError(f"{unused[0]} must be left out for {algorithm.label}")

@@ -89,11 +89,12 @@ def load_weights(
     """Make a network, and load finite weights of the same types, without conversion.
 
     Args:
-        hidden: units of its layers, checked against the size of the weights first.
+        hidden: units of its layers, checked against the shapes of the weights first.
     """
-    size = sum(value.nbytes for value in weights.values())
-    if 4 * sum(hidden) + 4 * sum(a * b for a, b in pairwise(hidden)) > size:
-        raise ValueError(f"hidden must be layers that {size} bytes fill, got {hidden}")
+    shapes = {value.shape for value in weights.values()}
+    wanted = {(units, before) for before, units in pairwise(hidden)}
+    if not wanted <= shapes or hidden[0] not in {shape[0] for shape in shapes if shape}:
+        raise ValueError(f"hidden must be the units of the weights' layers, got {hidden}")
     network = make_network()
     tensors = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
     for name, wanted in network.state_dict().items():

@@ -243,9 +243,13 @@ def _shows_parcels(task: Task) -> bool:
 
 _BUILD = _later("..policy", "build_policy")
 _OF_ONE_PARCEL = ("halves", "quadrants", "window", "modules")
-ALGORITHMS.register("ppo", Algorithm("PPO", PPOConfig, _train_ppo, _BUILD, _OF_ONE_PARCEL))
 ALGORITHMS.register(
-    "dqn", Algorithm("DQN", DQNConfig, _later(".sb3", "train_sb3"), _BUILD, ("halves",))
+    "ppo",
+    Algorithm("PPO", PPOConfig, _train_ppo, _BUILD, _OF_ONE_PARCEL, build_options=()),
+)
+ALGORITHMS.register(
+    "dqn",
+    Algorithm("DQN", DQNConfig, _later(".sb3", "train_sb3"), _BUILD, ("halves",), build_options=()),
 )
 ALGORITHMS.register(
     "modules",
@@ -257,6 +261,7 @@ ALGORITHMS.register(
         ("modules",),
         lambda task: type(task) is Sort,
         f"{Sort().name!r}",
+        build_options=(),
     ),
 )
 ALGORITHMS.register(
