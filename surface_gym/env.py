@@ -207,6 +207,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
 
+    Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
+    as many entries as there are modules, and all of them share one reward. PPO of
+    Stable-Baselines3 with its default settings sorts 0 of 200 parcels after 20 000 steps by
+    "modules", and 92 by "halves"; after 200 000 steps it sorts 174 by "halves".
+
     "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
     without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
 
@@ -234,7 +239,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## End
 
-    Success and failure terminate an episode; the time limit truncates it.
+    Success and failure terminate an episode; the time limit truncates it. `gym.make` adds
+    Gymnasium's `TimeLimit`. It sets `truncated`, too, if an episode terminates in its last control
+    period, and the `outcome` then says why it terminated. The native vector env sets one flag only.
 
     ## Arguments
 

@@ -31,7 +31,8 @@ class SmartSurfaceVectorEnv(BaseVectorEnv):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: control periods after which an episode is truncated; None: no limit.
+        max_episode_steps: control periods after which an episode is truncated; None or -1: no
+            limit.
         threads: number of threads; results do not depend on it.
         autoreset_mode: as in Gymnasium: NEXT_STEP, SAME_STEP or DISABLED.
 

@@ -189,6 +189,7 @@ def write_own(own: Any, folder: Path, package: Path) -> str:
     """Write a custom task into a folder, like a task of the package; return its base name."""
     name = type(own).__name__
     site = json.loads((package / SITE).read_text())
+    print(f"{name}: compiling it takes up to a minute", flush=True)
     print(write_task(name, folder, own), flush=True)
     tasks = [*site["tasks"], name, name + CAMERA]
     (folder / SITE).write_text(json.dumps({**site, "tasks": tasks}) + "\n")

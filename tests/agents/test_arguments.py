@@ -1,6 +1,8 @@
 """Controllers are given what they cannot take: they say so, and nothing beyond arrays is read."""
 
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -115,3 +117,39 @@ def test_rules_on_slopes_serve_any_number_of_rows(task: str, make: Any) -> None:
     np.testing.assert_array_equal(found[:12], few)
     with pytest.raises(ValueError, match=r"^state\.order must be int64 of the shape \(1, 6\)"):
         make(config).predict(rows, state)
+
+
+# Every compiled function of the public modules, given wrong types, shapes and lists.
+EXPORTED = """
+import inspect
+import numpy as np
+import surface_gym
+from surface_gym import agents, design, extend, layouts, lines, sensors, tasks
+from surface_gym.compiler.jit import is_compiled
+wrong = [
+    None, "a", [1, 2], np.zeros(0), np.zeros((2, 2)), np.zeros(3, dtype=np.int64), 1e300, -1,
+    object(),
+]
+count = 0
+for module in (surface_gym, agents, design, extend, layouts, lines, sensors, tasks):
+    for name in getattr(module, "__all__", dir(module)):
+        function = getattr(module, name)
+        if not is_compiled(function):
+            continue
+        count += 1
+        for each in wrong:
+            try:
+                function(*[each] * len(inspect.signature(function.py_func).parameters))
+            except Exception as error:
+                assert str(error), name
+            else:
+                raise AssertionError(f"{name} takes {each!r}")
+print(count)
+"""
+
+
+def test_exported_compiled_functions_refuse_what_they_cannot_take() -> None:
+    """In a process of their own, which a read beyond an array would end by a signal."""
+    done = subprocess.run([sys.executable, "-c", EXPORTED], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert int(done.stdout) >= 9
