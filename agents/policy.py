@@ -1,6 +1,6 @@
 """Trained policies with Stable-Baselines3's networks."""
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from gymnasium import spaces
@@ -64,13 +64,21 @@ class EqualChoicesPolicy(policies.ActorCriticPolicy):
         super()._build(lr_schedule)
 
 
+def _no_optimizer(*_: Any, **__: Any) -> None:
+    """Make no optimizer: for the first one, PyTorch imports its compiler, which takes 2 s."""
+
+
 NETWORKS = {"ppo": EqualChoicesPolicy, "dqn": DQNPolicy}
 
 
 def make_network(card: PolicyCard, config: EnvConfig) -> policies.BasePolicy:
     """Build the network of a card for an environment, without weights."""
     return NETWORKS[card.algo](
-        config.observation_space(), config.action_space(), lambda _: 0.0, net_arch=list(card.hidden)
+        config.observation_space(),
+        config.action_space(),
+        lambda _: 0.0,
+        net_arch=list(card.hidden),
+        optimizer_class=cast(Any, _no_optimizer),
     )
 
 
