@@ -1,6 +1,6 @@
-"""Executors: processes of this machine that do jobs, and what every executor has in common.
+"""Executors: processes of this machine that run jobs, and common parts of all executors.
 
-An executor is given jobs, and yields their messages: reports, then a result, an error or a loss.
+An executor takes jobs, and yields their messages: reports, then a result, an error or a loss.
 """
 
 import os
@@ -17,26 +17,26 @@ from typing import Any, Protocol, TypeVar
 
 Result_co = TypeVar("Result_co", covariant=True)
 Report = Callable[[Any], None]  # called by a job with its progress
-Message = tuple[str, Any]  # its kind, and the report, the result, the error, or the loss
-Event = tuple[int, str, Any]  # a job's index, and its message
+Message = tuple[str, Any]  # kind, and content: report, result, error or loss
+Event = tuple[int, str, Any]  # a job's index, and its message's kind and content
 
 REPORTED, DONE, FAILED, LOST = "reported", "done", "failed", "lost"
-POLL = 0.2  # [s] that an executor waits for events at most
+POLL = 0.2  # [s] maximum wait of an executor for events
 
-# Spawned, not forked: a fork copies the locks of threads of libraries that are loaded here.
+# Processes are spawned, since a fork would copy locks of other libraries' threads.
 _SPAWN = get_context("spawn")
 
 
 class WorkError(Exception):
-    """Work that could not be done, independent of the job."""
+    """An error that prevents work on jobs, independent of a job."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Ray cluster that this machine has joined."""
+    """A Ray cluster joined by this machine."""
 
     address: str  # host:port of its head, or "auto" for the joined cluster
-    files: tuple[Path, ...] = ()  # files below the working folder that nodes need: custom tasks
+    files: tuple[Path, ...] = ()  # files of custom tasks for nodes, below the working folder
 
     def __post_init__(self) -> None:
         if not self.address or self.address.startswith("ray://"):
@@ -47,14 +47,14 @@ class Cluster:
 
 
 class Job(Protocol[Result_co]):
-    """A module's function or a `functools.partial` of it, which other processes can import."""
+    """A job: a module's function or its `functools.partial`, which other processes can import."""
 
     def __call__(self, report: Report, /) -> Result_co:
-        """Do the work; call `report` with progress from time to time."""
+        """Run the job; call `report` with progress from time to time."""
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an error in one line, with its notes, which name the job."""
+    """Describe an error in one line, with its notes, which contain the job's name."""
     return " ".join([str(error), *(f"({note})" for note in getattr(error, "__notes__", ()))])
 
 
@@ -79,31 +79,31 @@ def run_packed(packed: bytes, report: Report) -> Message:
 
 
 class Processes:
-    """An executor of processes of this machine, started as they are needed."""
+    """Processes of this machine, started on demand."""
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._idle: list[Any] = []  # a process and the pipe to it
-        self._busy: dict[Any, tuple[Any, int]] = {}  # by pipe: the process and the job's index
+        self._busy: dict[Any, tuple[Any, int]] = {}  # by pipe: a process and its job's index
 
     @property
     def free(self) -> int:
-        """Number of jobs that can be submitted now."""
+        """Number of free workers."""
         return self._count - len(self._busy)
 
     @property
     def running(self) -> int:
-        """Number of jobs that were submitted and are not over."""
+        """Number of unfinished jobs."""
         return len(self._busy)
 
     def submit(self, index: int, job: Job[Any]) -> None:
         process, pipe = self._idle.pop() if self._idle else _start_process()
         self._busy[pipe] = process, index
-        with suppress(OSError):  # it died while idle, which `events` reports
+        with suppress(OSError):  # an idle process died, which `events` reports
             pipe.send_bytes(pickle.dumps(job))
 
     def events(self) -> Iterator[Event]:
-        """Yield the messages of jobs; wait for one for `POLL` at most."""
+        """Yield messages of jobs; wait at most `POLL` for the first."""
         ready: list[Any] = wait(list(self._busy), POLL)
         for pipe in ready:
             process, index = self._busy[pipe]
@@ -119,13 +119,13 @@ class Processes:
             yield index, kind, value
 
     def interrupt(self) -> None:
-        """Interrupt all running jobs, as Ctrl-C would."""
-        if os.name == "posix":  # elsewhere Ctrl-C has reached them already
+        """Interrupt all running jobs like Ctrl-C."""
+        if os.name == "posix":  # on other systems, Ctrl-C has reached them already
             for process, _ in self._busy.values():
                 os.kill(process.pid, signal.SIGINT)
 
     def close(self) -> None:
-        """End all running jobs, and the processes."""
+        """End all jobs and processes."""
         for process, _ in self._busy.values():
             process.terminate()
         busy = [(process, pipe) for pipe, (process, _) in self._busy.items()]
@@ -151,7 +151,7 @@ def _work(pipe: "Connection[Any, Any]") -> None:
     """Run jobs until the submitting process closes the pipe or ends."""
     with suppress(EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         if os.name == "posix":
-            os.setpgid(0, 0)  # so that Ctrl-C comes from the submitting process alone, once
+            os.setpgid(0, 0)  # so that only the submitting process passes on Ctrl-C
             # A process that a shell starts in the background ignores SIGINT.
             signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

@@ -1,44 +1,44 @@
-"""Parts for tasks, sensors and lines of your own.
+"""Parts for custom tasks, sensors and lines.
 
-A task or a sensor is a frozen dataclass that inherits from `Task` or `Sensor`; `Task` and `Sensor`
-say what it has to bring. Its compiled functions are static methods and `kernel_function`s:
+A task or a sensor is a frozen dataclass that inherits from `Task` or `Sensor`; these classes
+describe the required parts. Its compiled functions are static methods and `kernel_function`s:
 
     @staticmethod
     @kernel_function
     def outcome(state: EnvState) -> int:
         return SUCCESS if state.truth[X] > state.goal[0] else RUNNING
 
-They read and write an `EnvState`, one parcel on one surface, and may use `math`, constants, other
-`kernel_function`s and what stands here:
+They read and write an `EnvState`, the view of one parcel on one surface. They may use `math`,
+constants, other `kernel_function`s, and:
 
-- places in `state.truth` and `state.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
-- places in `state.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`,
+- indices into `state.truth` and `state.sensed`: `X`, `Y`, `THETA`, `VX`, `VY`, `OMEGA`;
+- indices into `state.body`: `RADIUS`, `COM_X`, `COM_Y`, `COM_HEIGHT`, `GYRATION`, `HALF_LENGTH`,
   `MASS`;
-- places in `state.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
-- what `outcome` returns: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
-- `show`, `show_within` and `show_bent`, which write a value into an observation by its column, one
-  of `columns(features)`;
+- indices into `state.zone`: `FIRST_ROW`, `ROWS`, `FIRST_COLUMN`, `COLUMNS`;
+- results of `outcome`: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
+- `show`, `show_within` and `show_bent`, which write a value into a column of an observation;
+  `columns(features)` returns the columns;
 - `reach_along`, `zone_start`, `zone_end`, `planar_speed`, `is_slower`, and in `is_done` also
   `read_truth`.
 
-A sensor that reports other quantities than pose and velocity shows them by a `Group`; `Exact` may
-be its base.
+A sensor that reports more than pose and velocity has a `Group` for the other quantities; `Exact`
+may be its base class.
 
-A task's Python half deals in `Feature`, `Draw`, `Parcels` and `Start`; `entry` is the pose at which
-parcels enter a line. Lines are a `Line`, a `Field`, a `Pattern`, or a class that inherits from
+The Python part of a task uses `Feature`, `Draw`, `Parcels` and `Start`; `entry` returns the pose of
+parcels at their entry. A line is a `Line`, a `Field`, a `Pattern`, or an instance of a subclass of
 `BaseLine`.
 
 A task on a stream of parcels inherits from `StreamTask`. Its functions may also use:
 
-- places in `state.goal`: `EXIT`, `SIDE`, `FIRST`, `LAST`, `INLET`, `ORDER`; the task's own begin at
-  `GOALS`;
-- places in `state.memory`: `TOUCHED`; the task's own begin at `OWN_MEMORY`;
-- the exit that `exit_taken` returns between exits: `BETWEEN`;
-- what `reward` gets: `RUNNING`, `DEPARTED_CORRECT` or `DEPARTED_WRONG`.
+- indices into `state.goal`: `EXIT`, `SIDE`, `FIRST`, `LAST`, `INLET`, `ORDER`; the task's own
+  indices begin at `GOALS`;
+- indices into `state.memory`: `TOUCHED`; the task's own indices begin at `OWN_MEMORY`;
+- the result of `exit_taken` between exits: `BETWEEN`;
+- arguments of `reward`: `RUNNING`, `DEPARTED_CORRECT` or `DEPARTED_WRONG`.
 
-Its `terms` end in `SURFACE_TERMS`. Its Python half deals in a `Stream`, whose arrivals are
-`Steady`, `Spread`, `Poisson`, a `Schedule` or a `Trace`; in `Exits` made of `Exit`; and in `Inlets`
-made of `Inlet`. `flow_line` and `slope_line` make its surface.
+Its `terms` end in `SURFACE_TERMS`. Its Python part uses a `Stream` with arrivals `Steady`,
+`Spread`, `Poisson`, `Schedule` or `Trace`; `Exits` of `Exit`; and `Inlets` of `Inlet`. `flow_line`
+and `slope_line` make its surface.
 
 `register` gives a task a name.
 """

@@ -52,11 +52,11 @@ def map_jobs(
             a worker is free.
         workers: number of processes, or a cluster; with one process, jobs run in this process.
         on_report: called with a job's index and its report.
-        grace: [s] for which interrupted jobs may go on.
-        name: names a job by its index, in a note on an error of the job.
+        grace: [s] time for interrupted jobs to finish.
+        name: function from a job's index to its name, for a note on the job's error.
 
     Raises:
-        WorkError: a job has cost `MAX_LOSSES` processes without a report, or a node has another
+        WorkError: a job has lost `MAX_LOSSES` processes without a report, or a node has another
             version of the package.
         ValueError: there is no cluster at the address.
     """

@@ -412,7 +412,7 @@ class _RecordingReader:
         return part
 
     def check_claim(self, size: int) -> None:
-        """Raise a ValueError if so many bytes more are too many."""
+        """Raise a ValueError if a number of further bytes exceeds the limit."""
         if not 0 <= size <= self._remaining:
             raise ValueError(f"it must unpack to at most {self.most} bytes, got more")
 

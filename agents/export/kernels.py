@@ -1,8 +1,8 @@
 """`surface-gym compile`: compile the package's environments, rules and agents beforehand.
 
-The machine code runs on every processor that has the baseline's instructions. It lies in the
-package, so that a wheel brings it; `surface_gym.compiler.jit` loads it. Compiled on the spot, code
-uses further instructions of the processor; its results are equal to the bit.
+The machine code runs on every processor with the baseline's instructions. It is stored in the
+package, so wheels contain it, and `surface_gym.compiler.jit` loads it. Code that is compiled on
+demand uses further instructions of the processor; its results are equal to the bit.
 """
 
 import argparse
@@ -23,13 +23,13 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parallel import Job, Report, check_count, map_jobs, usable_cores
 from surface_gym.registration import SHIPPED
 
-PRESETS = ("exact", "lab")  # of environments of one parcel
-CACHE = "NUMBA_CACHE_DIR"  # of Numba: the folder of its cache
-PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # for which Numba compiles
+PRESETS = ("exact", "lab")  # presets of environments of one parcel
+CACHE = "NUMBA_CACHE_DIR"  # Numba's variable with its cache folder
+PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 
 def compile_task(task: str, report: Report) -> str:
-    """Compile the environment that a task has by default."""
+    """Compile a task's default environment."""
     del report
     _run(SmartSurfaceEnv(task))
     return f"environment {task}"
@@ -59,7 +59,7 @@ def _run(env: SmartSurfaceEnv, controller: Any = None) -> None:
 
 
 def list_jobs() -> list[Job[str]]:
-    """List what is compiled: defaults of the tasks, then methods of the comparison."""
+    """List the compiled jobs: tasks with their defaults, then methods of the comparison."""
     from ..evaluation.method import all_methods
 
     jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]
@@ -72,7 +72,7 @@ def list_jobs() -> list[Job[str]]:
 
 
 def compile_all(workers: int) -> None:
-    """Compile into the package's folder; what is there is not compiled again."""
+    """Compile into the package's folder; existing files are not compiled again."""
     PRECOMPILED.mkdir(exist_ok=True)
     jobs, began = list_jobs(), time.perf_counter()
     for done, (_, what) in enumerate(map_jobs(jobs, workers), 1):
@@ -86,7 +86,7 @@ def compile_all(workers: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Compile, in a process in which Numba compiles for the baseline."""
+    """Compile in a process in which Numba compiles for the baseline."""
     parser = argparse.ArgumentParser(
         prog=typed("compile"),
         description="Compile environments, rules and agents beforehand. Run it again after an "

@@ -41,9 +41,9 @@ from ..learning.sb3 import make_training_envs
 from ..library import find_task, read
 from .sweep import SearchConfig
 
-FILE = "study.db"  # SQLite, which optuna-dashboard reads as well
-STARTS = 512  # that a policy is judged on
-JUDGE_SEED = 2**32  # first seed of these starts; PyTorch and NumPy learn with lower ones
+FILE = "study.db"  # SQLite, readable by optuna-dashboard
+STARTS = 512  # number of starts for a policy's score
+JUDGE_SEED = 2**32  # first seed of these starts; training uses lower seeds
 COMPLETE, PRUNED = "complete", "pruned"
 REFUSED = "refused"  # a configuration that is not allowed
 FAILED = "failed"  # weights became not finite
@@ -56,11 +56,11 @@ class TrialResult:
     """Result of a trial."""
 
     state: str  # COMPLETE, PRUNED, REFUSED or FAILED
-    value: float | None = None  # of a complete trial
-    why: str = ""  # it was refused or failed
+    value: float | None = None  # value of a complete trial
+    why: str = ""  # reason of a refused or failed trial
 
 
-# Carries a trial out: of a search, with drawn values, beside the finished trials.
+# Function that runs a trial of a search, with its values and the finished trials.
 RunTrial = Callable[[SearchConfig, dict[str, Any], tuple[FrozenTrial, ...], Report], TrialResult]
 
 
@@ -110,7 +110,7 @@ def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
 
 
 def best_trial(trials: list[FrozenTrial]) -> FrozenTrial | None:
-    """Return the complete trial of the highest value, the first of equals; None if none is."""
+    """Return the first complete trial with the highest value; None without complete trials."""
     complete = [trial for trial in trials if trial.state == TrialState.COMPLETE]
     return max(complete, key=lambda trial: (trial.value, -trial.number), default=None)
 
@@ -192,7 +192,7 @@ class Pruning:
 
     def __init__(self, sweep: SearchConfig, past: tuple[FrozenTrial, ...], report: Report) -> None:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        sampler = RandomSampler(seed=0)  # which draws nothing
+        sampler = RandomSampler(seed=0)  # without draws
         study = optuna.create_study(
             direction="maximize", sampler=sampler, pruner=make_pruner(sweep)
         )
@@ -200,7 +200,7 @@ class Pruning:
         self._trial, self._report = study.ask(), report
 
     def __call__(self, number: int, value: float) -> bool:
-        """Report a value, and return whether the trial is to end."""
+        """Report a value, and return whether the trial must end."""
         self._report((number, value))
         self._trial.report(value, number)
         return self._trial.should_prune()
