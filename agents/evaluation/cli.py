@@ -35,43 +35,42 @@ class EvaluateConfig:
     """
 
     out: Path = OUT
-    """Folder for results.csv, tables, plots, videos and report.html; "-quick" is added for a quick
-    comparison unless another is given.
+    """Folder for results.csv, tables, plots, videos and report.html; the default of a quick
+    comparison ends in "-quick".
     """
     tasks: tuple[str, ...] = TASK_NAMES
-    """Tasks to compare on; "flow" is of streams of parcels; "singulate", "merge" and "sequence" of
+    """Compared tasks; "flow" sorts streams of parcels; "singulate", "merge" and "sequence" are on
     streams on a slope.
     """
     exits: tuple[str, ...] = ("sides",)
-    """Exits of the streams: "sides", one as long as the line on either side; "chutes", two on
-    either side; or both.
+    """Exits of the streams: "sides" (one per side, as long as the line), "chutes" (two per side),
+    or both.
     """
     task: str | None = None
-    """Compare on this one task, of the package or of your own as path/to/file.py:Class, and the
-    latest policies of its runs.
+    """Compare one task only: a task of the package, or a custom task as path/to/file.py:Class, with
+    the latest policies of its runs.
     """
     runs: Path = Path("runs")
-    """Folder of the runs that are searched for these policies."""
+    """Folder with the runs of these policies."""
     run: Path | None = None
     """Folder of a training run: compare its policies with the fixed layout instead.
 
-    For a task of your own, --task says which code is run.
+    For a custom task, --task names the code to execute.
     """
     workers: int = parallel.usable_cores()
-    """Processes to share the work among; results do not depend on it."""
+    """Number of processes; results do not depend on it."""
     cluster: str | None = None
-    """Address of a Ray cluster to share it among instead, "auto" for this machine's."""
+    """Address of a Ray cluster to use instead; "auto" for the cluster of this machine."""
     resume: bool = False
-    """Keep the results that the folder has already, and go on."""
+    """Keep the existing results in the folder, and compute the missing ones."""
     quick: bool = False
     """Fewer starts, streams, levels and seeds: the same tables in about three minutes."""
     robustness: bool = False
-    """Sweep instead: success of rules and agents where one thing at a time differs from training,
-    and in the lab by shape of parcel; and the agent of streams beside the scheduler, on lines that
-    it never trained on.
+    """Study robustness instead: success of rules and agents if one factor differs from training,
+    and by parcel shape in the lab; for streams, agent and scheduler on lines without training.
     """
     starts: int = 240
-    """Of the sweep: starts at each level of each factor."""
+    """Robustness study: starts at each level of each factor."""
 
     def __post_init__(self) -> None:
         checks.integer("starts", self.starts, least=1)

@@ -88,7 +88,7 @@ def methods_of_unseen() -> list[Method]:
 
 
 def _learned() -> list[Method]:
-    """List the agent that ships, which tables call by the name of its policies."""
+    """Return the shipped agent, with the name of its policies as label."""
     return [replace(each, name=LEARNED) for each in shipped(TASK)]
 
 

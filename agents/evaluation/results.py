@@ -172,7 +172,7 @@ class Sample:
 
     @property
     def turns_per_actuator(self) -> float:
-        """[-] turns of actuators per correct delivery; of axes with an actuator each."""
+        """[-] turns of actuators per correct delivery; the default is one actuator per axis."""
         modules = self.constant("modules")
         return self.turns if math.isnan(modules) else self.turns / modules
 
