@@ -17,6 +17,7 @@ from .learning import config as configs
 from .learning.algorithms import PPOConfig
 from .learning.config import TrainConfig
 from .library import ALGORITHMS, find_task, task_files
+from .yaml_file import current_option
 
 SWEEP = "sweep.yml"  # file in the folder of a search
 
@@ -78,7 +79,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
     Task, algorithm, preset, device and file of hyper-parameters are parsed first, since they
     determine the defaults of all other options.
     """
-    given = [configs.current_option(argument) for argument in arguments]
+    given = [current_option(argument) for argument in arguments]
     selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
     task = selection.task
     if selection.search is not None:

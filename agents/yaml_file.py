@@ -1,4 +1,7 @@
-"""Bounded reading of YAML files: names and values, with numbers in plain decimal digits."""
+"""Bounded reading of YAML files: names and values, with numbers in plain decimal digits.
+
+Names of options may be earlier ones.
+"""
 
 import re
 from collections import Counter
@@ -12,6 +15,13 @@ from surface_gym.files import DAMAGE, describe_damage, parse_integer, parse_numb
 NODES = 100_000  # maximum nodes of a YAML file, with aliases expanded
 YAML = 30_000  # [bytes] maximum size, parsed in a second; the largest here has 6000
 BRACKETS = 1000
+
+# Earlier names of fields, still accepted in files and command lines.
+RENAMED = {
+    "lanes": "num_envs",
+    "condition": "preset",
+    "parted": "split_probability",
+}
 
 
 class _Loader(yaml.SafeLoader):
@@ -102,3 +112,12 @@ def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
     if not by_hand and not text.endswith("\n"):
         raise ValueError("it is cut: its last line must end in a line break")
     return parse_yaml(text)
+
+
+def current_option(argument: str) -> str:
+    """Return an argument with the current name of its option."""
+    option, equals, value = argument.partition("=")
+    name = option.removeprefix("--")
+    if option == name or name not in RENAMED:
+        return argument
+    return f"--{RENAMED[name].replace('_', '-')}{equals}{value}"

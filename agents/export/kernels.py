@@ -15,13 +15,14 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surface_gym.cli import typed
-from surface_gym.compiler.jit import LINKED, PRECOMPILED, find_baseline
-from surface_gym.env import SmartSurfaceEnv
 from surface_gym.parallel import Job, Report, check_count, map_jobs, usable_cores
 from surface_gym.registration import SHIPPED
+
+if TYPE_CHECKING:
+    from surface_gym.env import SmartSurfaceEnv
 
 PRESETS = ("exact", "lab")  # presets of environments of one parcel
 CACHE = "NUMBA_CACHE_DIR"  # Numba's variable with its cache folder
@@ -30,6 +31,8 @@ PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
 def compile_task(task: str, report: Report) -> str:
     """Compile a task's default environment."""
+    from surface_gym.env import SmartSurfaceEnv
+
     del report
     _run(SmartSurfaceEnv(task))
     return f"environment {task}"
@@ -37,6 +40,8 @@ def compile_task(task: str, report: Report) -> str:
 
 def compile_method(task: str, index: int, preset: str, report: Report) -> str:
     """Compile a method of the comparison and its environment under a preset."""
+    from surface_gym.env import SmartSurfaceEnv
+
     from ..evaluation.method import all_methods, find_benchmark
 
     del report
@@ -49,7 +54,7 @@ def compile_method(task: str, index: int, preset: str, report: Report) -> str:
     return f"{task}: {method.name}, {preset}"
 
 
-def _run(env: SmartSurfaceEnv, controller: Any = None) -> None:
+def _run(env: "SmartSurfaceEnv", controller: Any = None) -> None:
     """Run the first control period of an episode."""
     observation, _ = env.reset(seed=0)
     action = env.action_space.sample()
@@ -73,6 +78,8 @@ def list_jobs() -> list[Job[str]]:
 
 def compile_all(workers: int) -> None:
     """Compile into the package's folder; existing files are not compiled again."""
+    from surface_gym.compiler.jit import LINKED, PRECOMPILED
+
     PRECOMPILED.mkdir(exist_ok=True)
     jobs, began = list_jobs(), time.perf_counter()
     for done, (_, what) in enumerate(map_jobs(jobs, workers), 1):
@@ -95,6 +102,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=usable_cores(), help="number of processes")
     parser.add_argument("--resume", action="store_true", help="keep what is compiled")
     given = parser.parse_args(arguments)
+
+    from surface_gym.compiler.jit import PRECOMPILED, find_baseline
+
     baseline = find_baseline()
     if baseline is None:
         sys.exit("error: this processor lacks instructions of the baseline of precompiled code")

@@ -17,10 +17,10 @@ from .. import library
 from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
 from ..evaluation.method import policy_folders
 from ..learning import runs
-from ..learning.config import NOMINAL, current_option
+from ..learning.config import NOMINAL
 from ..module_policy import ModulePolicy
 from ..policy import Policy, make_network
-from ..yaml_file import parse_yaml, read_yaml
+from ..yaml_file import current_option, parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}

@@ -25,7 +25,7 @@ from ..library import (
     find_task,
     task_kind,
 )
-from ..yaml_file import read_yaml
+from ..yaml_file import RENAMED, read_yaml
 
 PresetName = Literal["nominal", "lab"]
 NOMINAL: PresetName = "nominal"
@@ -33,25 +33,8 @@ ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 DeviceName = Literal["cpu", "cuda"]
 CPU: DeviceName = "cpu"
 
-# Earlier names of fields, still accepted in files and command lines.
-RENAMED = {
-    "lanes": "num_envs",
-    "condition": "preset",
-    "parted": "split_probability",
-}
-
-
 # Fields of all earlier configurations, even if unused by the algorithm.
 ONCE_UNUSED = {"observe", "camera_share", "zones", "friction", "gamma", "device"}
-
-
-def current_option(argument: str) -> str:
-    """Return an argument with the current name of its option."""
-    option, equals, value = argument.partition("=")
-    name = option.removeprefix("--")
-    if option == name or name not in RENAMED:
-        return argument
-    return f"--{RENAMED[name].replace('_', '-')}{equals}{value}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,7 +49,7 @@ from surface_gym.parallel import Workers, map_jobs
 from surface_gym.registration import TASKS
 
 from ..library import find_algorithm, is_known, task_label
-from ..yaml_file import read_yaml
+from ..yaml_file import RENAMED, read_yaml
 from . import config as configs
 from .config import TrainConfig
 
@@ -138,7 +138,7 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
     """
     try:
         plain = read_yaml(file)
-        plain = {configs.RENAMED.get(name, name): value for name, value in plain.items()}
+        plain = {RENAMED.get(name, name): value for name, value in plain.items()}
         known = {"task": plain["task"] in TASKS, "algo": is_known(plain["algo"])}
         for name, given in (("task", task), ("algo", algo)):
             asked = plain[name] if given is None and known[name] else given
@@ -177,7 +177,7 @@ def preset_name(file: Path) -> str | None:
 def _read_field(file: Path, name: str) -> str | None:
     try:
         plain = read_yaml(file)
-        return str({configs.RENAMED.get(key, key): value for key, value in plain.items()}[name])
+        return str({RENAMED.get(key, key): value for key, value in plain.items()}[name])
     except (OSError, ValueError, KeyError):
         return None
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from surface_gym.cli import parse_options
 
-from ..learning.config import current_option
+from ..yaml_file import current_option
 from .config import RuntimeConfig, find_token, parse_address
 from .report import RunConditions, make_report, show_report, write_report
 

@@ -13,10 +13,10 @@ from surface_gym import checks
 from surface_gym.files import DAMAGE, describe_damage
 from surface_gym.registration import DEFAULT_TASK, TASKS
 
-from ..learning.config import RENAMED, ParcelConfig, defaults
+from ..learning.config import ParcelConfig, defaults
 from ..learning.runs import CURVE_EVERY
 from ..library import ALGORITHMS
-from ..yaml_file import read_yaml
+from ..yaml_file import RENAMED, read_yaml
 
 METRICS = ("success", "return")
 SAMPLERS = ("tpe", "random")

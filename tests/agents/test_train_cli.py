@@ -10,6 +10,7 @@ from surface_gym.agents import train_cli
 from surface_gym.agents.learning import algorithms, config as configs, runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
+from surface_gym.agents.yaml_file import RENAMED
 
 NO_GPU = "cuda must be there, got none"
 
@@ -87,7 +88,7 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
     lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
     assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
     # Earlier names of options are understood.
-    earlier = {name: f"--{before}" for before, name in configs.RENAMED.items()}
+    earlier = {name: f"--{before}" for before, name in RENAMED.items()}
     config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
     assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
     # A user's file gives other defaults.

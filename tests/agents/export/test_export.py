@@ -15,9 +15,9 @@ from surface_gym.agents.export.check import compare, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
 from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.learning.algorithms import PPOConfig
-from surface_gym.agents.learning.config import RENAMED
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
+from surface_gym.agents.yaml_file import RENAMED
 from surface_gym.config import EnvConfig
 from surface_gym.feature_groups import GROUPS, group_features
 from surface_gym.tasks import TASKS

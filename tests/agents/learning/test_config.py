@@ -12,6 +12,7 @@ import yaml
 from surface_gym.agents.learning import algorithms, config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.agents.library import ALGORITHMS
+from surface_gym.agents.yaml_file import RENAMED
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 from tests.environments import ON_SLOPES
@@ -204,11 +205,11 @@ def test_what_was_written_before_is_read_too(tmp_path) -> None:
     assert configs.defaults("sort", "modules", hyperparams) == config
     config = algorithms.ModulesConfig(split_probability=0.5)
     write_config(config, run)
-    earlier = {name: before for before, name in configs.RENAMED.items()}
+    earlier = {name: before for before, name in RENAMED.items()}
     plain = yaml.safe_load(run.read_text())
     plain["device"] = "cpu"  # which every configuration had
     plain = {earlier.get(name, name): value for name, value in plain.items()}
-    assert len(set(plain) & set(configs.RENAMED)) == 3
+    assert len(set(plain) & set(RENAMED)) == 3
     run.write_text(yaml.safe_dump(plain))
     assert read_config(run) == config
     assert configs.config_of_seed(
