@@ -234,6 +234,8 @@ class Trajectory:
 
         An .npz file holds everything including the `run`; user-defined bases are not supported. A
         .csv file holds the motion, `tipping` and `end`, one row per step, with units in the header.
+        Both hold a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can
+        write another. Remove the first line of a .csv to load it after an edit.
         """
         file = _checked_file(path)
         _check_end(self.end)
