@@ -18,7 +18,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from surface_gym.cli import typed
-from surface_gym.parallel import Job, Report, check_count, map_jobs, usable_cores
+from surface_gym.executors import Job, Report
+from surface_gym.parallel import check_count, map_jobs, usable_cores
 from surface_gym.registration import SHIPPED
 
 if TYPE_CHECKING:
