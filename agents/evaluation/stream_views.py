@@ -144,11 +144,11 @@ def ladder_tables(found: Capacities) -> list[Table]:
         if not np.isnan(best).all():
             row(BEST.format(name), NOTHING, [number(each, ".0f") for each in best])
     row(ENTRANCE, NOTHING, [number(found.bound(offer), ".0f") for offer in found.offers])
-    samples = [found.find(name, offer) for name in found.names for offer in found.offers]
-    replications = max(len(each.rates) for each in samples if each is not None)
+    measured = [found.find(name, offer) for name in found.names for offer in found.offers]
+    replications = max(len(each.rates) for each in measured if each is not None)
     bounds = f"No controller exceeds the row “{ENTRANCE}”."
     if any(each[NAME].startswith(BEST.format("")) for each in rows):
-        bounds += " No schedule of a rung's maneuvers exceeds the best known rate on a long stream."
+        bounds += f" A row “{BEST.format('...')}” is the best rate of a search, and no bound."
     return tabulate(
         _title("ladder of hardware", found),
         "Correct deliveries per hour at the highest steady rate with at least "
