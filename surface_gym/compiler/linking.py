@@ -65,7 +65,8 @@ class LinkedCode(CPUCodeLibrary):
         self._finalize_final_module()
 
     def _optimize_final_module(self) -> None:
-        _optimize(self)
+        if not self._inlined:  # else its callers optimise it
+            _optimize(self)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -73,7 +74,9 @@ class LinkedCode(CPUCodeLibrary):
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager()
+        # Few passes, which keep inlined code small: all others follow in its callers.
+        few = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
+        passes, builder = self._codegen._function_pass_manager(**few)
         for function in module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
