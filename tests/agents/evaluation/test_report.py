@@ -20,7 +20,7 @@ from moviepy.config import FFMPEG_BINARY
 from rich.console import Console
 
 from surface_gym.agents.evaluation import cli, ladder, report, views
-from surface_gym.agents.evaluation.cli import TASK_NAMES, EvaluateConfig, evaluate
+from surface_gym.agents.evaluation.cli import EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.method import all_methods, rules, start_benchmark
 from surface_gym.agents.evaluation.page import Section, write_page
 from surface_gym.agents.evaluation.report import filmed_scenario, stream_player
@@ -33,7 +33,7 @@ from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.registration import TASKS
+from surface_gym.registration import SHIPPED
 from surface_gym.rendering import with_caption
 from tests.agents.evaluation import made
 from tests.agents.evaluation.test_views import SLOW
@@ -73,7 +73,7 @@ def test_the_page_needs_nothing_else(tmp_path) -> None:
     ],
 )
 def test_every_task_is_compared_unless_asked_otherwise(given, message) -> None:
-    assert EvaluateConfig().tasks == TASK_NAMES == tuple(TASKS)
+    assert EvaluateConfig().tasks == tuple(SHIPPED)
     assert EvaluateConfig(quick=True).folder == Path("runs/evaluation-quick")
     assert EvaluateConfig(quick=True, out=Path("a")).folder == Path("a")
     with pytest.raises(ValueError, match=message):
