@@ -156,7 +156,7 @@ from surface_gym.compiler import jit
 made = []
 save = jit._DigestCache.save_overload
 def watched(cache, sig, data):
-    made.append(cache._label)
+    made.append(cache.label)
     save(cache, sig, data)
 jit._DigestCache.save_overload = watched
 

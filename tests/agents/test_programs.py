@@ -145,7 +145,7 @@ def test_a_users_own_is_found() -> None:
 @pytest.mark.parametrize(
     ("name", "named"),
     [
-        ("juggle", "task must be one of sort, slow, .*, sequence, or your own"),
+        ("juggle", "task must be one of sort, slow, .*, sequence, .*or your own"),
         ("nowhere.py:Reach", "task must be in a file that exists"),
         (REACH[:-6], "task must be one of"),
         (REACH + "er", "task must be a class that inherits from Task in .*, got 'Reacher'"),

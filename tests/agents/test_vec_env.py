@@ -30,8 +30,9 @@ def test_only_same_step_is_taken_and_pictures_come() -> None:
     env = make(render_mode="rgb_array")
     assert env.render_mode == "rgb_array"
     env.reset()
-    (picture,) = env.get_images()
-    assert picture.dtype == np.uint8
+    pictures = env.get_images()
+    assert len(pictures) == NUM_ENVS
+    assert all(picture.dtype == np.uint8 for picture in pictures)
 
 
 def test_attributes_and_methods_are_the_vector_envs() -> None:

@@ -51,8 +51,8 @@ COMMANDS = sorted({each: page for page in PAGES for each in find_commands(page)}
 def then_stop(parse: Callable[..., Any]) -> Callable[..., Any]:
     def parse_and_stop(*args: Any, **kwargs: Any) -> Any:
         parsed = parse(*args, **kwargs)
-        if kwargs.get("return_unknown_args"):
-            return parsed  # the others are parsed next
+        if kwargs.get("return_unknown_args") and parsed[1]:
+            return parsed  # which are parsed next, or refused
         raise Parsed
 
     return parse_and_stop

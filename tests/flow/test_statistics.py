@@ -107,7 +107,7 @@ def test_played_episodes_come_to_what_their_steps_tell(seed: int, varied: dict[s
             right += int(streams.taken[0, number]) == asked[number]
         turns += int((np.abs(streams.commanded[0] - commanded) > 1e-9).sum())
         commanded = streams.commanded[0].copy()
-        assert (info["right"], info["wrong"], info["turns"]) == (right, len(left) - right, turns)
+        assert (info["correct"], info["wrong"], info["turns"]) == (right, len(left) - right, turns)
     for kept, seen in ((streams.entered, entered), (streams.departed, left)):
         assert len(seen) >= 3
         numbers = np.nonzero(~np.isnan(kept[0]))[0].tolist()

@@ -392,7 +392,8 @@ def test_a_simulator_that_was_killed_is_there_again_at_the_same_address(tmp_path
             assert again.address == process.address
             assert first_frame(device).taken_at > first.taken_at
         device.close()
-    assert (tmp_path / "log").read_text() == ""
+    log = (tmp_path / "log").read_text().splitlines()
+    assert [line for line in log if not line.startswith("surface_gym: compiling ")] == []
     # One that does not start says why.
     with pytest.raises(ValueError, match="task must be one of"):
         SimulatorProcess(["--task", "nobody"], tmp_path / "log")

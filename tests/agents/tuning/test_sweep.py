@@ -18,7 +18,8 @@ RATE = {"learning_rate": FloatDistribution(1e-4, 1e-3)}
 
 def test_the_example_is_the_defaults_with_a_space() -> None:
     sweep = read_sweep(EXAMPLE)
-    assert sweep == SearchConfig(space=sweep.space)
+    assert sweep == SearchConfig(space=sweep.space, fixed=sweep.fixed)
+    assert sweep.fixed == {"num_envs": 256, "batch_size": 2048}
     assert sweep.space == {
         "learning_rate": FloatDistribution(1e-4, 3e-3, log=True),
         "gamma": make_choices([0.97, 0.98, 0.99, 0.995]),
