@@ -43,7 +43,9 @@ class LineRun extends TaskRun {
 
   /** Count what has come about, and what waits. */
   count() {
-    const [entered, delivered, wrong, touches] = [...this.machine.view("streams.tally")].map(Number);
+    const [entered, delivered, wrong, touches] = [...this.machine.view("streams.tally")].map(
+      Number,
+    );
     const waiting = this.machine.get("streams.due") - entered;
     return { time: this.time, delivered, wrong, touches, waiting };
   }
