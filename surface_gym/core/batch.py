@@ -164,7 +164,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; its present generator continues unchanged."""
+        """Set the generator of an environment; do nothing if it already has this generator."""
 
     @abstractmethod
     def generator(self, env_index: int) -> np.random.Generator | None:

@@ -296,7 +296,7 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; its present generator continues unchanged."""
+        """Set the generator of an environment; do nothing if it already has this generator."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead

@@ -351,14 +351,14 @@ def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Su
 
 
 class ExitState(NamedTuple):
-    """State of a box as it leaves the task's columns."""
+    """State of a box as it leaves the slowing area."""
 
     speed: float  # [m/s] when its base leaves the last column; 0 if it stops before
     tipping: float | None  # [-] share of tipping steps until then
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> ExitState:
-    """Run a box over the task's columns of a `slowing_surface`."""
+    """Run a box over a `slowing_surface`; return the box's state as it leaves the slowing area."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

@@ -173,7 +173,8 @@ def covered_by_both(
     """Return the columns of a row under a base in two poses.
 
     Returns:
-        First and last column of the first pose, of the second, and of both together.
+        First and last column under `pose`, first and last column under `other`, and first and last
+        column under either pose.
     """
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
