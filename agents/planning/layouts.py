@@ -81,7 +81,7 @@ class LayoutModel(NominalModel):
 
 @dataclass(frozen=True)
 class LayoutCost:
-    """Cost that a search of layouts minimises, and its kind of changes."""
+    """Cost that a search of layouts minimises, and the kind of changes that the search tries."""
 
     cost: Callable[[Nodes], Numbers]  # (nodes,) cost of finished episodes
     enough: float  # cost at which the search ends

@@ -457,7 +457,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the exit of a parcel that departed at the end, or BETWEEN."""
+        """Return the index of the exit by which a parcel departed at the end; BETWEEN: by none."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):

@@ -142,10 +142,10 @@ def _take_switch(
 def _take_contradiction(
     state: EnvState, x: float, y: float, covered: bool, tolerance: float
 ) -> float:
-    """Correct by a module at (x, y) on the other side of the perimeter than estimated.
+    """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
 
-    Its exact position is unknown, so the correction moves the estimate without reducing its
-    variance.
+    The perimeter's exact position is unknown, so the correction moves the estimate without reducing
+    the variance.
 
     Returns:
         [m] distance of the estimate on the wrong side; 0 within the tolerance.
