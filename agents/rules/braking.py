@@ -76,7 +76,7 @@ def make_model(config: EnvConfig, then: float) -> Model:
 
 
 class Footprint(NamedTuple):
-    """Elements under a parcel, row by row."""
+    """Position and size of a parcel on the zone, and the elements under the parcel."""
 
     place: float  # [m] x of the base's centroid past the zone's first edge
     middle: float  # [m] from the centroid to the middle of the base's length
