@@ -64,7 +64,10 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables. Mappings go from a box's size ("S" or "B") to one value per speed."""
+    """The paper's tables. Keys of mappings are the sizes of the box, "S" and "B".
+
+    A tuple in a mapping of Table 3 or 4 has one entry per speed.
+    """
 
     source: str
     sorting_runs: tuple[SortingRun, ...]  # Table 2
