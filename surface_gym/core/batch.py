@@ -458,7 +458,7 @@ class Batch(BaseBatch):
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
-        """Place starts into the chosen environments (count,), axes at 90 deg; then `begin`.
+        """Place starts into the chosen environments (count,), to begin with `begin`.
 
         An environment's generator draws randomisation, stuck modules and sensor noise, in this
         order.

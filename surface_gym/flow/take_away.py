@@ -478,7 +478,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return whether the take-away runs; while it stands, parcels wait."""
+        """Return whether the take-away runs; while it stands still, waiting parcels are no jam."""
         return runs(surface)
 
     @staticmethod
