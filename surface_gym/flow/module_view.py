@@ -225,7 +225,7 @@ def _claim(
     surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
     own: Singles,
 ) -> None:  # fmt: skip
-    """Assign to each module the nearest parcel that is on it now or soon."""
+    """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer."""
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
     high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)
