@@ -65,7 +65,7 @@ class Algorithm:
     build_options: tuple[str, ...] | None = None
 
     def check(self, task: Task, actions: str) -> None:
-        """Raise a ValueError unless it supports a task with a kind of action."""
+        """Raise a ValueError unless the algorithm supports a task with a kind of action."""
         if not self.serves(task):
             raise ValueError(f"task must be {self.served} for {self.label}, got {task.name!r}")
         checks.one_of("actions", actions, self.actions)
@@ -206,7 +206,7 @@ class PolicyCard:
         """Configure the policy's environment.
 
         Args:
-            task: the user's own, if the policy was trained on one.
+            task: the user's own task, if the policy was trained on such a task.
         """
         own = self.env_id.startswith(OWN)
         if own and type(task).__name__ != self.task:

@@ -31,7 +31,7 @@ CENTRE = len(OWN) - 3  # feature of a module: distance ahead of the parcel's cen
 
 
 class LocalInputs(NamedTuple):
-    """Observations of modules with a parcel, of all environments, grouped by parcel."""
+    """Observations of the modules under parcels in all environments, grouped by parcel."""
 
     row: Integers  # (parcels,) row among all rows of all environments
     passed: torch.Tensor  # (parcels, PASSED) features shared by the modules under each parcel

@@ -138,8 +138,9 @@ def find_places(
 
     Args:
         env: (modules,) output: environment of each module.
-        index: (modules,) output: its index in the action.
-        place: (modules, PLACE_SIZE) output: its position under the parcel, with the goal at y > 0.
+        index: (modules,) output: each module's index in the action.
+        place: (modules, PLACE_SIZE) output: each module's position under the parcel, mirrored if
+            the goal is at y < 0.
     """
     count, columns, period = 0, sight.x.shape[0], shown.period
     for i in range(observations.shape[0]):

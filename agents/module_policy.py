@@ -49,7 +49,10 @@ def place_size(observe: tuple[str, ...]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class SortModuleObservations:
-    """Observations of modules with the goal at y > 0, in the order of environments."""
+    """Observations of modules under parcels, ordered by environment.
+
+    If the goal is at y < 0, the modules' observations are mirrored, so that the goal is at y > 0.
+    """
 
     shared: Singles  # (num_envs, shared) features shared by an environment's modules
     env: Integers  # (modules,) environment of the parcel on the module, now or after a period

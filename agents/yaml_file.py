@@ -1,6 +1,6 @@
 """Bounded reading of YAML files: names and values, with numbers in plain decimal digits.
 
-Names of options may be earlier ones.
+Files may use earlier names of options.
 """
 
 import re

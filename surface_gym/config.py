@@ -269,7 +269,7 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] available axis angles; with any angle, the line's."""
+        """[rad] available axis angles; by default and for any angle, the line's orientations."""
         if self.orientations is None or isinstance(self.orientations, str):
             return self.chosen_line.orientations
         return self.orientations

@@ -213,7 +213,7 @@ def write_arrays(stream: IO[bytes], parts: Mapping[str, Any], compressed: bool =
 
 
 def _hash_before(stream: IO[bytes], end: int) -> bytes:
-    """Compute the SHA-256 digest of the bytes before a place, and leave the stream there."""
+    """Compute the SHA-256 digest of the bytes before `end`, and leave the stream at `end`."""
     hashed = hashlib.sha256()
     stream.seek(0)
     while part := stream.read(min(2**20, end - stream.tell())):
@@ -222,7 +222,7 @@ def _hash_before(stream: IO[bytes], end: int) -> bytes:
 
 
 def _check_sum(stream: IO[bytes], comment: bytes) -> None:
-    """Raise a ValueError if a file differs from the checksum in its comment, if there is one."""
+    """Raise a ValueError if a file differs from the checksum in its comment; it may have none."""
     if comment and comment != CHECKSUM + _hash_before(stream, stream.seek(0, os.SEEK_END) - 64):
         raise ValueError("it is not as it was written: its checksum differs")
 

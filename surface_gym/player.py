@@ -95,7 +95,9 @@ def replay(*runs: Any, **named: Any) -> Replay:
 
 
 def frame_page(title: str, page: str, height: float = 40.0) -> str:
-    """Return a frame with a replay's page; the pages cannot access each other.
+    """Return HTML of a frame with a replay's page.
+
+    The replay's page and the page around the frame cannot access each other.
 
     Args:
         height: [rem] height of the frame, at most 48.

@@ -235,8 +235,8 @@ def env_state(
 def read_truth(state: EnvState) -> None:
     """Update `state.truth` from `state.com`.
 
-    It is already updated in `begin`, `outcome`, `reward` and `observe`. `is_done` runs after every
-    physics step, where few tasks need it.
+    In `begin`, `outcome`, `reward` and `observe`, `state.truth` is up to date without this call.
+    `is_done` runs after every physics step, where few tasks need `state.truth`.
     """
     com = state.com
     truth = state.truth

@@ -462,7 +462,7 @@ def _sizes(rows: int) -> dict[str, int]:
 
 
 def _read_arrays(file: Path) -> Fields:
-    """Read the fields of a trajectory from an .npz file; callers check the arrays."""
+    """Read the fields of a trajectory from an .npz file, and check them."""
     with files.ArrayFile(file) as archive:
         _check_missing([name for name in MOTION if name not in archive])
         # Read the time first: its number of rows bounds the other arrays before they are unpacked.

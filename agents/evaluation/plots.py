@@ -276,7 +276,10 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
 
 
 def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
-    """Draw success at each level, with points side by side for levels that are names."""
+    """Draw the success rate at each level of a factor.
+
+    If the levels are names, the methods' points are side by side.
+    """
     names = sweep.methods
     drawn = False
     for place, name in enumerate(names):
@@ -310,7 +313,10 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 
 
 def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]]:
-    """Find where on the panel each level lies, and its rate; none if only the trained one ran."""
+    """Return the position on the panel and the success rate of each level.
+
+    The list is empty if only the level of the training ran.
+    """
     if all(sweep.rate(name, factor.name, level) is None for level in factor.swept):
         return []
     rates = [sweep.rate(name, factor.name, level) for level in factor.levels]

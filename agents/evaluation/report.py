@@ -337,7 +337,11 @@ def _start_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
 
 
 def _stream_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
-    """List the streams of agents, and the methods: each seed stands beside a scheduler."""
+    """List the scenarios for comparing an agent on streams, and the methods.
+
+    If the capacity is searched, the methods are the scheduler and each seed of the agent; otherwise
+    they are the rules and the agent.
+    """
     known = all_methods(agent.task)
     rivals = [*(each for each in known if each.kind == RULE), agent]
     if not stream_benchmark(agent.task).offers[0].rates:

@@ -118,9 +118,9 @@ def _keep(tables: dict[Key, pd.DataFrame], key: Key, columns: list[str], file: P
 
 @contextmanager
 def show_progress(console: Console, title: str, total: int) -> Iterator[Advance]:
-    """Show progress; yield a function that updates it with the latest part.
+    """Show the progress of jobs; yield a function that updates it, see `Advance`.
 
-    A terminal has a bar. Files and pipes get a line from time to time.
+    A terminal shows a bar. Files and pipes get a line from time to time.
     """
     if not console.is_terminal:
         yield _show_lines(console, title, total)

@@ -176,7 +176,8 @@ def choose_starts(
 
     Args:
         count: number of starts, evenly spaced; None: all.
-        preset: preset; with its own parcels, starts do not set the parcel.
+        preset: preset of the scenario. If the preset has its own parcels, the starts do not set the
+            parcel.
     """
     starts = benchmark.starts
     if count is not None:

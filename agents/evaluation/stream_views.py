@@ -1,4 +1,4 @@
-"""Views of results on streams: tables of capacities, of offered rates, and of unknown streams."""
+"""Tables of results on streams: capacities, given rates, and streams unseen in training."""
 
 import math
 from collections.abc import Sequence
@@ -273,7 +273,7 @@ def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
 
 
 def unseen_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of scheduler and agents on streams without trained agents."""
+    """Make the table of the scheduler and agents on streams that are not in their training."""
     rows, agents = [], set[str]()
     for offer in stream_benchmark(task).held_out:
         samples = results.at(task, offer.scenario, UNSEEN)
@@ -315,7 +315,12 @@ def _touches(seeds: Sequence[Sample]) -> str:
 
 
 def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
-    """Return the ratio of the agents' mean, and the number of agents significantly ahead."""
+    """Compare agents with a rule.
+
+    Returns:
+        Two texts: the ratio of the agents' mean to the rule's mean, and the number of agents
+        significantly ahead of the rule.
+    """
     apart = np.mean(agents, axis=0) - rule
     ratio, margin = 1.0 + apart.mean() / rule.mean(), half_interval(apart) / rule.mean()
     text = f"{ratio:.3f} ±{margin:.3f}"

@@ -121,7 +121,10 @@ def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
 
 
 def _stacked(pictures: Sequence[Picture]) -> Picture:
-    """Place pictures side by side, or wide ones above each other, with even sizes in pixels."""
+    """Place pictures side by side, or one below the other if they are wide.
+
+    Width and height of the result are even numbers of pixels.
+    """
     height, width, _ = pictures[0].shape
     down = 2 * height < width
     bar = np.full((BAR, width, 3) if down else (height, BAR, 3), 255, dtype=np.uint8)

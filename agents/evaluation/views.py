@@ -1,6 +1,6 @@
 """Views of results with one parcel: tables, and all numbers.
 
-A view is a function of a task and of results. It returns no table if nothing ran that it shows.
+A view is a function of a task and of results. It returns no table if the results are missing.
 """
 
 import math

@@ -145,7 +145,7 @@ class Network:
         return len(self.layers[-1].bias)
 
     def scores(self, inputs: Numbers) -> Numbers:
-        """Compute (..., outputs) of inputs (..., inputs), in double precision."""
+        """Compute a network's outputs (..., outputs) for inputs (..., inputs), in float64."""
         values = inputs
         for k, layer in enumerate(self.layers):
             if k:

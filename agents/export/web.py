@@ -98,7 +98,7 @@ class Weights:
 
 
 def describe_policy(source: Source, weights: Weights) -> Card:
-    """Return the card of a policy for `page/policy.js`, and add its weights."""
+    """Return the card of a policy for `page/policy.js`; add the policy's weights to `weights`."""
     decision, config = network_decision(source), source.config
     card = {
         "layers": [weights.add_layer(each.weights, each.bias) for each in decision.network.layers],
@@ -117,9 +117,10 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 
 
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card of a policy of Sort's modules for `page/sorting.js`, and add its weights.
+    """Return the card of a policy of Sort's modules for `page/sorting.js`.
 
-    Writes the function that computes the modules' observations.
+    Adds the policy's weights to `weights`, and writes the function that computes the modules'
+    observations to the folder.
     """
     config, tensors = source.config, source.weights
     view = module_policy.SortModuleView(config)
@@ -139,7 +140,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
 
 
 def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card of a policy of single parcels, and add its weights."""
+    """Return the card of a policy of single parcels; add the policy's weights to `weights`."""
     if isinstance(source.policy, ModulePolicy):
         return describe_modules_policy(source, weights, folder)
     return describe_policy(source, weights)
@@ -148,9 +149,10 @@ def describe_source(source: Source, weights: Weights, folder: Path) -> Card:
 def write_policies(
     tasks: Sequence[str], weights: Weights, folder: Path
 ) -> dict[str, dict[str, Card]]:
-    """Return the cards of policies for single parcels by task and name, and add their weights.
+    """Return the cards of policies for single parcels by task and name.
 
-    Policies with optional groups of features have larger networks, so each has its own file.
+    Adds the policies' weights to `weights`. A policy with optional groups of features has a larger
+    network, so its weights get a separate file.
     """
     found: dict[str, dict[str, Card]] = {}
     for name in library.names():
@@ -260,7 +262,7 @@ def _check_run(card: library.PolicyCard) -> None:
 def describe_each(rule: SortEach) -> Card:
     """Return the card of a single-parcel policy that acts for every parcel of a stream.
 
-    Its weights are in the files of its own task.
+    The policy's weights are in the files of the policy's task.
     """
     return {
         "kind": "each", "present": COLUMN.present.place, "waits": COLUMN.waits.place,
@@ -272,7 +274,8 @@ def describe_each(rule: SortEach) -> Card:
 def write_obeying(task: str, folder: Path) -> Card:
     """Write the function that assigns parcels to a stream's modules.
 
-    It has the arguments of the task's WebAssembly module, so it runs on a copy of its memory.
+    The function has the arguments of the task's WebAssembly module, so it runs on a copy of that
+    module's memory.
     """
     batch = make_batch(EnvConfig(task), 1, compiles=False)
     kernel, name = make_assigning_kernel(stream_functions(batch.config)), f"agent-{task}-obeying"
@@ -281,7 +284,7 @@ def write_obeying(task: str, folder: Path) -> Card:
 
 
 def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weights) -> Card:
-    """Return the card of a parcel policy that corrects a rule, and add its weights."""
+    """Return the card of a parcel policy that corrects a rule; add the weights to `weights`."""
     return {
         **rule,
         "kind": "parcels",
@@ -295,7 +298,10 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
 
 
 def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights: Weights) -> Card:
-    """Return the card of a module policy, and add its weights and shared random numbers."""
+    """Return the card of a module policy.
+
+    Adds the policy's weights and shared random numbers to `weights`.
+    """
     return {
         "kind": "modules",
         "actor": weights.add_layers(tensors, "actor"),

@@ -188,11 +188,11 @@ class DeviceTrainingEnvs:
 
 
 class DevicePolicy(EqualChoicesPolicy):
-    """`EqualChoicesPolicy` that draws single choices in the same way as several.
+    """`EqualChoicesPolicy` that also draws the choices of spaces with a single choice.
 
-    PyTorch's sampling checks probabilities on the host, which waits for the device at every control
-    period. Log probabilities are for actions (num_envs, choices). Names and shapes of parameters
-    are unchanged.
+    PyTorch's sampling of single choices checks probabilities on the host, which waits for the
+    device at every control period. Log probabilities are for actions (num_envs, choices). Names and
+    shapes of parameters are unchanged.
     """
 
     def _build(self, lr_schedule: Any) -> None:

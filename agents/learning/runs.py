@@ -131,10 +131,11 @@ def write_config(config: TrainConfig, file: Path) -> None:
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
     """Read a configuration written by `write_config`, also with earlier names of fields.
 
+    Other tasks and algorithms raise a ValueError, since a file must not select code to execute.
+
     Args:
-        task: required task; None: any registered task, since a file must not select code to
-            execute.
-        algo: required algorithm, in the same way.
+        task: required task; None: any registered task.
+        algo: required algorithm; None: any registered algorithm.
     """
     try:
         plain = read_yaml(file)
@@ -170,7 +171,7 @@ def task_name(file: Path) -> str | None:
 
 
 def preset_name(file: Path) -> str | None:
-    """Read the preset of training, in the same way."""
+    """Read the training's preset from a run's configuration; None if it is damaged."""
     return _read_field(file, "preset")
 
 
@@ -439,7 +440,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 
 
 def put_files(files: dict[str, bytes], folder: Path) -> None:
-    """Write files atomically; the checkpoint last, since the others belong to it."""
+    """Write files atomically; the checkpoint last, since the other files belong to it."""
     for name in sorted(files, key=lambda name: name == CHECKPOINT):
         with replacing(folder / name) as part:
             part.write_bytes(files[name])

@@ -61,7 +61,7 @@ def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
-    """Return the presets of the environments with exact sensors, and of the others."""
+    """Return two presets: for the environments with exact sensors, and for the other ones."""
     exact = PRESETS["exact"]
     if config.preset == "lab":
         lab = PRESETS["lab"]

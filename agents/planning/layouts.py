@@ -1,8 +1,9 @@
-"""Search for the best layout of a line: good layouts are changed at random, and the best kept.
+"""Search for the best layout of a line by random changes.
 
-The choices of orientations have neither gradient nor order, so the search makes small random
-changes. The effect of one column hardly depends on the other columns. So a change of few modules
-changes a good layout only a little. Many layouts run at once.
+In each generation, the best layouts are kept, and copies with random changes are tried. The choices
+of orientations have neither gradient nor order, so the search makes small random changes. The
+effect of one column hardly depends on the other columns. So changing a few modules of a good layout
+changes the result only a little. Many layouts run at once.
 """
 
 import itertools
@@ -80,7 +81,7 @@ class LayoutModel(NominalModel):
 
 @dataclass(frozen=True)
 class LayoutCost:
-    """Cost that a search of layouts minimises, and its kind of changes."""
+    """Cost that a search of layouts minimises, and the kind of changes that the search tries."""
 
     cost: Callable[[Nodes], Numbers]  # (nodes,) cost of finished episodes
     enough: float  # cost at which the search ends

@@ -72,8 +72,8 @@ def is_under(bodies: BodyTable, body: int, ahead: Numbers, left: Numbers) -> Boo
     """Return whether points (any array shape) are under the base of a parcel.
 
     Args:
-        ahead: [m] x from the base's centroid, in its own frame.
-        left: [m] y.
+        ahead: [m] x from the base's centroid, in the base's frame.
+        left: [m] y from the base's centroid, in the base's frame.
     """
     under: Booleans = np.hypot(ahead, left) <= bodies.body[body, RADIUS] + ON_EDGE
     for normal_x, normal_y, distance in bodies.edges[body]:

@@ -1,4 +1,7 @@
-"""The oracle: a planner that knows the true state and parameters; an upper bound for others."""
+"""The oracle: a planner that knows the true state and parameters.
+
+Its results are an upper bound for other controllers.
+"""
 
 import time
 from collections.abc import Sequence

@@ -132,8 +132,9 @@ class RecedingHorizon(BatchController):
     def _draw(self, state: HorizonState, present: Booleans) -> Variations:
         """Draw the variations of every candidate.
 
-        The first candidates are no variation and the current one. Others add one parcel to either
-        of them, among the parcels present (num_envs, rows).
+        Candidate 0 has no variation, and candidate 1 has the current variation. Half of the others
+        vary one parcel only; the other half vary one parcel in addition to the current variation.
+        The parcel is drawn from the parcels present (num_envs, rows).
         """
         tries = self._candidates
         shape = (tries, *present.shape)

@@ -76,7 +76,7 @@ def make_model(config: EnvConfig, then: float) -> Model:
 
 
 class Footprint(NamedTuple):
-    """Elements under a parcel, row by row."""
+    """Position and size of a parcel on the zone, and the elements under the parcel."""
 
     place: float  # [m] x of the base's centroid past the zone's first edge
     middle: float  # [m] from the centroid to the middle of the base's length
@@ -395,7 +395,10 @@ def decelerate(share: float, frictions: Frictions) -> Deceleration:
 def regret_speed(
     seen: LineReading, span: Footprint, frictions: Frictions, after: Result, rolls: bool
 ) -> float:
-    """Compute an option's distance from the goal ratio; with time to trim, rolling is best."""
+    """Compute an option's distance from the goal ratio.
+
+    The distance is 0 for an option that rolls while there is still time to correct the speed.
+    """
     expected = decelerate(span.rotor_share, frictions)
     rolled = expected.rolled * (1.0 + CAUTION * frictions.doubt)
     to_go = max(0.0, (span.place + seen.rear_to_go) - after.place)

@@ -246,7 +246,10 @@ class Motion(NamedTuple):
 
 @inlined
 def is_under(seen: LineReading | PathReading, x: float, y: float) -> bool:
-    """Return whether a module x, y [m] from a parcel's centre is under its base, a square."""
+    """Return whether a module is under a parcel whose base is assumed to be a square.
+
+    `x` and `y` [m] run from the parcel's centre to the module.
+    """
     along, across = seen.cosine * x + seen.sine * y, seen.cosine * y - seen.sine * x
     return max(abs(along), abs(across)) <= seen.half_length
 

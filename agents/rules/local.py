@@ -113,7 +113,7 @@ LOCAL_TASKS = {
 class LocalRule(CompiledRule):
     """Base class of rules for single modules, which use only the error above the module.
 
-    The error is the goal velocity of the parcel's point above a module, less its velocity. Supports
+    The error is the goal velocity minus the velocity of the parcel's point above a module. Supports
     Sort and Orient with "modules", and Track with "window".
     """
 

@@ -165,9 +165,10 @@ def limit_in_order(
 
 @linked
 def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
-    """Return whether the way of a parcel that is led aside is free, now and when it gets there.
+    """Return whether the way aside of parcel `k` is free, now and when it arrives.
 
-    Parcels that it overlaps already do not count, since one follows the other.
+    Parcels that overlap parcel `k` across the slope do not count, since they are ahead of it or
+    behind it.
     """
     shift = parcels.shift[k]
     for place in range(count):

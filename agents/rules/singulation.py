@@ -55,8 +55,8 @@ def sort_by_progress(
     """Update the order of departure (rows,); return the number of parcels in it.
 
     Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
-    of its predecessor overtakes it in the order. A parcel that stands for long, and has yet to be
-    led aside, lets one pass that has not.
+    of its predecessor overtakes it in the order. A parcel with a remaining way aside that has stood
+    for long lets the next parcel pass, if that parcel is near and has no way aside.
 
     Args:
         came: (rows,) last observed time since entry.
@@ -103,9 +103,9 @@ def limit_speed(
 ) -> float:
     """Compute the speed limit [m/s] of the parcel at a place of the order.
 
-    The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth, and the
-    closer the farther down it is. It waits before the point where it can no longer be led aside,
-    and stays on the surface while the take-away stands.
+    The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth; the
+    required gap grows with its progress down the slope. It waits before the point where it can no
+    longer be led aside, and stays on the surface while the take-away stands still.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]

@@ -210,7 +210,11 @@ class SlidingMode(CompiledRule):
 
 @inlined
 def choose_turn(option: int, seen: LineReading, axes: Integers, scratch: Modules) -> None:
-    """Write the choices of an option: all roll, or modules ahead or behind turn the parcel."""
+    """Write the modules' choices of an option.
+
+    With option 0, all modules roll. With the other options, modules under the front, the rear or
+    both ends turn the parcel.
+    """
     start = FROM[(option - 1) % FROM.shape[0]] * seen.half_length
     roll, _, left, right = axes
     kind = (option - 1) // FROM.shape[

@@ -332,9 +332,10 @@ def make_begin(functions: KernelFunctions) -> Any:
 
 @lru_cache(maxsize=16)
 def make_move(update: Function, label: str) -> Any:
-    """Compile `move`: turn the axes at a speed [rad/s] and predict, over steps of a length [s].
+    """Compile `move`, which predicts the estimate over a number of steps.
 
-    If `looks` is true, it then corrects by the frame whose pose is in `parcels.truth`.
+    Each step lasts `length` [s], and turns the axes at `axis_speed` [rad/s]. If `looks` is true,
+    the last step also corrects the estimate by a frame, whose pose is in `parcels.truth`.
     """
 
     def move(

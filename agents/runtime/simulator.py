@@ -342,7 +342,8 @@ def run_simulator(config: SimulatorConfig) -> None:
 class SimulatorProcess:
     """A simulator in a separate process, which ends with this context.
 
-    Its token is random by default. It is passed in the environment, which other users cannot read.
+    The default token is random. The token is passed in an environment variable, which other users
+    cannot read.
     """
 
     def __init__(self, arguments: list[str], log: Path, token: str | None = None) -> None:

@@ -62,9 +62,11 @@ def find_entries(
     tight: Numbers, wide: Numbers, levels: Numbers, options: Integers, booked: Integers,
     entered: Numbers, now: float, entry: Numbers, binding: Integers,
 ) -> None:  # fmt: skip
-    """Write `entry` (options, levels), the earliest entry time [s], and `binding`.
+    """Find the earliest entry time for each option and level of clearance.
 
-    `binding` holds the index of the booked parcel to wait for; -1: none.
+    Args:
+        entry: (options, levels) output: earliest entry time [s].
+        binding: (options, levels) output: index of the booked parcel to wait for; -1: none.
     """
     for o in range(options.shape[0]):
         for level in range(levels.shape[0]):
@@ -122,7 +124,7 @@ class DecidingScheduler(Scheduler):
 
     @abstractmethod
     def choose(self, decisions: Decisions) -> tuple[Integers, Integers]:
-        """Choose an option and a level for each decision (decisions,)."""
+        """Choose an option and a level of clearance for each decision (decisions,)."""
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
@@ -171,7 +173,10 @@ class DecidingScheduler(Scheduler):
         return opens, chosen._replace(maneuver=np.where(now, NOBODY, chosen.maneuver))
 
     def _candidates(self, tables: Singles, book: Book, undecided: Integers) -> Candidates | None:
-        """Return candidates of parcels that may enter now at the tightest level, or None."""
+        """Return the candidates for undecided parcels that may enter now, or None.
+
+        A parcel may enter now if the smallest clearance allows an entry within this period.
+        """
         most = self.library.options.shape[1]
         found = []
         for i in undecided.tolist():

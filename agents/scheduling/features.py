@@ -156,7 +156,7 @@ class Features:
     ) -> Singles:
         """Return features (decisions, options, OPTION) of each candidate.
 
-        They include the booked parcel to wait for.
+        The features include the booked parcel that the candidate waits for.
         """
         env, each = given.env, given.env[:, np.newaxis]
         head = given.queue[:, 0]

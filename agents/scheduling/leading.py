@@ -1,6 +1,7 @@
 """A schedule at run time, as compiled functions for Python and the site's first page.
 
-They follow parcels from the gate on, book entries, and lead parcels on the line by their maneuvers.
+The functions follow parcels from the gate on, and book the entries. They control the modules under
+parcels on the line by the parcels' maneuvers, which is called leading.
 """
 
 import math
@@ -25,7 +26,7 @@ SEEN = np.array(SIGNATURE)
 
 
 class Way(NamedTuple):
-    """Parameters of leading: maneuvers and groups of modules."""
+    """Parameters for leading parcels: maneuvers, and groups of modules that turn together."""
 
     roll: int  # orientation of 90 deg
     kind: Integers  # (maneuvers,), like `place`, `choice` and `turned`; see `Maneuvers`
@@ -196,7 +197,11 @@ def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
 def enter_parcels(
     tables: Singles, orders: Orders, book: Book, maneuver: Integers, opens: Integers
 ) -> None:
-    """Book a maneuver (num_envs,) where the gate opens (num_envs,)."""
+    """Book the maneuver (num_envs,) of the parcel that enters, in environments whose gate opens.
+
+    Args:
+        opens: (num_envs,) physics step at which the gate opens; SHUT: it stays shut.
+    """
     for i in range(tables.shape[0]):
         book.pending[i] = opens[i] != SHUT
         if opens[i] != SHUT:

@@ -145,7 +145,7 @@ class Lead:
         return actions, stands
 
     def describe(self, maneuvers: Maneuvers) -> Way:
-        """Return the parameters of leading, for compiled functions."""
+        """Return the parameters for leading parcels by maneuvers, for compiled functions."""
         first: NDArray[Any] = np.zeros(0)
         last, spans = first, np.zeros((0, 2), dtype=np.int64)
         if self.groups is not None:

@@ -1,7 +1,7 @@
 """Scheduler: books each parcel's maneuver and time of entry, and controls the modules.
 
-A beam search chooses maneuvers of the waiting parcels. It minimises the entry of the last one, plus
-the mean gap of one more parcel behind it.
+A beam search chooses maneuvers of the waiting parcels. It minimises the entry time of the last
+waiting parcel, plus the mean gap to one more parcel behind it.
 """
 
 import math

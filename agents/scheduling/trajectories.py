@@ -207,8 +207,8 @@ def find_gaps(
 ) -> None:
     """Raise gaps (parcels, parcels) [s] between a parcel (row) and a follower (column) as required.
 
-    At the resulting gap and all larger ones, the two keep a margin [m] while both are on the line.
-    The gap is infinite if there is none.
+    At the resulting gap and all larger gaps, the two parcels keep a margin [m] while both are on
+    the line. If no gap suffices, the result is infinite.
 
     Bases are compared by separating axes every DT.
 

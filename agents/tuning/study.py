@@ -258,7 +258,11 @@ def score_policy(config: ParcelConfig, sweep: SearchConfig, folder: Path) -> flo
 
 
 def make_sampler(sweep: SearchConfig, asked: int) -> BaseSampler:
-    """Make the sampler of a search, seeded by the number of earlier trials."""
+    """Make the sampler of a search.
+
+    Args:
+        asked: number of earlier trials. With the search's seed, it seeds the sampler.
+    """
     seed = int(np.random.SeedSequence((sweep.seed, asked)).generate_state(1)[0])
     if sweep.sampler == "random":
         return RandomSampler(seed=seed)

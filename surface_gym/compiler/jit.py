@@ -387,7 +387,7 @@ def compile_for(dispatcher: Any, *arguments: Any) -> Callable[..., Any]:
 
 @contextmanager
 def _announced(what: str) -> Iterator[None]:
-    """Print what takes long, and how long it took, on one line of the error stream."""
+    """Print `what`, a text on a long step, and then the step's duration, to the error stream."""
     began = time.perf_counter()
     print(what, end=" ... ", file=sys.stderr, flush=True)
     try:

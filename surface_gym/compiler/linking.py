@@ -50,7 +50,7 @@ class LinkedCode(CPUCodeLibrary):
         self._with_called: Any = None
 
     def finalize(self) -> None:
-        """Link the code of inlined functions, note the others, and optimise."""
+        """Link the code of inlined functions, note the other called functions, and optimise."""
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
             if isinstance(library, LinkedCode):
@@ -112,7 +112,7 @@ class LinkedCode(CPUCodeLibrary):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LowerToKernel(NativeLowering):
-    """Numba's lowering to machine code."""
+    """Numba's lowering of a function to machine code."""
 
     _name = "lower_to_kernel"
 
@@ -124,7 +124,7 @@ class _LowerToKernel(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class LowerToLinkedCode(NativeLowering):
-    """Numba's lowering to LLVM code."""
+    """Numba's lowering of a function to LLVM code, which is linked into its callers' code later."""
 
     _name = "lower_to_linked_code"
     code: type[LinkedCode] = LinkedCode

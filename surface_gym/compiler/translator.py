@@ -1,8 +1,8 @@
 """Translation of the CPU kernels' functions for another compiler.
 
-The walk goes from a compiled function to its callees, like the walk of the cache's digest. It
-copies every function with other constants, and wraps it for the other compiler. So no function is
-written twice.
+`Translator` copies a compiled function and, in turn, all functions that it calls. In the copies,
+chosen constants have other values. Each copy is then wrapped for the other compiler. So no function
+is written twice.
 """
 
 from collections.abc import Callable, Mapping

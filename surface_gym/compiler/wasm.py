@@ -65,7 +65,7 @@ class PortableCode(LinkedCode):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LowerToPortableCode(LowerToLinkedCode):
-    """Numba's lowering to LLVM code."""
+    """Numba's lowering of a function to unoptimised LLVM code."""
 
     _name = "lower_to_portable_code"
     code = PortableCode
@@ -102,7 +102,7 @@ def compile_module(
     """Compile a kernel for the types of arguments; takes ten seconds to a minute.
 
     Args:
-        kernel: a compiled function called by Python. It returns an integer or nothing; for nothing,
+        kernel: a compiled function called by Python, which returns an integer or None. For None,
             the module returns 0.
         arguments: arrays, numbers, and named tuples of them.
         file: file of the module; it is read if its source is equal, and otherwise written.

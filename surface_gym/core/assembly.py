@@ -147,7 +147,7 @@ def make_env_params(config: EnvConfig) -> EnvParams:
 
 
 def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.ParcelState]:
-    """Allocate the state of surfaces and parcels, without parcels, and with the conveyor's axes."""
+    """Allocate the state arrays; no parcels are present, and all axes are at 90 deg."""
     return _make_surfaces(config, num_envs), _make_parcels(config, num_envs * config.rows)
 
 

@@ -164,7 +164,7 @@ class BaseBatch(ABC):
 
     @abstractmethod
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; its present generator continues unchanged."""
+        """Set the generator of an environment; do nothing if it already has this generator."""
 
     @abstractmethod
     def generator(self, env_index: int) -> np.random.Generator | None:
@@ -280,11 +280,11 @@ class BaseBatch(ABC):
             self._generator(i).bit_generator.state = snapshot.generators[k % len(snapshot)]
 
     def fork(self, parents: Integers, axes: bool = True) -> None:
-        """Copy parents (count,) into the first environments, and stop the others.
+        """Copy parents (count,) into the first `count` environments, and stop the other ones.
 
         Args:
             parents: indices of environments, at most `num_envs`.
-            axes: whether axes and commands come with them.
+            axes: whether axes and commands are copied too.
         """
         count = len(parents)
         self.restore(self.snapshot(parents, axes), self._all[:count])
@@ -458,7 +458,7 @@ class Batch(BaseBatch):
         return resets.start_rows(self.task, start, parcels, self._plan.shared_bodies_of(parcels))
 
     def place(self, chosen: Integers, start: Start) -> None:
-        """Place starts into the chosen environments (count,), axes at 90 deg; then `begin`.
+        """Place starts into the chosen environments (count,), to begin with `begin`.
 
         An environment's generator draws randomisation, stuck modules and sensor noise, in this
         order.
@@ -520,7 +520,7 @@ class Batch(BaseBatch):
     def _on_request(self) -> Infos:
         """Return the requested infos by name, each (num_envs, rows, columns).
 
-        They are axis angles [rad], and the parcel's normal force [N] on each element.
+        The infos are axis angles [rad], and the parcel's normal force [N] on each element.
         """
         found = {}
         if "axes" in self.config.info:

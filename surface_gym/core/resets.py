@@ -71,7 +71,7 @@ _NEW = count(1)  # a new number for every content of a row
 
 
 class HeldParcels(NamedTuple):
-    """Parcels of some environments, copied from their rows."""
+    """Parcels of some environments, copied from rows of the body table."""
 
     body: Integers  # (count,)
     parcel: np.ndarray  # (count,) of `Parcel`
@@ -117,7 +117,11 @@ class BodyPlan:
         return bodies
 
     def draw_stuck(self, i: int, parcel: Parcel, working: Booleans) -> int:
-        """Return environment i's own row, in which only working modules (rows, columns) obey."""
+        """Write environment i's row of the body table: only working modules (rows, columns) obey.
+
+        Returns:
+            The index of the row.
+        """
         body = self._own(i, parcel)
         self.bodies.obeys[body] = self._place(parcel).obeys & working
         self._content[body] = next(_NEW)
@@ -136,7 +140,11 @@ class BodyPlan:
         return HeldParcels(bodies.copy(), self._parcels[bodies], obeys, self._content[bodies])
 
     def put(self, chosen: Integers, held: HeldParcels) -> Integers:
-        """Set copied parcels in the chosen environments (count,); return their rows (count,)."""
+        """Set copied parcels in the chosen environments (count,).
+
+        Returns:
+            The parcels' rows (count,) of the body table.
+        """
         bodies = np.broadcast_to(held.body, len(chosen)).copy()
         for k in np.nonzero(bodies >= self._shared)[0].tolist():
             source = k if len(held) > 1 else 0
@@ -296,7 +304,7 @@ class ResetCache:
         self._laid = np.zeros(num_envs, dtype=np.bool_)
 
     def seed(self, i: int, generator: np.random.Generator) -> None:
-        """Set the generator of an environment; its present generator continues unchanged."""
+        """Set the generator of an environment; do nothing if it already has this generator."""
         if self.generators[i] is not generator:
             self.generators[i] = generator
             self._used[i] = self._ahead

@@ -28,8 +28,8 @@ def make_device_batch(config: EnvConfig, num_envs: int, device: torch.device) ->
 def check_config(config: EnvConfig) -> None:
     """Raise a ValueError for configurations that a GPU does not support.
 
-    These are noise and requested infos. With one parcel, also randomisation and randomly stuck
-    modules.
+    A GPU supports neither noise nor requested infos. On a GPU, environments with one parcel support
+    neither randomisation nor randomly stuck modules.
     """
     if config.draws > 0:
         raise ValueError(

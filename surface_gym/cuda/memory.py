@@ -53,12 +53,18 @@ def _repeat(values: Any, num_envs: int, device: torch.device, layout: Any) -> to
 
 
 def interleave(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Return (num_envs, ...) with the same number of neighbouring environments adjacent."""
+    """Repeat a row for `num_envs` environments, stored with the environments adjacent.
+
+    The result is (num_envs, ...). Entry k of all environments precedes entry k + 1.
+    """
     return row[..., None].expand(*row.shape, num_envs).contiguous().movedim(-1, 0)
 
 
 def repeat_rows(row: torch.Tensor, num_envs: int) -> torch.Tensor:
-    """Return (num_envs, ...) with the numbers of an environment adjacent."""
+    """Repeat a row for `num_envs` environments, stored one environment after the other.
+
+    The result is (num_envs, ...).
+    """
     return row.expand(num_envs, *row.shape).contiguous()
 
 

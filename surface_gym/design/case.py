@@ -286,7 +286,7 @@ class TurnPurpose(Purpose):
 
 
 def _way_to_go(ends: Ends) -> Array:
-    """Return 0.5 plus half the remaining share of the zone for a parcel at rest; 1 for others."""
+    """Return 0.5 plus half the remaining share of the zone for a parcel at rest; else 1."""
     first, last = ends.line.zone_x
     to_go = (last - ends.pose[:, 0]) / (last - first)
     return np.where(ends.reason == running.AT_REST, 0.5 + 0.5 * np.clip(to_go, 0.0, 1.0), 1.0)

@@ -41,12 +41,18 @@ class LayoutResult:
 
     @property
     def least_speed(self) -> float:
-        """[m/s] smallest speed from which all tried speeds succeed; NaN: the largest fails."""
+        """[m/s] smallest speed such that it and all higher speeds succeed.
+
+        NaN: the highest speed fails.
+        """
         return self._least(self.success)
 
     @property
     def least_sure_speed(self) -> float:
-        """[m/s] smallest speed from which at most `WORST` of the draws fail; NaN: none."""
+        """[m/s] smallest speed such that at most `WORST` of the draws fail at it and above.
+
+        NaN: the highest speed fails.
+        """
         return self._least(is_reliable(self.share))
 
     @property

@@ -405,7 +405,10 @@ def _limits(
     workers: parallel.Workers,
     on_progress: runs.OnProgress,
 ) -> Limits:
-    """Find the span of each group: with nothing unknown on the first grid, else on the second."""
+    """Find the span of each group of unknown quantities.
+
+    The group with nothing unknown is searched on the first grid, and the others on the second.
+    """
     groups = {
         name: arrangement.case.draw(arrangement.line, each)
         for name, each in unknown.by_group().items()
@@ -477,7 +480,7 @@ def success_shares(
 
 
 def _fewest(case: Case, found: Columns) -> tuple[int, str]:
-    """Return the number of columns and the reason for it."""
+    """Return the smallest sufficient number of columns, and a text that states the condition."""
     if found.together is not None and found.together.columns is not None:
         return found.together.columns, f"the fewest for {SURE} of the draws"
     if found.columns is None:

@@ -117,10 +117,10 @@ def line_for(
     parcel: Parcel, columns: int, rows: int | None = None, pitch: float | tuple[float, float] = 0.1,
     mu_max: float = 0.5, mu_min: float = 0.01, mu_support: float = 0.005,
 ) -> DesignLine:  # fmt: skip
-    """Size a line for a parcel by the rule of the study's two boxes.
+    """Size a line for a parcel; for the study's two boxes, the result is the study's lines.
 
-    The number of rotor rows is the largest even number under the parcel. The lead-in is as long as
-    the parcel, so the parcel starts wholly on it.
+    The number of rotor rows is the largest even number that fits under the parcel. The lead-in is
+    as long as the parcel, so the parcel starts wholly on the lead-in.
 
     >>> from surface_gym import layouts
     >>> [(line.rows, line.lead_in) for line in (line_for(layouts.box(size), 8) for size in "SB")]

@@ -125,11 +125,11 @@ class StreamTask(Task):
     - `advance(surface, dt)`, after every physics step of `dt` [s]: change `surface.memory`.
     - `may_jam(surface) -> bool`: whether standing parcels may be a jam; by default, always.
     - `has_room(surface, state, other) -> bool`: whether a parcel about to enter, with its pose in
-      `state.truth`, is clear of another; by default, by its width and `entry_gap` ahead of it.
+      `state.truth`, is clear of another; by default, if the other is `entry_gap` ahead or beside.
     - `has_departed(surface, state) -> bool`, after every physics step; by default, if no rotor is
       under the parcel.
-    - `exit_taken(surface, state) -> int`, after a departure: the exit, or BETWEEN exits; by
-      default, by the side and position of the departure.
+    - `exit_taken(surface, state) -> int`, after a departure: the index of the exit; BETWEEN if the
+      parcel departed by no exit; by default, by the side and position of the departure.
     - `base_distance(state, x, y) -> float`: the distance [m] of a module in the parcel's bounding
       box from its base, to assign modules between neighbours; by default 0.
 
@@ -204,7 +204,7 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def has_room(surface: fs.SurfaceView, state: EnvState, other: EnvState) -> bool:
-        """Return whether another parcel is beside an entering one, or `entry_gap` ahead of it."""
+        """Return whether an entering parcel keeps `entry_gap` to another one ahead or beside."""
         return not bars(other, state, surface.params.entry_gap)
 
     @staticmethod
@@ -216,10 +216,10 @@ class StreamTask(Task):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the exit of a departed parcel, or BETWEEN exits.
+        """Return the index of the exit by which a parcel departed; BETWEEN: by none.
 
-        It departed straight ahead if its rear is past the last column of rotors, or its centre past
-        the rotors' end. Otherwise it departed on the side of its centre.
+        The parcel departed straight ahead if its rear is past the last column of rotors, or its
+        centre past the rotors' end. Otherwise it departed on the side of its centre.
         """
         truth, params = state.truth, surface.params
         last_column = params.rotors_end - 0.5 * state.elements.pitch_x - ROUND_OFF

@@ -48,7 +48,7 @@ class BodyPool:
         self._free = list(range(_FIRST_ROOM))[::-1]
 
     def take(self, parcel: Parcel, users: int = 1) -> int:
-        """Return the row of a parcel's body, with `users` more users."""
+        """Return the body table's row of a parcel, and add `users` to the row's count of users."""
         row = self._row_of.get(parcel)
         if row is None:
             placement = self._place(parcel)
@@ -63,7 +63,7 @@ class BodyPool:
         return row
 
     def give_back(self, rows: Iterable[int]) -> None:
-        """Release rows, once per occurrence; rows without users become free."""
+        """Subtract one user for each occurrence of a row; rows without users become free."""
         for row in rows:
             self._users[row] -= 1
             if self._users[row] == 0:
@@ -364,7 +364,7 @@ class StreamBatch(BaseBatch):
         super().restore(snapshot, chosen)
 
     def _copy_parcels(self, chosen: Integers) -> list[dict[int, tuple[Parcel, int]]]:
-        """Copy the parcels of surfaces by row in the pool, with their numbers of users."""
+        """Return, for each surface, its parcels and numbers of users by row of the pool."""
         return [
             {row: (self._pool.parcel(row), users) for row, users in Counter(self._used[i]).items()}
             for i in chosen.tolist()

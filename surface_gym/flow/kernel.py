@@ -102,7 +102,7 @@ MEAN_OVER = 0.1  # [s] time constant of the exponential mean of forces
 
 @inlined
 def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Count pairs of parcels that begin to touch, and record their forces."""
+    """Record the forces of touching pairs of parcels, and count pairs that begin to touch."""
     streams, memory, i, dt = view.streams, view.parcels.memory, view.i, view.params.timing.dt
     for k in range(pairs):
         a, b = scratch.pair[k, 0], scratch.pair[k, 1]

@@ -24,14 +24,14 @@ THREE = side_by_side(3)
 def lines(rate: float = 6000.0) -> Stream:
     """Make boxes of mixed sizes on each line, at a total mean rate [parcels/h].
 
-    They arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
+    Boxes arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
     """
     return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT)
 
 
 @dataclass(frozen=True)
 class Merge(TakeAwayTask):
-    """Merge two or three lines of parcels into one line with gaps, fairly.
+    """Merge several lines of parcels into one line with gaps, fairly.
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
     must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
@@ -88,7 +88,7 @@ class Merge(TakeAwayTask):
             raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
 
     def training_tasks(self) -> tuple["Merge", ...]:
-        """Return the task with more parcels than its capacity."""
+        """Return the task with a stream beyond its capacity: 10000 parcels per hour."""
         return (replace(self, stream=lines(10_000.0)),)
 
     def benchmark(self) -> Any:

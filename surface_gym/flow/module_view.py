@@ -1,9 +1,9 @@
 """Local observations of modules for streams on a slope.
 
-An idle rotor senses whether a parcel is on it, and its speed. Modules under one parcel exchange
-this, so they agree on its base and its motion. They send it to modules around in eight directions,
-up to `REACH`. The time until the take-away is free is passed from each parcel to the next one
-behind. There is no other long-range information.
+An idle rotor senses whether a parcel is on it, and the parcel's speed. Modules under one parcel
+exchange these data, so they agree on the parcel's base and motion. They send the data in eight
+directions to the modules around them, up to `REACH`. The time until the take-away is free is passed
+from each parcel to the next one behind. There is no other long-range information.
 
 All observations are computed from the table of parcels reported by the sensors.
 """
@@ -225,7 +225,7 @@ def _claim(
     surface: _Surface, row: Singles, k: int, parcel: Array, owner: Integers, least: Array,
     own: Singles,
 ) -> None:  # fmt: skip
-    """Assign to each module the nearest parcel that is on it now or soon."""
+    """Assign parcel `k` to modules that it is on now or soon, unless another parcel is nearer."""
     reach = surface.ahead
     low_x = -parcel[_REAR] + min(0.0, parcel[_VX] * reach)
     high_x = parcel[_FRONT] + max(0.0, parcel[_VX] * reach)

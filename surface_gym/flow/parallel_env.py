@@ -149,7 +149,7 @@ class FlowParallelEnv(StreamParallelEnv):
     def step(self, actions: dict[str, Any]) -> Returned:
         """Step by one control period with the actions of all agents.
 
-        Returns results of present agents, and of agents that have just entered.
+        Returns results for agents already present and for agents that have just entered.
         """
         returned: Returned = ({}, {}, {}, {}, {})
         observation, *_ = self._env.step(self._action(actions))

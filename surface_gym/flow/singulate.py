@@ -127,7 +127,7 @@ class Singulate(TakeAwayTask):
     """
 
     def training_tasks(self) -> tuple["Singulate", ...]:
-        """Return the task with more parcels than its capacity, and the task with a mouth."""
+        """Return the task with a mouth and a stream beyond its capacity: 14000 parcels per hour."""
         mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
         return (mouth,)
 

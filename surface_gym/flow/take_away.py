@@ -457,7 +457,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def exit_taken(surface: fs.SurfaceView, state: EnvState) -> int:
-        """Return the exit of a parcel that departed at the end, or BETWEEN."""
+        """Return the index of the exit by which a parcel departed at the end; BETWEEN: by none."""
         offset = state.truth[Y] - state.elements.line_y
         if state.truth[X] > surface.params.rotors_end:
             for k in range(surface.params.exits.shape[0]):
@@ -478,7 +478,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def may_jam(surface: fs.SurfaceView) -> bool:
-        """Return whether the take-away runs; while it stands, parcels wait."""
+        """Return whether the take-away runs; while it stands still, waiting parcels are no jam."""
         return runs(surface)
 
     @staticmethod

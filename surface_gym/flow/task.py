@@ -69,7 +69,8 @@ def _mirror(state: EnvState) -> float:
 def _exit_start(state: EnvState) -> float:
     """Return x [m] that a parcel's rear must pass before it may be turned off.
 
-    It is the start of its exit, or of the zone if that is later or the exit is straight ahead.
+    This is the start of the parcel's exit, or the start of the zone if the zone starts later or the
+    exit is straight ahead.
     """
     start = zone_start(state)
     return start if state.goal[fs.SIDE] == 0.0 else max(start, state.goal[fs.FIRST])
@@ -79,8 +80,8 @@ def _exit_start(state: EnvState) -> float:
 def _reach(state: EnvState) -> float:
     """Return a parcel's progress [m] towards its exit.
 
-    It is measured along the line, and from the exit's start as lateral reach to the goal side. For
-    an exit straight ahead, the distance from the middle is subtracted.
+    Up to the exit's start, progress is measured along the line; from there on, as lateral reach to
+    the goal side. For an exit straight ahead, the distance from the middle is subtracted.
     """
     truth = state.truth
     side = state.goal[fs.SIDE]

@@ -188,7 +188,7 @@ def draw_slowing() -> Figure:
 def _draw_velocity(
     panel: Axes, surface: Surface, size: str, task_columns: int, colour: str
 ) -> None:
-    """Draw the velocity at both steps, and the times of the task's columns."""
+    """Draw the velocity at both time steps; mark the entry to the task's columns and the exit."""
     speed = runs.load_targets().ratio_speed
     coarse = runs.COARSE.run(surface, size, speed, SLOWING_TIME)
     fine = runs.CONVERGED.run(surface, size, speed, SLOWING_TIME)

@@ -73,7 +73,11 @@ def print_report(reproduction: Reproduction, console: Console) -> None:
 
 
 def _caption(table: PaperTable) -> str:
-    """Return a table's rule, its agreement, and its share of steps without solution."""
+    """Return the text above a table's cells.
+
+    It states the rule of agreement, the number of agreeing cells, and the share of steps in which
+    Eq. (1) has no solution.
+    """
     count = len(table.cells)
     shares = [table.tipping(k) for k in range(len(NAMES))]
     boxes = []

@@ -48,7 +48,7 @@ class AgreementCount:
 
 @dataclass(frozen=True)
 class EndSpread:
-    """Largest distance between the end poses of several runs of the same row."""
+    """Largest distance between the end poses of repeated runs of a row of Table 2."""
 
     position: float  # [mm]
     angle: float  # [deg]
@@ -56,7 +56,7 @@ class EndSpread:
 
 @dataclass(frozen=True)
 class StepEndSpread(EndSpread):
-    """Largest distance between the end poses of several integrations."""
+    """Largest distance between the end poses of a row of Table 2 by several integrations."""
 
     integrations: tuple[Integration, ...]
 
@@ -302,7 +302,7 @@ def compare_steps(
 def run_turned(
     row: runs.SortingRun, turn: float, integration: Integration
 ) -> tuple[float, float, float]:
-    """Run a row of Table 2 with all axes turned by `turn` [rad]; return its end [m, m, deg].
+    """Run a row of Table 2 with all axes turned by `turn` [rad]; return the end [m, m, deg].
 
     Round-off has the same effect: cos(90 deg) is 6e-17 in float64. Rotors across the motion then
     drag sideways with full mu_max, in a direction that depends on its sign.
@@ -313,7 +313,7 @@ def run_turned(
 
 
 def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float, float]:
-    """Return the largest distance [mm] and angle [deg] between end poses of the same row."""
+    """Return the largest distance [mm] and angle [deg] between end poses of a row of Table 2."""
     pairs = [pair for row in ends for pair in combinations(row, 2)]
     return (
         max(1000.0 * math.dist(one[:2], other[:2]) for one, other in pairs),

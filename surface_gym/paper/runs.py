@@ -64,7 +64,10 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables. Mappings go from a box's size ("S" or "B") to one value per speed."""
+    """The paper's tables. Keys of mappings are the sizes of the box, "S" and "B".
+
+    A tuple in a mapping of Table 3 or 4 has one entry per speed.
+    """
 
     source: str
     sorting_runs: tuple[SortingRun, ...]  # Table 2
@@ -351,14 +354,14 @@ def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Su
 
 
 class ExitState(NamedTuple):
-    """State of a box as it leaves the task's columns."""
+    """State of a box as it leaves the slowing area."""
 
     speed: float  # [m/s] when its base leaves the last column; 0 if it stops before
     tipping: float | None  # [-] share of tipping steps until then
 
 
 def leave(surface: Surface, size: str, speed: float, integration: Integration) -> ExitState:
-    """Run a box over the task's columns of a `slowing_surface`."""
+    """Run a box over a `slowing_surface`; return the box's state as it leaves the slowing area."""
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]

@@ -1,4 +1,4 @@
-"""Forces of one step of all parcels on a surface: on elements and between sides."""
+"""Forces of one step: between parcels and the surface's elements, and between parcels."""
 
 from typing import NamedTuple
 

@@ -333,9 +333,10 @@ def write(
     canvas: pygame.Surface, text: str, size: int, colour: Colour = INK, room: int | None = None,
     **place: tuple[int, int],
 ) -> pygame.Rect:  # fmt: skip
-    """Write a text at one of a pygame Rect's points, such as `midleft=(10, 20)`; return its area.
+    """Write a text, and return the area that it covers.
 
-    A text longer than its room [px] is cut and ends with an ellipsis.
+    `place` names a point of a pygame Rect, such as `midleft=(10, 20)`. A text longer than its room
+    [px] is cut and ends with an ellipsis.
     """
     letters = _letters(text, size, colour, room)
     area = letters.get_rect(**place)

@@ -41,7 +41,7 @@ class Strips:
         self._gap = self._icons.cell // 2  # [px] between a legend's signs and words
 
     def write_head(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> None:
-        """Write title and readings above an area; with traffic also delivered and wrong parcels."""
+        """Write title and readings above an area; for streams, also delivered and wrong parcels."""
         numbers = [(label, text, ink.INK) for label, text in scene.readings]
         middle, title, slots = self.head // 2, scene.title, len(numbers)
         if scene.traffic is None:  # equal slots

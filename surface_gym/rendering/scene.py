@@ -262,7 +262,7 @@ class Scene:
 
     @property
     def obeys(self) -> NDArray[np.bool_]:
-        """(rows, columns) whether an element is in the zone; all are if there is none."""
+        """(rows, columns) whether an element is in the zone; without a zone, all are True."""
         row, rows, column, columns = self.zone or (0, self.rows, 0, self.columns)
         obeys = np.zeros(self.axis.shape, dtype=bool)
         obeys[row : row + rows, column : column + columns] = True

@@ -285,7 +285,7 @@ def widen_by_doubt(
 def measure(estimate: Array, by_x: float, by_y: float, by_theta: float, lead: float) -> float:
     """Return the variance of a function of the pose `lead` seconds ago, given by its derivatives.
 
-    Its covariance with the state is stored in `estimate[GAIN:]` for `correct`.
+    The covariance of the function and the state is stored in `estimate[GAIN:]` for `correct`.
     """
     for i in range(SIZE):
         row = COVARIANCE + SIZE * i

@@ -88,9 +88,10 @@ class Presence(Observer):
 
     An observer estimates pose and velocity from the switches. It predicts by the same physics with
     the true axes, nominal friction and a centred load, and propagates its uncertainty. A switching
-    module means that the perimeter passed its centre since the last sample. A module that
-    contradicts the estimate means that the perimeter is on its other side. Each is one equation for
-    a Kalman filter. `entry` describes the prior at the start.
+    module means that the perimeter passed the module's centre since the last sample. If a switch
+    contradicts the estimate, the perimeter is on the other side of the module. Each switching or
+    contradicting module gives one equation for a Kalman filter. `entry` describes the prior at the
+    start.
 
     If contradictions remain, the estimate is moved as little as possible until it agrees with every
     module. If that fails, a search around the pressed modules restarts it. The estimate stays over

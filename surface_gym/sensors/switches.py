@@ -142,10 +142,10 @@ def _take_switch(
 def _take_contradiction(
     state: EnvState, x: float, y: float, covered: bool, tolerance: float
 ) -> float:
-    """Correct by a module at (x, y) on the other side of the perimeter than estimated.
+    """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
 
-    Its exact position is unknown, so the correction moves the estimate without reducing its
-    variance.
+    The perimeter's exact position is unknown, so the correction moves the estimate without reducing
+    the variance.
 
     Returns:
         [m] distance of the estimate on the wrong side; 0 within the tolerance.
@@ -173,7 +173,8 @@ def covered_by_both(
     """Return the columns of a row under a base in two poses.
 
     Returns:
-        First and last column of the first pose, of the second, and of both together.
+        First and last column under `pose`, first and last column under `other`, and first and last
+        column under either pose.
     """
     first, last = covered_columns(
         state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])

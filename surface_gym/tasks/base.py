@@ -44,10 +44,11 @@ class Task:
     - `mirror(state) -> float`: -1 if the observation is mirrored in y, so that features of modules
       are mirrored too; else 1.
 
-    They cannot read the task's fields. Parameters that they need go into the goal.
+    The compiled functions cannot read the task's fields. Parameters that they need go into the
+    goal.
 
     Three ordinary methods serve rules and planners. `decode` turns observations into SI units,
-    `decode_start` turns one into a start, and `cost` returns a planner's cost.
+    `decode_start` turns an observation into a start, and `cost` returns a planner's cost.
     """
 
     parcels: Any = field(default=("S", "B"), kw_only=True)  # parcels to draw from
@@ -305,8 +306,8 @@ def failure(state: EnvState) -> int:
 def leaving(state: EnvState, reached: bool, missed: int) -> int:
     """Return the outcome of a task that ends when the parcel's rear passes the zone's end.
 
-    It is a `failure` first, if there is one. Past the zone's end, it is SUCCESS if the goal is
-    reached, else `missed`.
+    Past the zone's end, the outcome is SUCCESS if the goal is reached, else `missed`. Before, and
+    off the rotors or the surface, it is the result of `failure`.
     """
     truth = state.truth
     if state.on_rotors and state.on_surface and rear_to_go(state, truth[X], truth[THETA]) < 0.0:

@@ -109,7 +109,10 @@ class SpeedGrid:
         return np.asarray(time.max(axis=-1))
 
     def minimum_speed(self, runs: Runs, parcel: str) -> float:
-        """[m/s] smallest speed from which all starts of all seeds succeed; NaN: the largest fails."""
+        """[m/s] smallest speed such that all starts of all seeds succeed at it and above.
+
+        NaN: a start fails at the highest speed.
+        """
         fails = np.nonzero(~self.success(runs, parcel).all(axis=0))[0]
         first = 0 if len(fails) == 0 else int(fails[-1]) + 1
         return float(self.speeds[first]) if first < len(self.speeds) else float("nan")
@@ -143,14 +146,14 @@ class Benchmark:
 def median_column(
     metric: str, label: str, meaning: str, form: str = ".2f", scale: float = 1.0
 ) -> ResultColumn:
-    """Make a column with the median size of a metric over starts."""
+    """Make a column with the median over starts of a metric's absolute value."""
     return ResultColumn(
         metric, label, meaning, lambda runs, _: float(np.median(runs.metric(metric))), form, scale
     )
 
 
 def high_column(metric: str, label: str, form: str = ".2f", scale: float = 1.0) -> ResultColumn:
-    """Make a column with the 90th percentile of the size of a metric."""
+    """Make a column with the 90th percentile over starts of a metric's absolute value."""
     return ResultColumn(
         f"{metric}_90", label, "nine in ten are better",
         lambda runs, _: float(np.quantile(runs.metric(metric), 0.9)), form, scale,

@@ -450,8 +450,9 @@ class PathObservation:
 
 
 def _mean_squares(nodes: Nodes) -> Numbers:
-    """Compute mean squares of the errors, each relative to errors of equal cost, and of the final
-    ones.
+    """Compute the sum of mean squared errors, a final squared error and a cost of failure.
+
+    Each error is divided by its error of equal cost.
     """
     parcels = nodes.parcels
     since = np.maximum(parcels.clock, 1e-9)

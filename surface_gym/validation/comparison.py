@@ -97,7 +97,7 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
 
 
 def sorts_from(runs: Sequence[ComparedRun], model: Model) -> float | None:
-    """Return the smallest tilt [deg] from which every run is sorted, or None."""
+    """Return the smallest tilt [deg] such that its run and all steeper runs sort, or None."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
         if not is_sorted(run.case, model(run)):

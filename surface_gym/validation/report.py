@@ -386,7 +386,7 @@ def final_positions(study: Study) -> Figure:
 
 
 def compared_trajectories(study: Study) -> Figure:
-    """Draw Figure 14: the paths of Figure 12a and 12b, and of the analytic model."""
+    """Draw Figure 14: the runs of Figure 12a and 12b, as paths by MuJoCo and the analytic model."""
     runs = _printed_runs(study)
     figure = Figure(figsize=(5.5 * len(runs), 4.6), layout="constrained")
     for axes, run in zip(_row(figure, len(runs)), runs, strict=True):

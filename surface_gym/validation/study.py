@@ -170,7 +170,10 @@ class Study:
 
     @property
     def sorts_from(self) -> dict[str, float | None]:
-        """[deg] smallest tilt from which the sort completes, by method."""
+        """[deg] smallest tilt above which every tilt of the sweep is sorted, by method; None: none.
+
+        The smallest tilt itself is sorted too.
+        """
         return {
             "MuJoCo": comparison.sorts_from(self.sweep, lambda run: run.mujoco),
             "implicit": comparison.sorts_from(self.sweep, lambda run: run.implicit),

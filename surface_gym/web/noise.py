@@ -63,8 +63,8 @@ def noise_arguments() -> tuple[Any, ...]:
 def place(batch: BaseBatch, seed: int) -> NoiseStart | None:
     """Place the start of `reset(seed=...)` into a batch of one environment, without noise.
 
-    Noise would take most of a start's bytes, so the page draws it. Returns the page's data for
-    this, or None if sensors draw no noise.
+    Noise would take most of a start's bytes, so the page draws the noise. The function returns the
+    generator's states from which the page draws it, or None if sensors draw no noise.
     """
     generator = NotingGenerator(seed)
     batch.seed(0, generator)
