@@ -2,7 +2,7 @@
 
 The digest of a function covers its code and the code of all functions it calls. Like the compiler,
 the walk follows names from a function to the functions and constants it refers to, in any file. An
-edit to one of them changes the digest; any other edit does not.
+edit to one of them changes the digest; any other edit does not, nor does an edit of a docstring.
 """
 
 import gc
@@ -88,7 +88,7 @@ class _Walk:
         self._seen.add(id(function))
         self._write("function", function.__module__, function.__qualname__)
         self.take(function.__defaults__ or ())
-        self._take_code(function.__code__)
+        self._take_code(function.__code__, function.__doc__)
         for cell in function.__closure__ or ():
             self.take(cell.cell_contents)
         modules = []
@@ -105,10 +105,11 @@ class _Walk:
                     self._write("of module", name)
                     self.take(getattr(module, name))
 
-    def _take_code(self, code: types.CodeType) -> None:
+    def _take_code(self, code: types.CodeType, docstring: str | None = None) -> None:
         self._write(code.co_code, code.co_names, code.co_varnames, code.co_freevars)
         for constant in code.co_consts:
-            self.take(constant)
+            if docstring is None or constant is not docstring:
+                self.take(constant)
 
     def _write(self, *values: Any) -> None:
         self.hash.update(repr(values).encode())

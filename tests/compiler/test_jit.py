@@ -287,6 +287,7 @@ def inner(x):
     return FACTOR * x
 
 def outer(x, share=0.5):
+    "Add three numbers."
     return inner(x) + math.sin(share) + Pair(1.0, x).second
 
 def other(x):
@@ -322,6 +323,7 @@ EDITS = {
     "a constant not used": ("UNUSED = 1.0", "UNUSED = 3.0", False),
     "a function not called": ("    return x\n", "    return -x\n", False),
     "a comment": ("import math", "# why\nimport math", False),
+    "a docstring": ("Add three numbers.", "Return a sum.", False),
 }
 
 
