@@ -165,10 +165,14 @@ def test_methods_that_run_on_any_parcel(task) -> None:
         assert factors == (set(robustness.PLANNED) if name == PLANNER else wanted)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_shapes_of_the_lab() -> None:
     bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
     assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
     assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
+
+
+def test_rows_name_the_shapes_of_the_lab() -> None:
     at = ChangedScenario("slow", "lab", Extent(level_starts=6), "lab", "lab")
-    rows = ScenarioJob(at, FIXED, 0)()
+    rows = ScenarioJob(at, shipped("slow")[0], 0)()
     assert [row["shape"] for row in rows] == list(robustness.lab_shapes("slow", 6))
