@@ -100,8 +100,6 @@ NIGHTLY = (
     # A kernel of streams takes twenty seconds to compile; others hold each part of these.
     *(f"tests/flow/test_env.py::{test}[modules, presence" for test in OF_FLOWS),
     "tests/agents/planning/test_receding_horizon.py::test_what_is_planned_happens[lab",
-    "tests/agents/scheduling/test_scheduler.py::TestStreams::"
-    "test_more_than_a_line_takes_is_sorted_without_a_touch[camera",
     "tests/flow/test_module_parallel_env.py::TestTasks::test_pettingzoos_checks_pass[sequence",
     *(
         "tests/flow/test_module_parallel_env.py::TestTasks::"
