@@ -186,7 +186,7 @@ NIGHTLY = (
     *(
         "tests/agents/planning/test_models.py::"
         f"test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise[{task}"
-        for task in ("slow", "stop", "track", "orient")
+        for task in ("sort", "stop", "track", "orient")
     ),
     *(
         f"tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_"
