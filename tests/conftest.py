@@ -5,11 +5,14 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from tests.order import NIGHTLY, SMOKE, place_of
+from surface_gym.core.batch import BaseBatch
+from surface_gym.state import RUNNING
+from tests.order import NIGHTLY, SMOKE, TOGETHER, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
 settings.register_profile("surface_gym", deadline=None, derandomize=True, max_examples=25)
@@ -24,6 +27,20 @@ def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     yield
     sys.modules["pygame"].display.quit()
+
+
+def only_begin(*arguments: Any) -> int:
+    """Begin an episode of every environment, as a kernel, but move and observe nothing."""
+    for each in arguments:
+        if hasattr(each, "outcome"):
+            each.outcome[:] = RUNNING
+    return 0
+
+
+@pytest.fixture
+def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile no kernels: a test that only looks at spaces, starts and configurations is fast."""
+    monkeypatch.setattr(BaseBatch, "_compile", lambda _: only_begin)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -43,6 +60,19 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "smoke: enough for a first look, in a minute")
     config.addinivalue_line("markers", "nightly: long proofs, left out unless -m asks for them")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give the folders of TOGETHER to one process each, which makes their fixtures once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            folder = next(filter(nodeid.startswith, TOGETHER), None)
+            return folder or super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -53,13 +53,14 @@ CELLS = [
     for row, env_id in enumerate(IDS)
     for column, actions in enumerate(ACTIONS)
 ]
+CELLS_BY_DAY = [each for each in CELLS if each[2] is sensors.Exact or each[:2] in BY_DAY]
 every_cell = pytest.mark.parametrize(
     ("env_id", "actions", "sensor"),
     [
         pytest.param(
             *cell,
             id=f"{cell[0]}-{cell[1]}-{cell[2].__name__}",
-            marks=() if cell[2] is sensors.Exact or cell[:2] in BY_DAY else pytest.mark.nightly,
+            marks=() if cell in CELLS_BY_DAY else pytest.mark.nightly,
         )
         for cell in CELLS
     ],
@@ -98,12 +99,6 @@ PARCELS = {
 def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
     """The environment of an id without Gymnasium's wrappers, so without a time limit."""
     return gym.make(env_id, disable_env_checker=True, **settings).unwrapped
-
-
-def cell(env_id: str, actions: str) -> dict[str, Any]:
-    """A kind of action and the sensor that an id has with it in CELLS."""
-    (sensor,) = (each[2] for each in CELLS if each[:2] == (env_id, actions))
-    return {"actions": actions, "sensors": sensor()}
 
 
 def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:

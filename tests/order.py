@@ -28,10 +28,13 @@ FIRST = (
     # Pages need the modules of those above, which are then there.
     "tests/web/test_playground.py",
     "tests/web/test_agents.py",
-    "tests/paper/test_claims.py",
+    "tests/paper/",
     "tests/test_docs.py",
     "tests/test_wheel.py",
 )
+
+# Folders whose tests share a fixture that takes long: one process runs them.
+TOGETHER = ("tests/paper/",)
 
 # Of each part those that fail first when it breaks, and one environment of each class.
 SMOKE = (
@@ -54,6 +57,13 @@ SMOKE = (
     "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
 )
 
+# Of each kind of flow.
+OF_FLOWS = (
+    "TestCheckers::test_gymnasiums_has_nothing_to_say",
+    "TestEpisodes::test_types_spaces_and_sums",
+    "TestTwins::test_go_on_alike",
+    "TestBesideSingles::test_each_environment_is_a_single_env",
+)
 # Of each stream, whose module takes half a minute to compile.
 OF_STREAMS = (
     "tests/web/test_streams.py::test_a_stream_is_equal_in_which_parcels_touch_or_leave",
@@ -87,6 +97,21 @@ NIGHTLY = (
         for task in ("stop", "track", "slow", "orient")
     ),
     "tests/agents/export/test_kernels.py::test_states_are_equal_to_the_bit_on_the_baseline",
+    # A kernel of streams takes twenty seconds to compile; others hold each part of these.
+    *(f"tests/flow/test_env.py::{test}[modules, presence" for test in OF_FLOWS),
+    "tests/agents/planning/test_receding_horizon.py::test_what_is_planned_happens[lab",
+    "tests/flow/test_module_parallel_env.py::TestTasks::test_pettingzoos_checks_pass[sequence",
+    *(
+        "tests/flow/test_module_parallel_env.py::TestTasks::"
+        f"test_the_same_run_as_the_single_env_and_its_rewards[{reward}-sequence"
+        for reward in ("parcel", "team")
+    ),
+    *(
+        "tests/agents/export/test_web.py::"
+        f"test_modules_obey_the_same_where_all_is_of_another_run_but_what_is_copied[{task}"
+        for task in ("singulate", "sequence")
+    ),
+    "tests/web/test_camera.py::test_a_stream_is_sensed_as_in_python",
     "tests/docs/test_site.py::TestSite",
     "tests/parallel/test_jobs.py::test_a_command_that_was_killed_goes_on_with_a_custom_task",
     "tests/parallel/test_jobs.py::test_a_design_s_answer_is_the_same",
@@ -95,10 +120,18 @@ NIGHTLY = (
     "tests/parallel/test_jobs.py::test_results_are_the_same_those_of_a_runs_policies_too",
     "tests/parallel/test_jobs.py::test_seeds_with_nodes_dying_come_to_the_same_files_as_in_"
     "processes",
+    # The first and the last trial that may be interrupted.
+    *(
+        "tests/agents/tuning/test_study.py::TestResuming::"
+        f"test_interrupted_trials_run_once_more_and_finished_ones_do_not[{at}"
+        for at in (0, 13)
+    ),
     "tests/web/test_agents.py::test_a_rule_on_a_slope_leaves_a_wider_gap_where_a_camera_errs",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'camera'",
     "tests/web/test_rules.py::test_a_rule_sees_by_a_camera_as_in_python",
     *(f"{test}[{task}" for test in OF_STREAMS for task in ("singulate", "merge", "sequence")),
+    *(f"{OF_STREAMS[1]}[{task}" for task in ("slow", "stop")),
+    "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python[orient",
     *(
         f"{test}[{task}"
         for test in (*OF_SLOPES, *LEARNING_ON_SLOPES)
@@ -112,7 +145,7 @@ NIGHTLY = (
             "test_mirrored_starts_end_in_mirror_images",
         )
     ),
-    # All that varies of a task, where Sort and Orient are tried each time.
+    # All that varies of a task, where Sort is tried each time.
     *(
         f"{test}[SmartSurface/{task}-v0"
         for test in (
@@ -121,20 +154,39 @@ NIGHTLY = (
             "test_neither_it_nor_the_number_of_threads_matters",
             "tests/test_env.py::TestTwins::test_go_on_alike",
         )
-        for task in ("Slow", "Stop", "Track")
+        for task in ("Slow", "Stop", "Track", "Orient")
     ),
     # Kernels of their own, where others are tried of the same kind of action or sensor.
     *(
         "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
         f"[SmartSurface/{case}"
-        for case in ("Track-v0-modules", "Slow-v0-window", "Stop-v0-halves")
+        for case in ("Track-v0-modules", "Slow-v0-window", "Stop-v0-halves", "Orient-v0-modules")
+    ),
+    *(
+        f"tests/test_axes.py::TestSeenAxes::test_the_rest_is_as_without[{k}"
+        for k in ("modules", "window")
+    ),
+    "tests/agents/rules/test_braking.py::"
+    "test_braking_holds_where_it_is_not_as_in_the_study[slow axes, stop",
+    "tests/agents/rules/test_rules.py::test_what_sets_all_modules_alike_does_so_with_any_kind"
+    "[track-make2-quadrants",
+    "tests/agents/planning/test_models.py::"
+    "test_whatever_the_sensors_say_it_moves_as_the_environment_does[track",
+    *(
+        f"tests/core/test_batch.py::test_each_module_turns_to_the_angle_its_part_says[{actions}"
+        for actions in ("halves", "window")
+    ),
+    *(
+        "tests/test_presets.py::TestObserve::"
+        f"test_the_parcel_and_the_rotors_under_its_base_are_shown[{task}"
+        for task in ("slow", "track")
     ),
     "tests/agents/rules/test_slopes.py::TestTimeSlots::test_it_holds_off_what_it_was_tuned_on"
     "[arguments4",
     *(
         "tests/agents/planning/test_models.py::"
         f"test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise[{task}"
-        for task in ("slow", "stop", "track")
+        for task in ("sort", "stop", "track", "orient")
     ),
     *(
         f"tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_"

@@ -90,7 +90,7 @@ class TestEpisodes:
             ({"actions": "halves"}, 16, "between 0 and 15, got 16"),
             ({"actions": "halves"}, [3], r"shape \(\), got \(1,\)"),
             ({"actions": "halves"}, "up", "whole numbers, got <U2: 'up'"),
-            ({"orientations": "any", "actions": "halves"}, [0.0, 45.0], r"got \[0.0, 45.0\]; deg"),
+            ({"orientations": "any", "actions": "quadrants"}, [0.0, 45.0, 0.0, 0.0], r"0.0\]; deg"),
             ({"task": "flow", "actions": "parcels"}, [0], r"shape \(48,\), got \(1,\)"),
             ({"task": "flow", "actions": "parcels", "gate": True}, 0, r"shape \(49,\), got \(\)"),
             (

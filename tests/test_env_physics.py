@@ -54,7 +54,7 @@ class TestPhysics:
     def test_kinds_that_turn_all_modules_alike_move_it_alike(self, actions):
         found, wanted = (
             te.played_out(env, te.same_choice(env, te.MINUS_45), speed=1.5, parcel="S", side=1)
-            for env in (te.bare(**te.cell(te.SORT, actions)), te.bare())
+            for env in (te.bare(actions=actions), te.bare())
         )
         te.assert_same(tuple(step[4] for step in found), tuple(step[4] for step in wanted))
 

@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.layouts import LEAD_IN, LINE_ROWS
 from surface_gym.lines import BaseLine, Field, Line, Pattern
-from tests.environments import IDS, bare, cell, steps
+from tests.environments import CELLS_BY_DAY, bare, steps
 
 
 @pytest.mark.parametrize("size", ["S", "B"])
@@ -94,8 +94,8 @@ class TestACustomLine:
         assert (picture.shape[1] > picture.shape[0]) == (width > 1.2 * height)
 
     def test_every_task_and_sensor_runs_on_it(self, line):
-        for env_id in IDS:
-            env = bare(env_id, line=line, **cell(env_id, "window"))
+        for env_id, actions, sensor in CELLS_BY_DAY:
+            env = bare(env_id, line=line, actions=actions, sensors=sensor())
             for observation, *_ in steps(env, seed=0, longest=10):
                 assert observation in env.observation_space
 

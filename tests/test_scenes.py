@@ -365,7 +365,7 @@ class TestReadings:
 
 class TestEnvironments:
     @pytest.mark.parametrize(
-        ("task", "actions"), [*((task, "modules") for task in STREAMS), ("flow", "parcels")]
+        ("task", "actions"), [("flow", "modules"), *((task, "parcels") for task in STREAMS)]
     )
     def test_a_picture_a_step(self, task, actions):
         env: Any = gym.make(env_id(task), actions=actions, render_mode="rgb_array")

@@ -27,8 +27,10 @@ def test_a_ppo_and_a_dqn_for_each_task_and_one_each_for_modules_and_streams() ->
 
 @pytest.mark.parametrize("name", agents.names())
 class TestEach:
-    def test_it_acts_in_its_environment_and_seeds_differ(self, name) -> None:
-        policy, other, *_ = (agents.load(name, seed) for seed in agents.seeds(name))
+    def test_it_acts_in_its_environment_and_seeds_differ(self, name, request) -> None:
+        if name != FLOW:  # whose maneuvers are tried on a surface
+            request.getfixturevalue("uncompiled")
+        policy, other = (agents.load(name, seed) for seed in agents.seeds(name)[:2])
         env = gym.make(policy.env_id, **policy.env_kwargs)
         observation, _ = env.reset(seed=0)
         action, _ = policy.predict(observation, deterministic=True)

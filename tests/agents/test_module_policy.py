@@ -117,6 +117,7 @@ def test_it_takes_and_gives_what_an_environment_of_any_zone_does(zone) -> None:
         np.testing.assert_array_equal(policy.predict(one)[0], chosen[i])
 
 
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("observe", [("parcel",), ("rotors",), ("parcel", "rotors")])
 def test_it_observes_the_groups_of_its_card(observe) -> None:
     policy = policy_of(replace(THE_CARD, observe=observe))

@@ -136,6 +136,7 @@ class TestOccupancy:
         np.testing.assert_array_equal(views[0], views[1])
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_instant_axes_take_no_memory_to_turn() -> None:
     for actuators, shape in ((Actuators(), (3, 1, 1)), (Actuators(axis_speed=1.0), (3, 20, 30))):
         surfaces = Batch(EnvConfig(actuators=actuators), 3).surfaces

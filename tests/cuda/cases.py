@@ -15,7 +15,7 @@ from surface_gym.tasks import TASKS
 from tests.flow.flows import DENSE, SHORT
 
 ARGUMENTS: dict[str, dict[str, Any]] = {
-    "sort": {"actions": "halves", "orientations": "any"},
+    "sort": {"actions": "quadrants", "orientations": "any"},
     "slow": {"actions": "window"},
     "stop": {"actions": "halves", "actuators": Actuators(stuck=((10, 12), (9, 13)))},
 }
@@ -23,7 +23,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
 CASES: dict[str, dict[str, Any]] = {
     **{task: {"task": task, **ARGUMENTS.get(task, {})} for task in TASKS},
     "axes that turn": {
-        "task": "sort", "actions": "modules", "actuators": Actuators(axis_speed=8.0),
+        "task": "sort", "actions": "quadrants", "actuators": Actuators(axis_speed=8.0),
     },
 }  # fmt: skip
 # Short lines with more parcels than can pass: some touch.

@@ -20,7 +20,7 @@ from surface_gym.vector_env import make_device_env
 from tests.cuda.cases import CASES, STREAMS, needs_numba_cuda, sample_actions
 from tests.environments import run_python
 
-LIMIT, PERIODS = 5, 12  # control periods of an episode, and of a comparison
+LIMIT, PERIODS = 4, 9  # control periods of an episode, and of a comparison
 COUNTS = {**dict.fromkeys(CASES, 3), **dict.fromkeys(STREAMS, 2)}  # of environments
 FINAL = {"final_obs", "final_info", "_final_obs", "_final_info"}
 FIGURES = list_figures(Flow())

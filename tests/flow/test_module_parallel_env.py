@@ -81,11 +81,18 @@ class TestEnv:
         assert env.possible_agents[11] == "module_1_1"
         assert env.action_space("module_0_0") == gym.spaces.Discrete(4)
         assert env.observation_space("module_0_0").shape == (mv.SIZE,)
+
+    @pytest.mark.usefixtures("uncompiled")
+    def test_an_angle_reaches_its_module(self) -> None:
         right = np.float32(math.pi / 2)
         angles = modules_of(orientations="any")
         assert angles.action_space("module_0_0") == gym.spaces.Box(-right, right, (1,))
         angles.reset(seed=0)
-        angles.step({agent: np.array([0.1], np.float32) for agent in angles.agents})
+        said = {agent: np.array([0.1], np.float32) for agent in angles.agents}
+        angles.step({**said, "module_2_3": np.array([-0.2], np.float32)})
+        command = angles.batch.surfaces.command[0].reshape(14, -1)[:, :10]
+        assert np.argwhere(np.isclose(command, -0.2)).tolist() == [[2, 3]]
+        assert np.isclose(command, 0.1).sum() == 139
 
     def test_a_jam_terminates_all(self) -> None:
         env = modules_of(duration=20.0, patience=0.5)

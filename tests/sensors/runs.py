@@ -16,10 +16,12 @@ def all_say(env: Any, choice: int) -> Any:
     return kind.encode(np.full((env.num_envs, kind.size), choice))
 
 
-def errors(sensors: Any, choice: int, num_envs: int = 16, **start: Any) -> np.ndarray:
+def errors(
+    sensors: Any, choice: int, num_envs: int = 16, actions: str = "halves", **start: Any
+) -> np.ndarray:
     """(decisions, 6) sensed pose and velocity minus the true ones, over episodes of one choice."""
     env = sg.SmartSurfaceVectorEnv(
-        num_envs, actions="halves", sensors=sensors, max_episode_steps=60, autoreset_mode="SameStep"
+        num_envs, actions=actions, sensors=sensors, max_episode_steps=60, autoreset_mode="SameStep"
     )
     env.reset(seed=0, options={"side": 1, **start})
     memory = env.batch.parcels

@@ -156,16 +156,20 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
     """A card of a task whose rates are searched has each seed beside the scheduler."""
     few = Extent(replications=2, duration=6.0)
     asked = report.stream_scenarios
-    monkeypatch.setattr(report, "stream_scenarios", lambda task: asked(task, few))
+    monkeypatch.setattr(
+        report,
+        "stream_scenarios",
+        lambda task: [each for each in asked(task, few) if each.preset != "camera"],
+    )
     for seed in (0, 1):
         copytree(SHELF / "merge-parcels" / f"seed-{seed}", tmp_path / f"seed-{seed}")
     card = report.evaluate_run(tmp_path, None, 1, Console(quiet=True))
-    assert list(card) == ["exact", "camera", "lab"]
+    assert list(card) == ["exact", "lab"]
     for each in (each for offers in card.values() for each in offers.values()):
         assert len(each["right_an_hour_of_each_seed"]) == 2
         assert {"time slots", "hold and release"} <= each["rules"].keys()
         assert "roll on" not in each["rules"]
-    assert (tmp_path / report.TABLE).read_text().count("PPO per parcel") == 6
+    assert (tmp_path / report.TABLE).read_text().count("PPO per parcel") == 4
     samples = {
         name: report.Sample(rows)
         for (_, scenario, preset, name), rows in pd.concat(made.capacity_rows()).groupby(
@@ -192,7 +196,7 @@ def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path) -> None:
 
 
 GIVEN: dict[str, Any] = {
-    "stream": DENSE, "exits": "sides", "actions": "parcels", "duration": 2.0, "line": SHORT,
+    "stream": DENSE, "exits": "sides", "actions": "parcels", "duration": 0.8, "line": SHORT,
 }  # fmt: skip
 CONFIG = EnvConfig("flow", **GIVEN)
 
@@ -212,7 +216,7 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
     write_comparison([player], tmp_path / "flow.mp4")
     rate, pictures = read(tmp_path / "flow.mp4")
     assert rate == 25.0
-    assert len(pictures) == 1 + 50 + 25  # the start, the control periods, and the last one stays
+    assert len(pictures) == 1 + 20 + 25  # the start, the control periods, and the last one stays
     env = SmartSurfaceEnv("flow", render_mode="rgb_array", **GIVEN)
     rule = StreamEventRule(CONFIG)
     observation, _ = env.reset(seed=3)
@@ -221,7 +225,7 @@ def test_it_shows_what_the_environment_draws(tmp_path) -> None:
         shown = with_caption(drawn, "event")
         assert np.abs(picture - shown).mean() < 4.0  # of 255: the codec loses a little
         observation = env.step(rule.predict(observation)[0])[0]
-    assert np.abs(pictures[-1] - pictures[50]).mean() < 1.0
+    assert np.abs(pictures[-1] - pictures[20]).mean() < 1.0
 
 
 def test_a_slower_decider_is_filmed_no_faster(tmp_path) -> None:

@@ -27,9 +27,11 @@ from surface_gym.agents.evaluation.robustness import (
 from surface_gym.agents.evaluation.scenario import WHOLE, Extent, ScenarioJob, make_jobs
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
+from surface_gym.core.batch import BaseBatch
 from surface_gym.lines import Line
 from surface_gym.parcel import Disc, Rectangle
 from surface_gym.tasks import TASKS, Slow
+from tests.conftest import only_begin
 
 FIXED = rules("slow")[0]
 BENCHMARK = start_benchmark("slow")
@@ -165,10 +167,17 @@ def test_methods_that_run_on_any_parcel(task) -> None:
         assert factors == (set(robustness.PLANNED) if name == PLANNER else wanted)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_shapes_of_the_lab() -> None:
     bases = (Rectangle(0.2, 0.2), Rectangle(0.2, 0.3), Disc(0.2))
     assert [*map(robustness.name_shape, bases)] == ["square", "rectangle", "disc"]
     assert set(robustness.lab_shapes("sort", 64)) == set(robustness.SHAPES)
+
+
+def test_rows_name_the_shapes_of_the_lab(monkeypatch) -> None:
+    with monkeypatch.context() as patch:  # they are kept, and drawing them needs no kernel
+        patch.setattr(BaseBatch, "_compile", lambda _: only_begin)
+        shapes = list(robustness.lab_shapes("slow", 6))
     at = ChangedScenario("slow", "lab", Extent(level_starts=6), "lab", "lab")
-    rows = ScenarioJob(at, FIXED, 0)()
-    assert [row["shape"] for row in rows] == list(robustness.lab_shapes("slow", 6))
+    rows = ScenarioJob(at, shipped("slow")[0], 0)()
+    assert [row["shape"] for row in rows] == shapes

@@ -173,7 +173,7 @@ class TestMeasurements:
 
     def test_a_planner_sees_all_that_comes(self, monkeypatch) -> None:
         monkeypatch.setattr(RecedingHorizon.__init__, "__defaults__", (2, 10, 10, 0))
-        at = slope("merge", "three lines", "lab", duration=4.0, replications=2)
+        at = slope("merge", "three lines", "camera", duration=4.0, replications=2)
         planner = named("merge", "planner")
         assert measured(sc.ScenarioJob(at, planner, 0)).values("delivered").shape == (1, 2)
 

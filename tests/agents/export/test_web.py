@@ -251,7 +251,7 @@ def test_modules_obey_the_same_where_all_is_of_another_run_but_what_is_copied(ta
 
 
 def begin_stream(task: str, seed: int) -> StreamBatch:
-    batch = make_batch(EnvConfig(task), 1)
+    batch = make_batch(EnvConfig(task, actions="parcels"), 1)
     assert isinstance(batch, StreamBatch)
     batch.seed(0, np.random.default_rng(seed))
     batch.place_drawn(np.arange(1))

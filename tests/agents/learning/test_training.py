@@ -78,6 +78,7 @@ def test_no_return_reaches_into_another_episode() -> None:
     assert not several.dones.any()  # cut off, not failed: the rest is asked of the network
 
 
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize(
     ("task", "share"), [("slow", 0.0), ("slow", 1.0), *((task, 0.5) for task in TASKS)]
 )
@@ -93,6 +94,7 @@ def test_a_share_has_a_camera(task, share) -> None:
     assert envs.observation_space == gym.make(env_id(task), actions="halves").observation_space
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths() -> None:
     config = PPOConfig(task="slow", num_envs=32, batch_size=64, camera_share=0.5, zones=(8, 24))
     lines = [each.chosen_line for each in sb3.make_mirrored_envs(config).get_attr("config")]
@@ -120,7 +122,7 @@ def test_samples_keep_their_modules() -> None:
 def test_modules_learn_for_the_lab_from_more_features(tmp_path) -> None:
     lab = defaults("sort", "modules", preset="lab")
     assert isinstance(lab, ModulesConfig)
-    small = replace(lab, steps=128, num_envs=8, n_steps=16, batch_size=64)
+    small = replace(lab, steps=128, num_envs=8, n_steps=16, batch_size=64, camera_share=1.0)
     assert train(small, tmp_path).steps == 128
     policy = agents.read(tmp_path)
     assert policy.card.observe == lab.observe

@@ -152,7 +152,7 @@ def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None
 
 
 def test_copies_take_their_parents_axes_with_them() -> None:
-    config = EnvConfig(task="orient", actions="halves", actuators=SLOW_AXES)
+    config = EnvConfig(task="slow", actions="halves", actuators=SLOW_AXES)
     ways = np.array([[15, 6, 2, 15, 9, 9], [15, 6, 13, 1, 9, 4], [15, 3, 7, 8, 4, 2]])
     model = begun(config)
     place = np.zeros(3, dtype=np.int64)  # of the copy that goes each way
@@ -163,7 +163,7 @@ def test_copies_take_their_parents_axes_with_them() -> None:
         nodes = model.advance(parents, actions)
         place = np.array(order)
     for way in range(3):
-        env = sg.SmartSurfaceEnv(task="orient", actions="halves", actuators=SLOW_AXES)
+        env = sg.SmartSurfaceEnv(task="slow", actions="halves", actuators=SLOW_AXES)
         env.reset(seed=SEED)
         for action in ways[way].tolist():
             *_, info = env.step(action)

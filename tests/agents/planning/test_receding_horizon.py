@@ -14,6 +14,7 @@ from surface_gym.agents.scheduling.scheduler import begin_streams
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.take_away import bulk
+from surface_gym.randomisation import Actuators
 
 SEED, SMALL = 4, {"candidates": 6, "horizon": 30}
 LAB = PRESETS["lab"]
@@ -22,7 +23,8 @@ BULK: dict[str, Any] = {
     "alignment": math.radians(10.0), "duration": 20.0,
 }  # fmt: skip
 MOUTH = EnvConfig("singulate", **BULK)
-LATE = MOUTH.replace(randomisation=LAB.randomisation, actuators=LAB.actuators)
+VARIED = MOUTH.replace(randomisation=LAB.randomisation, actuators=Actuators(stuck_share=0.02))
+LATE = VARIED.replace(actuators=LAB.actuators)
 
 
 def play(
@@ -41,7 +43,7 @@ def play(
     return batch, done
 
 
-@pytest.mark.parametrize("config", [MOUTH, LATE], ids=["exact", "lab"])
+@pytest.mark.parametrize("config", [VARIED, LATE], ids=["varied", "lab"])
 def test_what_is_planned_happens(config: EnvConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     rated = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 2.0, 0.0])  # two surfaces, four times
     monkeypatch.setattr(RecedingHorizon, "_rate", lambda *_: rated)
@@ -87,7 +89,7 @@ def test_what_is_followed_is_rated_no_worse_than_the_rule_and_sometimes_better(
         return rated[-1].ravel()
 
     monkeypatch.setattr(RecedingHorizon, "_rate", keep)
-    play(RecedingHorizon(TimeSlots(LATE), LATE, **SMALL), LATE, 150)
+    play(RecedingHorizon(TimeSlots(VARIED), VARIED, **SMALL), VARIED, 150)
     gained = np.array(rated).max(axis=1) - np.array(rated)[:, 0]
     assert gained.shape == (15, 2)
     assert (gained >= 0.0).all()

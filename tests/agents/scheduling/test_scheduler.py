@@ -16,11 +16,13 @@ from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.exits import flow_line
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.task import COLUMN
-from surface_gym.randomisation import Randomisation
+from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera
 from tests.agents.rules.runs import counts, gated, line, zoned
 
 CROWD = Stream(Steady(15000.0), parcels=("S",), speeds=1.5)
+# With axes that take time, as the kernel of a camera that other tests compile.
+VARIED = {"randomisation": Randomisation(friction=0.2), "actuators": Actuators(axis_speed=30.0)}
 ONCE, NEVER = np.zeros(1, dtype=np.int64), np.full(1, -1e6)
 
 
@@ -83,7 +85,7 @@ class TestStreams:
             (zoned(CROWD), ColumnGroups(7)),
             (zoned(CROWD), ColumnGroups(7, 1, exclusive=True)),
             (gated(CROWD, exits="chutes", line=flow_line(4.0)), None),
-            (gated(CROWD, sensors=Camera(), randomisation=Randomisation(friction=0.2)), None),
+            (gated(CROWD, sensors=Camera(), **VARIED), None),
         ],
         ids=["modules", "queue", "mixed", "columns", "zones", "zone", "chutes", "camera"],
     )

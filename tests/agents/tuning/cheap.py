@@ -9,12 +9,20 @@ from typing import Any
 from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial
 from rich.console import Console
+from sqlalchemy import Engine, event
 
 from surface_gym.agents.tuning import study
 from surface_gym.agents.tuning.study import TrialResult
 from surface_gym.agents.tuning.sweep import SearchConfig, make_choices
 from surface_gym.executors import Report
 from surface_gym.parallel import Workers
+
+
+@event.listens_for(Engine, "connect")
+def _write_soon(connection: Any, _: Any) -> None:
+    """Wait for no disk: a process that is killed loses nothing."""
+    connection.execute("PRAGMA synchronous = OFF")
+
 
 QUIET = Console(quiet=True)
 SMALL = SearchConfig(
