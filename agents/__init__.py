@@ -11,15 +11,20 @@ training run:
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .grid_policy import GridPolicy
     from .library import load, names, read, seeds
 
-__all__ = ["load", "names", "read", "seeds"]
+__all__ = ["GridPolicy", "load", "names", "read", "seeds"]
 
 
 def __getattr__(name: str) -> Any:
     """Import the functions on first use, since commands need only modules of the package."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name == "GridPolicy":
+        from .grid_policy import GridPolicy
+
+        return GridPolicy
     from . import library
 
     return getattr(library, name)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.actions import ANY, ActionKind
@@ -107,6 +107,19 @@ LONGEST_STEP = 0.005  # [s]
 INFOS = ("axes", "normal_forces")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
+
+
+class ModuleChoices(spaces.MultiDiscrete):
+    """Choices of modules, with the environment's configuration for policies that need places.
+
+    Args:
+        nvec: (modules,) number of choices.
+        config: configuration of the environment.
+    """
+
+    def __init__(self, nvec: NDArray[np.int64], config: "EnvConfig") -> None:
+        super().__init__(nvec)
+        self.config = config
 
 
 @dataclass(frozen=True, init=False)
@@ -375,8 +388,11 @@ class EnvConfig:
         return spaces.Box(np.tile(row.low, rows), np.tile(row.high, rows))
 
     def action_space(self) -> spaces.Space[Any]:
-        """Return the action space."""
-        return self.action_kind.space()
+        """Return the action space; with choices of modules, it holds the configuration."""
+        space = self.action_kind.space()
+        if isinstance(space, spaces.MultiDiscrete):
+            return ModuleChoices(space.nvec, self)
+        return space
 
     # Only for tasks on a stream of parcels.
 
