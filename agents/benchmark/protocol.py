@@ -119,9 +119,9 @@ class TestCell:
             return _digest(_read_streams(begin_streams(config, count, self.seed)))
         env = SmartSurfaceVectorEnv(num_envs=count, **config.arguments())
         _, info = env.reset(seed=self.seed)
-        goals = env.batch.parcels.goal.copy()
+        goals = [env.batch.parcels.goal.copy(), env.batch.parcels.path.copy()]
         env.close()
-        return _digest([info[name] for name in ("pose", "velocity", "parcel")] + [goals])
+        return _digest([info[name] for name in ("pose", "velocity", "parcel")] + goals)
 
 
 def _read_streams(batch: StreamBatch) -> list[Any]:
@@ -130,7 +130,7 @@ def _read_streams(batch: StreamBatch) -> list[Any]:
     found = []
     for i in range(batch.num_envs):
         count = int(streams.arrivals[i])
-        found += [getattr(streams, name)[i, :count] for name in ("time", "body", "pose", "exit")]
+        found += [getattr(streams, name)[i, :count] for name in ("time", "start", "body", "exit")]
     return found
 
 
