@@ -55,12 +55,13 @@ _REFUSED = {
     ),
     **dict.fromkeys(("resource.prlimit", "resource.setrlimit"), "changed its limits"),
 }  # fmt: skip
+_PROGRAMS = ("os.exec", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen")
 _SIGNALS = ("os.kill", "os.killpg")
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _UNNAMED = getattr(os, "O_TMPFILE", 0)  # a file without a name, which leaves nothing
 _COMPILED = "__pycache__"
-# Modules of Python that start programs to look something up, and go on without.
-_CURIOUS = ("ctypes.util", "platform", "uuid")
+# Modules that start programs to look something up, and go on without.
+_CURIOUS = ("ctypes.util", "matplotlib.font_manager", "platform", "uuid")
 _DEPTH = 20  # frames of the stack in which they are looked for
 
 
@@ -105,24 +106,28 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
             report(reason)
         raise PermissionError(errno.EACCES, f"a policy must not do this: it {reason}")
 
+    def is_cache(place: str) -> bool:
+        return _COMPILED in place.split(os.sep) or any(_is_inside(place, x) for x in caches)
+
     def check_place(event: str, place: str) -> None:
         if place == os.devnull or _is_inside(place, folder) or place == ":memory:":
             return
         if event == "os.mkdir" and os.path.isdir(place):
             return  # the call raises FileExistsError
-        is_cache = _COMPILED in place.split(os.sep) or any(_is_inside(place, x) for x in caches)
-        refuse(f"wrote to {place}", not is_cache)
+        refuse(f"wrote to {place}", not is_cache(place))
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
         if event == "open":
             path, _, flags = arguments
             if isinstance(flags, int) and flags & _WRITING and not isinstance(path, int):
                 place = _find_place(path, -1, is_followed=True)
-                is_probe = _UNNAMED and flags & _UNNAMED == _UNNAMED and _COMPILED in place
-                if not is_probe:
+                # A folder itself cannot be written: Numba looks whether a file could be.
+                is_unnamed = _UNNAMED != 0 and flags & _UNNAMED == _UNNAMED
+                if not os.path.isdir(place) or (is_unnamed and not is_cache(place)):
                     check_place(event, place)
         elif event in refused:
-            refuse(refused[event], not (refused[event] == "started a process" and _is_curious()))
+            program = f": {arguments[0]}" if event in _PROGRAMS else ""
+            refuse(refused[event] + program, not (event in _PROGRAMS and _is_curious()))
         elif event in links or event in followed:
             for path, descriptor in links.get(event) or followed[event]:
                 inside = -1 if descriptor is None else arguments[descriptor]
@@ -153,7 +158,7 @@ def _is_inside(place: str, folder: str) -> bool:
 
 
 def _is_curious() -> bool:
-    """Return whether a module of Python that looks something up has made the call."""
+    """Return whether a module that only looks something up has made the call."""
     frame, depth = sys._getframe(), 0
     while frame.f_back is not None and depth < _DEPTH:
         frame, depth = frame.f_back, depth + 1

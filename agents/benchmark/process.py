@@ -129,8 +129,9 @@ class PolicyProcess:
     def __enter__(self) -> "PolicyProcess":
         """Start the process; the policy is not loaded yet."""
         try:
-            self._start()
+            watch = self._start()
             self._receive(time.monotonic() + START_TIME, START_TIME, "to start")
+            watch.allows_children = False
         except BaseException:
             self.close()
             raise
@@ -228,7 +229,7 @@ class PolicyProcess:
         self._token = (self._token or 0) + 1
         return found[0], self._token if answer["state"] else None
 
-    def _start(self) -> None:
+    def _start(self) -> ProcessWatch:
         """Start the process, and its watch."""
         if self._watch is not None:
             raise ValueError("a process must be started once, got a second time")
@@ -257,9 +258,11 @@ class PolicyProcess:
             )  # fmt: skip
         os.close(writing)
         self._process = process
-        self._watch = ProcessWatch(process, output, folder, memory, marker.encode())
-        self._open.callback(self._watch.finish)
-        self._watch.start()
+        watch = ProcessWatch(process, output, folder, memory, marker.encode())
+        self._open.callback(watch.finish)
+        watch.start()
+        self._watch = watch
+        return watch
 
     def _ask(self, frame: bytes, seconds: float, purpose: str) -> Message:
         """Send a request, and return the answer within a time [s]."""

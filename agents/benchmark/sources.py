@@ -9,6 +9,8 @@ import json
 import sys
 import zipfile
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +102,7 @@ class OnnxSource(PolicySource):
     """
 
     def __init__(self, file: Path) -> None:
-        import onnxruntime
-
+        onnxruntime: Any = import_module("onnxruntime")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         self._session = onnxruntime.InferenceSession(
@@ -188,5 +189,9 @@ def find_source(kind: str, path: str, name: str) -> PolicySource:
     """Read a source of a kind: "python", "package", "onnx" or "zip"."""
     if kind == "python":
         return PythonSource(Path(path), name)
-    kinds = {"package": PackageSource, "onnx": OnnxSource, "zip": ZipSource}
+    kinds: dict[str, Callable[[Path], PolicySource]] = {
+        "package": PackageSource,
+        "onnx": OnnxSource,
+        "zip": ZipSource,
+    }
     return kinds[kind](Path(path))

@@ -46,6 +46,7 @@ class ProcessWatch(threading.Thread):
     ) -> None:
         super().__init__(daemon=True)
         self.reason: str | None = None  # why it ended the process
+        self.allows_children = True  # whether other processes are allowed: until its code is loaded
         self._process, self._output, self._folder = process, output, folder
         self._memory, self._marker = memory, marker
         self._tail: deque[bytes] = deque()
@@ -101,8 +102,7 @@ class ProcessWatch(threading.Thread):
         """Return the limit that is exceeded, if there is one."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
-        others = self._find_others()
-        if others:
+        if self._find_others() and not self.allows_children:
             return "started a process"
         if read_memory(self._process.pid) > self._memory:
             return f"used more than {self._memory / 2**30:g} GiB of memory"
@@ -144,7 +144,7 @@ class ProcessWatch(threading.Thread):
 
 
 def find_children(process: int) -> set[int]:
-    """Return the children of a process, those that have ended and are not awaited too."""
+    """Return the children of a process, also ended ones that nobody has awaited."""
     found: set[int] = set()
     with suppress(OSError):
         for task in os.listdir(f"/proc/{process}/task"):
