@@ -14,6 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from surface_gym.registration import PERIODS
+
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
 from .entry import Entry, Row
@@ -128,8 +130,8 @@ class Board:
         form = "success rate" if _is_rate(task) else "correct deliveries per hour"
         zero, one = read_protocol()["references"].get(task, ("", ""))
         caption = (
-            f"{form.capitalize()} by cell. Score: interquartile mean, 0 is {zero}, 1 is {one}, with "
-            "the 95 % interval."
+            f"{form.capitalize()} by cell. Score: interquartile mean with its 95 % interval, where "
+            f"0 is {zero} and 1 is {one}."
         )
         header = (
             "entry", "kind", "by", "interactions", "seeds", *CELLS, "score", "time per decision",
@@ -159,8 +161,6 @@ def _mean(results: Numbers | None) -> float | None:
 
 
 def _is_rate(task: str) -> bool:
-    from surface_gym.registration import PERIODS
-
     return PERIODS[task] is not None
 
 

@@ -33,8 +33,10 @@ class BenchmarkConfig:
     """
     tasks: tuple[str, ...] = SINGLES
     """Tasks, four cells each."""
-    seeds: tuple[int, ...] = (0,)
-    """Training seeds of the policy; at least 5 for a policy that learned."""
+    seeds: tuple[int, ...] = ()
+    """Training seeds of the policy, at least 5 for a policy that learned; the default is 0, or all
+    seeds of a shipped agent.
+    """
     name: str = ""
     """Name on the board; the default is the policy's."""
     by: str = ""
@@ -61,8 +63,8 @@ class BenchmarkConfig:
     def __post_init__(self) -> None:
         for seed in self.seeds:
             checks.integer("seeds", seed, least=0)
-        if not self.seeds or not self.tasks:
-            raise ValueError("seeds and tasks must not be empty")
+        if not self.tasks:
+            raise ValueError("tasks must be at least one, got ()")
         parallel.check_workers(self.workers)
 
     @property
@@ -84,19 +86,12 @@ class TableConfig:
 def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     """Run a policy, and write its entry."""
     from ..evaluation.runner import show_progress
-    from .entry import (
-        Entry,
-        describe_machine,
-        digest_source,
-        make_jobs,
-        run_entry,
-        write_entry,
-    )
-    from .process import Limits
+    from .entry import Entry, describe_machine, digest_source, make_jobs, run_entry, write_entry
+    from .process import PolicyLimits
 
     chosen = {"actions": config.actions, "control_period": config.control_period}
     given = {name: value for name, value in chosen.items() if value is not None}
-    limits = Limits(memory=config.memory, seconds=config.seconds)
+    limits = PolicyLimits(memory=config.memory, seconds=config.seconds)
     jobs = make_jobs(config.policy, config.tasks, config.seeds, given, limits)
     entry = Entry(
         config.title, (), config.by, config.link, config.kind, config.interactions,

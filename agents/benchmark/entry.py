@@ -4,7 +4,8 @@ import hashlib
 import json
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,16 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.config import EnvConfig
 from surface_gym.files import DAMAGE, describe_damage, read_text, replacing
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.parallel import Workers, map_jobs, without_report
+from surface_gym.registration import PERIODS
 
+from .. import library
 from ..evaluation.stream_scenario import measure_stream, play_stream
 from ..rollout import run_episodes
-from .process import Limits, PolicyFailure, PolicyProcess
-from .protocol import EPISODES, TASKS, VERSION, WARM_UP, TestCell, test_cells
+from .process import PolicyFailure, PolicyLimits, PolicyProcess
+from .protocol import CELLS, EPISODES, TASKS, VERSION, WARM_UP, TestCell, test_cells
 
 SIZE = 2**24  # [bytes] maximum size of a file
 TEXT = 200  # maximum characters of a text in an entry
@@ -39,14 +41,14 @@ class Row:
     # (episodes,) 1 for a success and 0 for a failure; on streams, correct deliveries per hour
     scores: tuple[float, ...]
     times: tuple[float, ...]  # (episodes,) [s] duration of the episode
-    decision_time: float  # [s] median time of a decision for one environment
+    decision_time: float  # [s] mean time of a decision for one environment, with its process
     failure: str = ""  # reason; then there are no scores
 
     def __post_init__(self) -> None:
         TestCell(self.task, self.cell)
         checks.integer("seed", self.seed, least=0)
         checks.not_negative("decision_time", self.decision_time)
-        most = 1.0 if not _is_on_streams(self.task) else 1e6
+        most = 1e6 if PERIODS[self.task] is None else 1.0
         for name, limit in (("scores", most), ("times", 1e6)):
             values = tuple(checks.not_negative(name, each, limit) for each in getattr(self, name))
             object.__setattr__(self, name, values)
@@ -91,50 +93,79 @@ class Entry:
 KINDS = ("baseline", "rule", "planner", "agent")
 
 
-def _is_on_streams(task: str) -> bool:
-    return EnvConfig(task=task).task.is_stream
-
-
 @dataclass(frozen=True)
-class CellJob:
-    """A training seed of a policy in one cell."""
+class PolicyJob:
+    """A training seed of a policy in cells, one after the other."""
 
-    test: TestCell
-    source: str  # of `PolicyProcess`; "{seed}" stands for the seed
+    tests: tuple[TestCell, ...]
+    source: str  # of `PolicyProcess`
     seed: int
     given: tuple[tuple[str, Any], ...] = ()  # arguments of the environment from the command line
-    limits: Limits = Limits()
-    episodes: int = EPISODES
+    limits: PolicyLimits = field(default_factory=PolicyLimits)
 
-    def __call__(self) -> Row:
+    @property
+    def name(self) -> str:
+        """Name of the job for progress."""
+        return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
+
+    def __call__(self) -> list[Row]:
         """Run the policy in its own process; a failure of the policy is a result."""
-        test = self.test
-        kwargs: dict[str, Any] = {}
-        try:
-            with PolicyProcess(self.source, self.seed, self.limits) as policy:
-                kwargs = {**policy.env_kwargs(test.task), **dict(self.given)}
-                config = test.config(kwargs)
-                if test.compute_digest(config) != test.digest:
-                    raise PolicyFailure("changed the test starts by its arguments")
-                policy.begin(test.task, test.cell, kwargs, self.episodes)
-                scores, times = _play(test, config, policy, self.episodes)
-                seconds = policy.decision_time
-        except (PolicyFailure, ValueError) as error:
-            reason = " ".join(str(error).split())[:TEXT]
-            return Row(test.task, test.cell, self.seed, test.digest, kwargs, (), (), 0.0, reason)
+        rows = []
+        with ExitStack() as processes:
+            policy = None
+            for test in self.tests:
+                kwargs: dict[str, Any] = {}
+                try:
+                    if policy is None:
+                        policy = processes.enter_context(PolicyProcess(self.source, self.limits))
+                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].preset)
+                    kwargs |= dict(self.given)
+                    rows.append(self._run(policy, test, kwargs))
+                except PolicyFailure as error:
+                    policy = None  # its process has ended
+                    key = (test.task, test.cell, self.seed, test.digest, kwargs)
+                    rows.append(Row(*key, (), (), 0.0, str(error)[:TEXT]))
+        return rows
+
+    def _run(self, policy: PolicyProcess, test: TestCell, kwargs: dict[str, Any]) -> Row:
+        scores, times = play_cell(test, policy, self.seed, kwargs)
+        decisions = len(times) * max(times) / test.config(kwargs).control_period
+        seconds = float(f"{policy.decided / decisions:.2g}")
         return Row(test.task, test.cell, self.seed, test.digest, kwargs, scores, times, seconds)
 
 
 Values = tuple[float, ...]
 
 
-def _play(test: TestCell, config: EnvConfig, policy: Any, count: int) -> tuple[Values, Values]:
-    """Run the first episodes of a cell; return scores and durations [s]."""
+def play_cell(
+    test: TestCell,
+    policy: PolicyProcess,
+    seed: int,
+    kwargs: dict[str, Any],
+    count: int = EPISODES,
+) -> tuple[Values, Values]:
+    """Run the first episodes of a cell; return scores and durations [s].
+
+    Args:
+        seed: training seed.
+        kwargs: arguments of the environment that the policy chose.
+
+    Raises:
+        PolicyFailure: the policy failed.
+        ValueError: the package draws other starts than the protocol's, or an argument is not
+            allowed.
+    """
+    config = test.config(kwargs)
+    if (found := test.compute_digest(config)) != test.digest:
+        raise ValueError(
+            f"starts of {test.task}, {test.cell}, must have the digest {test.digest}, got {found}"
+        )
+    policy.begin(config.arguments(), seed)
     if config.task.is_stream:
         batch = play_stream(config, policy, count, seed=test.seed)
         assert batch is not None
-        found = measure_stream(batch, WARM_UP)
-        scores = [HOUR * row["correct"] / row["counted"] for row in found]
+        rows = measure_stream(batch, WARM_UP)
+        scores = [HOUR * row["correct"] / row["counted"] for row in rows]
         return _rounded(scores, 1), _rounded(batch.streams.clock, 2)
     starts: list[dict[str, Any]] = [{}] * count
     episodes = run_episodes(policy, config, starts, test.seed, test.periods(config))
@@ -146,37 +177,51 @@ def _rounded(values: Any, digits: int) -> Values:
 
 
 def run_entry(
-    entry: Entry, jobs: Sequence[CellJob], workers: Workers, advance: Callable[[int, int, str], None]
+    entry: Entry,
+    jobs: Sequence[PolicyJob],
+    workers: Workers,
+    advance: Callable[[int, int, str], None],
 ) -> Entry:
     """Run jobs, and return the entry with their rows after its own.
 
     Args:
         advance: called with finished jobs, all jobs, and the latest job.
     """
-    rows: dict[int, Row] = {}
-
-    def name(place: int) -> str:
-        test = jobs[place].test
-        return f"{test.task}, {test.cell}, seed {jobs[place].seed}"
-
+    found: dict[int, list[Row]] = {}
     work = [partial(without_report, job) for job in jobs]
-    for place, row in map_jobs(work, workers, name=name):
-        rows[place] = row
-        advance(len(rows), len(jobs), name(place) + (f": {row.failure}" if row.failure else ""))
-    own = {each.name: getattr(entry, each.name) for each in fields(entry)}
-    return Entry(**{**own, "rows": (*entry.rows, *(rows[place] for place in sorted(rows)))})
+    for place, rows in map_jobs(work, workers, name=lambda place: jobs[place].name):
+        found[place] = rows
+        advance(len(found), len(jobs), jobs[place].name)
+    more = tuple(row for place in sorted(found) for row in found[place])
+    return replace(entry, rows=entry.rows + more)
 
 
 def make_jobs(
-    source: str, tasks: Sequence[str], seeds: Sequence[int], given: dict[str, Any], limits: Limits
-) -> list[CellJob]:
-    """List the jobs of a policy: each cell of each task, for each training seed."""
-    chosen = tuple(given.items())
+    source: str,
+    tasks: Sequence[str],
+    seeds: Sequence[int],
+    given: dict[str, Any],
+    limits: PolicyLimits,
+) -> list[PolicyJob]:
+    """List the jobs of a policy: all cells of a task, for each training seed.
+
+    Args:
+        source: as for `PolicyProcess`; "{seed}" stands for the training seed.
+        seeds: empty: all seeds of a shipped agent, or 0.
+        given: arguments of the environment besides the policy's own.
+    """
+    chosen, is_shipped = tuple(given.items()), source in library.names()
+    if is_shipped:
+        seeds = seeds or library.seeds(source)
+        source = str(library.SHELF / source / "seed-{seed}")
     return [
-        CellJob(test, source.replace("{seed}", str(seed)), seed, chosen, limits)
-        for test in test_cells(tuple(checks.one_of("tasks", task, TASKS) for task in tasks))
-        for seed in seeds
-    ]
+        PolicyJob(
+            tuple(test_cells((checks.one_of("tasks", task, TASKS),))),
+            source.replace("{seed}", str(seed)), seed, chosen, limits,
+        )
+        for task in tasks
+        for seed in seeds or (0,)
+    ]  # fmt: skip
 
 
 def digest_source(sources: Sequence[str]) -> str:

@@ -229,6 +229,11 @@ class PolicyProcess:
         self._token = (self._token or 0) + 1
         return found[0], self._token if answer["state"] else None
 
+    @property
+    def decided(self) -> float:
+        """[s] time of all decisions since `begin`."""
+        return self.limits.seconds - self._left
+
     def _start(self) -> ProcessWatch:
         """Start the process, and its watch."""
         if self._watch is not None:

@@ -24,6 +24,7 @@ from surface_gym.randomisation import Actuators
 from surface_gym.registration import SHIPPED
 
 from ..scheduling.scheduler import begin_streams
+from .process import ENV_KWARGS
 
 VERSION = 1
 FILE = Path(__file__).parent / f"protocol-{VERSION}.json"
@@ -31,11 +32,6 @@ EPISODES = 128  # per cell and training seed
 SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
 BUDGETS = (1_000_000, 10_000_000)  # control periods of training
-# Arguments of an environment that a policy may choose; all others are the protocol's.
-CHOSEN = (
-    "actions", "control_period", "orientations", "observe", "observe_axes", "max_parcels", "gate",
-    "queue",
-)  # fmt: skip
 TASKS = tuple(SHIPPED)
 
 
@@ -96,13 +92,13 @@ class TestCell:
         """Return the configuration of the cell's environment.
 
         Args:
-            chosen: arguments that the policy chooses; see `CHOSEN`.
+            chosen: arguments that the policy chooses; see `ENV_KWARGS`.
 
         Raises:
             ValueError: the policy must not choose such an argument, or not this value.
         """
         for name in chosen:
-            checks.one_of("env_kwargs", name, CHOSEN)
+            checks.one_of("env_kwargs", name, ENV_KWARGS)
         try:
             return EnvConfig(task=self.task, preset=CELLS[self.cell].make_preset(), **chosen)
         except TypeError as error:
