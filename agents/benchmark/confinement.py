@@ -18,7 +18,7 @@ OPEN_FILES = 256
 PARENT_DEATH = 1  # option of prctl: a signal at the parent's end
 KILL = 9
 
-# Where the paths and the descriptors of their folders stand among an event's arguments.
+# Indices of paths, and of their folders' descriptors, in an event's arguments.
 _LINKS = {
     "os.link": ((0, 2), (1, 3)),
     "os.mkdir": ((0, 2),),
@@ -27,7 +27,7 @@ _LINKS = {
     "os.rmdir": ((0, 1),),
     "os.symlink": ((1, 2),),
 }
-# Of these events, the last part of a path may be a link, which the system follows.
+# The same for events that follow a link at the end of a path.
 _FOLLOWED = {
     "os.chflags": ((0, None),),
     "os.chmod": ((0, 2),),

@@ -45,7 +45,7 @@ ENV_KWARGS = (
     "actions", "control_period", "orientations", "observe", "observe_axes",
     "gate", "max_parcels", "queue",  # of streams
 )  # fmt: skip
-# Environment variables that the process gets, besides those of Numba.
+# Environment variables that the process gets, besides Numba's.
 PASSED = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "TZ")
 MARKER = "SURFACE_GYM_POLICY"  # environment variable that marks a policy's processes
 ONE_THREAD = ("OMP", "OPENBLAS", "MKL", "VECLIB", "NUMEXPR", "NUMBA")
@@ -127,7 +127,10 @@ class PolicyProcess:
         self._token: int | None = None  # in place of the policy's last state
 
     def __enter__(self) -> "PolicyProcess":
-        """Start the process; the policy is not loaded yet."""
+        """Start the process; the policy is not loaded yet.
+
+        On Linux, the process ends with the thread that starts it.
+        """
         try:
             watch = self._start()
             self._receive(time.monotonic() + START_TIME, START_TIME, "to start")

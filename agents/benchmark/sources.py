@@ -1,4 +1,4 @@
-"""Where a policy comes from: a file of Python, a policy of this package, ONNX, or a zip file.
+"""Sources of a policy: a file of Python, a policy of this package, ONNX, or a zip file.
 
 The policy's own process reads them: a file of Python is executed, and a zip file of
 Stable-Baselines3 may execute code as it is read.
