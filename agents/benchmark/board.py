@@ -18,7 +18,7 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
-from .entry import Entry, Row
+from .entry import BenchmarkEntry, Row
 from .protocol import CELLS, TASKS, read_protocol
 
 RESAMPLES = 2000
@@ -74,11 +74,11 @@ def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
 class Board:
     """Results of entries by task and cell."""
 
-    def __init__(self, entries: Sequence[Entry]) -> None:
+    def __init__(self, entries: Sequence[BenchmarkEntry]) -> None:
         self.entries = tuple(entries)
         self._by_name = {each.name: each for each in entries}
 
-    def results(self, entry: Entry, task: str, cell: str) -> Numbers | None:
+    def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
         """Return results (seeds, episodes) in a cell; None if there are none, or a failure."""
         rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
         if not rows or any(row.failure for row in rows):
@@ -101,14 +101,14 @@ class Board:
                     found[task, cell] = (means[0], means[1])
         return found
 
-    def normalised(self, entry: Entry, task: str, cell: str) -> Numbers | None:
+    def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
         """Return normalised results (seeds, episodes); None without results or references."""
         results, limits = self.results(entry, task, cell), self.references.get((task, cell))
         if results is None or limits is None:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
-    def score(self, entry: Entry, tasks: Sequence[str]) -> Score:
+    def score(self, entry: BenchmarkEntry, tasks: Sequence[str]) -> Score:
         """Return the score over all cells of tasks; NaN if one is missing."""
         cells = [self.normalised(entry, task, cell) for task in tasks for cell in CELLS]
         whole = [each for each in cells if each is not None]
@@ -139,7 +139,7 @@ class Board:
         )  # fmt: skip
         return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
 
-    def _line(self, entry: Entry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
+    def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
         digits = ".3f" if _is_rate(rows[0].task) else ".0f"
         means = []
         for cell in CELLS:

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 from surface_gym import checks, parallel
 from surface_gym.cli import parse_options
 from surface_gym.executors import WorkError, describe_error
+from surface_gym.registration import PERIODS
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 TABLE = "table"  # first argument of the second form
 RESULTS = Path("benchmarks/results")
-SINGLES = ("sort", "slow", "stop", "track", "orient")
+SINGLES = tuple(name for name, periods in PERIODS.items() if periods is not None)
 INTERRUPTED = 130  # exit code after Ctrl-C
 
 
@@ -86,14 +87,21 @@ class TableConfig:
 def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     """Run a policy, and write its entry."""
     from ..evaluation.runner import show_progress
-    from .entry import Entry, describe_machine, digest_source, make_jobs, run_entry, write_entry
+    from .entry import (
+        BenchmarkEntry,
+        describe_machine,
+        digest_source,
+        make_jobs,
+        run_entry,
+        write_entry,
+    )
     from .process import PolicyLimits
 
     chosen = {"actions": config.actions, "control_period": config.control_period}
     given = {name: value for name, value in chosen.items() if value is not None}
     limits = PolicyLimits(memory=config.memory, seconds=config.seconds)
     jobs = make_jobs(config.policy, config.tasks, config.seeds, given, limits)
-    entry = Entry(
+    entry = BenchmarkEntry(
         config.title, (), config.by, config.link, config.kind, config.interactions,
         Path(config.policy).name, digest_source([job.source for job in jobs]),
         machine=describe_machine(),

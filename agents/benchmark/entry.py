@@ -23,7 +23,7 @@ from .. import library
 from ..evaluation.stream_scenario import measure_stream, play_stream
 from ..rollout import run_episodes
 from .process import PolicyFailure, PolicyLimits, PolicyProcess
-from .protocol import CELLS, EPISODES, TASKS, VERSION, WARM_UP, TestCell, test_cells
+from .protocol import CELLS, EPISODES, TASKS, VERSION, WARM_UP, TestCell, list_cells
 
 SIZE = 2**24  # [bytes] maximum size of a file
 TEXT = 200  # maximum characters of a text in an entry
@@ -60,7 +60,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Entry:
+class BenchmarkEntry:
     """An entry of the benchmark: who, how, and the results of each episode."""
 
     name: str  # unique on the board
@@ -177,11 +177,11 @@ def _rounded(values: Any, digits: int) -> Values:
 
 
 def run_entry(
-    entry: Entry,
+    entry: BenchmarkEntry,
     jobs: Sequence[PolicyJob],
     workers: Workers,
     advance: Callable[[int, int, str], None],
-) -> Entry:
+) -> BenchmarkEntry:
     """Run jobs, and return the entry with their rows after its own.
 
     Args:
@@ -216,7 +216,7 @@ def make_jobs(
         source = str(library.SHELF / source / "seed-{seed}")
     return [
         PolicyJob(
-            tuple(test_cells((checks.one_of("tasks", task, TASKS),))),
+            tuple(list_cells((checks.one_of("tasks", task, TASKS),))),
             source.replace("{seed}", str(seed)), seed, chosen, limits,
         )
         for task in tasks
@@ -247,7 +247,7 @@ def describe_machine() -> str:
     return f"{platform.machine()} {platform.system()}"
 
 
-def write_entry(entry: Entry, file: Path) -> None:
+def write_entry(entry: BenchmarkEntry, file: Path) -> None:
     """Write an entry as JSON, with one line per row."""
     head = {name: value for name, value in asdict(entry).items() if name != "rows"}
     lines = [json.dumps(asdict(row), separators=(",", ":")) for row in entry.rows]
@@ -256,7 +256,7 @@ def write_entry(entry: Entry, file: Path) -> None:
         part.write_text(text)
 
 
-def read_entry(file: Path) -> Entry:
+def read_entry(file: Path) -> BenchmarkEntry:
     """Read an entry.
 
     Raises:
@@ -266,14 +266,14 @@ def read_entry(file: Path) -> Entry:
         found = json.loads(read_text(file, SIZE))
         for row in found["rows"]:
             row["scores"], row["times"] = tuple(row["scores"]), tuple(row["times"])
-        return Entry(**{**found, "rows": tuple(Row(**row) for row in found["rows"])})
+        return BenchmarkEntry(**{**found, "rows": tuple(Row(**row) for row in found["rows"])})
     except FileNotFoundError:
         raise ValueError(f"{file} does not exist") from None
     except DAMAGE as error:
         raise ValueError(f"{file} holds no entry: {describe_damage(error)}") from None
 
 
-def read_entries(folder: Path) -> list[Entry]:
+def read_entries(folder: Path) -> list[BenchmarkEntry]:
     """Read all entries of a folder, in order of their names.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The benchmark's protocol: cells of test starts that no agent trains on, told apart by digests.
+"""The benchmark's protocol: cells of test starts, and digests that identify them.
 
 A task has four cells of 128 episodes each. In the first three, sensors are exact and the axes turn
 ever more slowly; agents may be trained on any of them. The fourth is the lab, which agents must
@@ -138,7 +138,7 @@ def _digest(arrays: list[Any]) -> str:
     return made.hexdigest()[:16]
 
 
-def test_cells(tasks: tuple[str, ...]) -> list[TestCell]:
+def list_cells(tasks: tuple[str, ...]) -> list[TestCell]:
     """List the cells of tasks."""
     return [TestCell(task, cell) for task in tasks for cell in CELLS]
 
@@ -156,7 +156,7 @@ def write_protocol(references: dict[str, tuple[str, str]]) -> None:
     Args:
         references: by task, the names of the entries that score 0 and 1.
     """
-    cells = test_cells(TASKS)
+    cells = list_cells(TASKS)
     digests = {each.task: dict[str, str]() for each in cells}
     for each in cells:
         digests[each.task][each.cell] = each.compute_digest(each.config({}))

@@ -8,13 +8,15 @@ import pytest
 from scipy import stats
 
 from surface_gym.agents.benchmark.board import Board, compute_iqm, make_page, score_cells
-from surface_gym.agents.benchmark.entry import Entry, Row
+from surface_gym.agents.benchmark.entry import BenchmarkEntry, Row
 from surface_gym.agents.benchmark.protocol import CELLS, EPISODES, TestCell, read_protocol
 
 ZERO, ONE = read_protocol()["references"]["sort"]
 
 
-def entry(name: str, shares: float | dict[str, float], seeds: int = 1, failed: str = "") -> Entry:
+def entry(
+    name: str, shares: float | dict[str, float], seeds: int = 1, failed: str = ""
+) -> BenchmarkEntry:
     """Make an entry whose share of successes in each cell is given."""
     rows = []
     for cell in CELLS:
@@ -26,7 +28,7 @@ def entry(name: str, shares: float | dict[str, float], seeds: int = 1, failed: s
             )
     if failed:
         rows[-1] = replace(rows[-1], scores=(), times=(), failure=failed)
-    return Entry(name, tuple(rows))
+    return BenchmarkEntry(name, tuple(rows))
 
 
 def test_references_score_zero_and_one_and_others_between() -> None:

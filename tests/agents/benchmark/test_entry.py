@@ -9,7 +9,7 @@ import pytest
 
 from surface_gym.agents import library
 from surface_gym.agents.benchmark.entry import (
-    Entry,
+    BenchmarkEntry,
     Row,
     digest_source,
     make_jobs,
@@ -26,7 +26,7 @@ TEST = TestCell("sort", "0 ms")
 SCORES = tuple(float(k % 2) for k in range(EPISODES))
 ROW = Row("sort", "0 ms", 0, TEST.digest, {"actions": "halves"}, SCORES, SCORES, 1e-5)
 FAILED = Row("sort", "lab", 0, TEST.digest, {}, (), (), 0.0, "took more than 60 s to decide")
-ENTRY = Entry("mine", (ROW, FAILED), by="me", interactions=1_000_000, source="own.py:Mine")
+ENTRY = BenchmarkEntry("mine", (ROW, FAILED), by="me", interactions=1_000_000, source="own.py:Mine")
 
 
 def test_a_file_holds_everything_and_a_line_per_row(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_a_file_holds_everything_and_a_line_per_row(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"protocol": 2}, "protocol must be one of 1, got 2"),
-        ({"kind": "magic"}, "kind must be one of baseline, .* got 'magic'"),
+        ({"kind": "magic"}, "kind must be one of 'baseline', .* got 'magic'"),
         ({"name": ""}, "name must not be empty"),
         ({"by": "x" * 300}, "by must be a text of at most 200"),
         ({"rows": [7]}, "holds no entry"),
@@ -63,7 +63,7 @@ def test_a_file_with_something_else_is_refused(tmp_path: Path, change: dict, mes
         ({"scores": (2.0,) * EPISODES}, "scores must be .* got 2.0"),
         ({"times": (float("nan"),) * EPISODES}, "times must be .* got nan"),
         ({"scores": ()}, "or none with a failure"),
-        ({"cell": "50 ms"}, "cell must be one of 0 ms"),
+        ({"cell": "50 ms"}, "cell must be one of '0 ms'"),
     ],
 )
 def test_a_row_with_other_numbers_is_refused(change: dict, message: str) -> None:
