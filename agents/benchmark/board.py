@@ -66,9 +66,9 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
     """Draw seeds, then the same episodes for all of them, since episodes are paired."""
     seeds, episodes = results.shape
-    rows = generator.integers(seeds, size=seeds)
-    columns = generator.integers(episodes, size=episodes)
-    return results[rows[:, np.newaxis], columns]
+    rows = generator.integers(seeds, size=(seeds,))
+    columns = generator.integers(episodes, size=(episodes,))
+    return results[np.ix_(rows, columns)]
 
 
 class Board:
