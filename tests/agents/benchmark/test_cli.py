@@ -18,7 +18,7 @@ def test_a_policy_that_fails_leaves_an_entry_with_the_reason(tmp_path: Path, cap
     file = tmp_path / "own.py"
     file.write_text(BROKEN)
     arguments = ["--policy", f"{file}:Policy", "--tasks", "sort", "--out", str(tmp_path)]
-    with pytest.raises(SystemExit, match="error: policy must run, got .*'zone'"):
+    with pytest.raises(SystemExit, match=r"error: policy must run, got .*'zone'"):
         main([*arguments, "--name", "My Own", "--by", "me", "--workers", "1"])
     entry = read_entry(tmp_path / "my-own.json")
     assert (entry.name, entry.by, entry.source) == ("My Own", "me", "own.py:Policy")
