@@ -25,6 +25,10 @@ RESAMPLES = 2000
 CONFIDENCE = 0.95
 TRIMMED = 0.25  # [-] share cut off at both ends for the interquartile mean
 SEED = 1
+TITLE = """# The board
+
+Results of all entries of [the benchmark](benchmark.md), best first. Made by `surface-gym benchmark table` from
+the entries' files in `benchmarks/results/`."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,6 @@ def _is_rate(task: str) -> bool:
 
 
 def make_page(board: Board) -> str:
-    """Return the tables of all tasks as Markdown."""
+    """Return the tables of all tasks as a page in Markdown."""
     tables = [found for task in TASKS if (found := board.table(task)) is not None]
-    return "\n\n".join(each.markdown() for each in tables) + "\n"
+    return "\n\n".join([TITLE, *(each.markdown().strip() for each in tables)]) + "\n"

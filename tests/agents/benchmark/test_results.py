@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surface_gym.agents.benchmark.board import Board
+from surface_gym.agents.benchmark.board import Board, make_page
 from surface_gym.agents.benchmark.entry import make_jobs, play_cell, read_entries
 from surface_gym.agents.benchmark.process import PolicyLimits, PolicyProcess
 from surface_gym.agents.benchmark.protocol import CELLS, TestCell, read_protocol
@@ -24,6 +24,11 @@ def test_references_are_there_and_results_are_small() -> None:
         assert set(references[task]) <= set(ENTRIES)
         assert [cell for cell in CELLS if (task, cell) not in found] == []
     assert sum(file.stat().st_size for file in RESULTS.glob("*.json")) <= 1_000_000
+
+
+def test_the_board_of_the_documentation_shows_them() -> None:
+    board = Board(read_entries(RESULTS))
+    assert (ROOT / "docs/board.md").read_text() == make_page(board)
 
 
 @pytest.mark.parametrize("name", ENTRIES)
