@@ -38,18 +38,20 @@ class Episodes:
 
 
 def run_episodes(
-    controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int
-) -> Episodes:
+    controller: Controller, config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int,
+    periods: int | None = None,
+) -> Episodes:  # fmt: skip
     """Run a controller from every start, each in an environment of one batch.
 
     Args:
         starts: reset options of each start; other values are drawn at random.
         seed: environment i is seeded by `seed` + i.
+        periods: maximum control periods of an episode; None: the task's.
     """
     count = len(starts)
     env = SmartSurfaceVectorEnv(
         num_envs=count,
-        max_episode_steps=config.task.periods,
+        max_episode_steps=config.task.periods if periods is None else periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
         **config.arguments(),
     )

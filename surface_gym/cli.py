@@ -34,6 +34,7 @@ class Command:
 COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
+    "benchmark": Command("enter a policy into the benchmark", AGENTS + "benchmark.cli"),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),

@@ -205,7 +205,7 @@ def counted_time(duration: float, rate: float, warm_up: float) -> float:
 
 def play_stream(
     config: EnvConfig, controller: Controller, count: int, warm_up: float = 0.0,
-    least_correct: float = 0.0,
+    least_correct: float = 0.0, seed: int = SEED,
 ) -> StreamBatch | None:  # fmt: skip
     """Run replications of a stream to the end.
 
@@ -213,7 +213,7 @@ def play_stream(
         least_correct: [-] required share of correct deliveries; returns None once it is out of
             reach, or after a jam.
     """
-    batch = begin_streams(config, count, SEED)
+    batch = begin_streams(config, count, seed)
     if isinstance(controller, RecedingHorizon):
         controller.watch(batch)
     begin = config.stream_task.duration - _counted(config, warm_up)

@@ -1,0 +1,1 @@
+"""The benchmark of policies: a policy in a process of its own, with bounded time and memory."""

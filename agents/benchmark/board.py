@@ -1,0 +1,174 @@
+"""The board: scores of all entries, as a table and as a plot.
+
+A score of an episode is linear in its result: 0 for the mean of the task's fixed layout, 1 for the
+mean of the best policy known when the protocol was made, both in the same cell. Entries are ranked
+by the interquartile mean (IQM) of the scores of training seeds in cells, with a 95 % interval by a
+stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from surface_gym.registration import PERIODS
+
+from ..base import Numbers
+from ..evaluation.tables import NOTHING, Table, number
+from .entry import BenchmarkEntry, Row
+from .protocol import CELLS, TASKS, read_protocol
+
+RESAMPLES = 2000
+CONFIDENCE = 0.95
+TRIMMED = 0.25  # [-] share cut off at both ends for the interquartile mean
+SEED = 1
+TITLE = """# The board
+
+Results of all entries of [the benchmark](benchmark.md), best first. Made by `surface-gym benchmark table` from
+the entries' files in `benchmarks/results/`."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """A score with its interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        if math.isnan(self.value):
+            return NOTHING
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+
+def compute_iqm(scores: Numbers) -> float:
+    """Compute the interquartile mean of scores (...)."""
+    return float(stats.trim_mean(scores.ravel(), TRIMMED))
+
+
+def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
+    """Compute the IQM over seeds and cells, and its interval.
+
+    Args:
+        cells: of each cell, the normalised results (seeds, episodes).
+    """
+    means = np.concatenate([each.mean(axis=1) for each in cells])
+    generator, drawn = np.random.default_rng(SEED), np.empty(resamples)
+    for k in range(resamples):
+        drawn[k] = compute_iqm(
+            np.concatenate([_resample(each, generator).mean(axis=1) for each in cells])
+        )
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(drawn, (tail, 100.0 - tail))
+    return Score(compute_iqm(means), float(low), float(high))
+
+
+def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
+    """Draw seeds, then the same episodes for all of them, since episodes are paired."""
+    seeds, episodes = results.shape
+    rows = generator.integers(seeds, size=(seeds,))
+    columns = generator.integers(episodes, size=(episodes,))
+    return results[np.ix_(rows, columns)]
+
+
+class Board:
+    """Results of entries by task and cell."""
+
+    def __init__(self, entries: Sequence[BenchmarkEntry]) -> None:
+        self.entries = tuple(entries)
+        self._by_name = {each.name: each for each in entries}
+
+    def results(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
+        """Return results (seeds, episodes) in a cell; None if there are none, or a failure."""
+        rows = [row for row in entry.rows if (row.task, row.cell) == (task, cell)]
+        if not rows or any(row.failure for row in rows):
+            return None
+        return np.array([row.scores for row in rows])
+
+    @cached_property
+    def references(self) -> dict[tuple[str, str], tuple[float, float]]:
+        """Mean results of the two reference policies by task and cell, where they differ."""
+        found = {}
+        for task, names in read_protocol()["references"].items():
+            for cell in CELLS:
+                both = [
+                    self.results(self._by_name[name], task, cell)
+                    for name in names
+                    if name in self._by_name
+                ]
+                means = [float(each.mean()) for each in both if each is not None]
+                if len(means) == 2 and means[1] > means[0]:
+                    found[task, cell] = (means[0], means[1])
+        return found
+
+    def normalised(self, entry: BenchmarkEntry, task: str, cell: str) -> Numbers | None:
+        """Return normalised results (seeds, episodes); None without results or references."""
+        results, limits = self.results(entry, task, cell), self.references.get((task, cell))
+        if results is None or limits is None:
+            return None
+        return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
+
+    def score(self, entry: BenchmarkEntry, tasks: Sequence[str]) -> Score:
+        """Return the score over all cells of tasks; NaN if one is missing."""
+        cells = [self.normalised(entry, task, cell) for task in tasks for cell in CELLS]
+        whole = [each for each in cells if each is not None]
+        if not whole or len(whole) < len(cells):
+            return Score(math.nan, math.nan, math.nan)
+        return score_cells(whole)
+
+    def table(self, task: str) -> Table | None:
+        """Return the table of a task, best entry first; None without entries."""
+        ranked = []
+        for entry in self.entries:
+            rows = [row for row in entry.rows if row.task == task]
+            if rows:
+                score = self.score(entry, (task,))
+                place = -math.inf if math.isnan(score.value) else score.value
+                ranked.append((-place, entry.name, self._line(entry, rows, score)))
+        if not ranked:
+            return None
+        form = "success rate" if _is_rate(task) else "correct deliveries per hour"
+        zero, one = read_protocol()["references"].get(task, ("", ""))
+        caption = (
+            f"{form.capitalize()} by cell. Score: interquartile mean with its 95 % interval, where "
+            f"0 is {zero} and 1 is {one}."
+        )
+        header = (
+            "entry", "kind", "by", "interactions", "seeds", *CELLS, "score", "time per decision",
+            "source",
+        )  # fmt: skip
+        return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
+
+    def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
+        digits = ".3f" if _is_rate(rows[0].task) else ".0f"
+        means = []
+        for cell in CELLS:
+            results = self.results(entry, rows[0].task, cell)
+            failed = any(row.failure for row in rows if row.cell == cell)
+            means.append("failed" if failed else number(_mean(results), digits))
+        name = f"[{entry.name}]({entry.link})" if entry.link else entry.name
+        times = [row.decision_time for row in rows if not row.failure]
+        return (
+            name, entry.kind, entry.by or NOTHING, f"{entry.interactions:,}".replace(",", " "),
+            str(len({row.seed for row in rows})), *means, str(score),
+            number(1e6 * float(np.median(times)) if times else None, ".0f", " us"),
+            f"`{entry.source}`",
+        )  # fmt: skip
+
+
+def _mean(results: Numbers | None) -> float | None:
+    return None if results is None else float(results.mean())
+
+
+def _is_rate(task: str) -> bool:
+    return PERIODS[task] is not None
+
+
+def make_page(board: Board) -> str:
+    """Return the tables of all tasks as a page in Markdown."""
+    tables = [found for task in TASKS if (found := board.table(task)) is not None]
+    return "\n\n".join([TITLE, *(each.markdown().strip() for each in tables)]) + "\n"

@@ -1,0 +1,151 @@
+"""`surface-gym benchmark`: run a policy on the benchmark, or make the board of all entries."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from surface_gym import checks, parallel
+from surface_gym.cli import parse_options
+from surface_gym.executors import WorkError, describe_error
+from surface_gym.registration import PERIODS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+TABLE = "table"  # first argument of the second form
+RESULTS = Path("benchmarks/results")
+SINGLES = tuple(name for name, periods in PERIODS.items() if periods is not None)
+INTERRUPTED = 130  # exit code after Ctrl-C
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig:
+    """Run a policy on the test episodes of the benchmark, and write an entry.
+
+    Policies run in processes of their own with bounded time and memory. `surface-gym benchmark
+    table` makes the board of all entries.
+    """
+
+    policy: str
+    """FILE.py:Class, the folder of a policy, a shipped agent, a model.onnx, or a model.zip of
+    Stable-Baselines3. "{seed}" stands for the training seed.
+    """
+    tasks: tuple[str, ...] = SINGLES
+    """Tasks, four cells each."""
+    seeds: tuple[int, ...] = ()
+    """Training seeds of the policy, at least 5 for a policy that learned; the default is 0, or all
+    seeds of a shipped agent.
+    """
+    name: str = ""
+    """Name on the board; the default is the policy's."""
+    by: str = ""
+    """Your name."""
+    link: str = ""
+    """Link to code or a publication."""
+    kind: str = "agent"
+    """"agent", "rule", "planner" or "baseline"."""
+    interactions: int = 0
+    """Control periods of training per seed: at most 1 000 000, or at most 10 000 000."""
+    actions: str | None = None
+    """Kind of action, for a model.zip."""
+    control_period: float | None = None
+    """[s] between decisions, for a model.zip."""
+    out: Path = RESULTS
+    """Folder of entries."""
+    seconds: float = 60.0
+    """[s] maximum time of a policy in one cell, without the simulation."""
+    memory: float = 4.0
+    """[GiB] maximum memory of a policy."""
+    workers: int = parallel.usable_cores()
+    """Number of processes; results do not depend on it."""
+
+    def __post_init__(self) -> None:
+        for seed in self.seeds:
+            checks.integer("seeds", seed, least=0)
+        if not self.tasks:
+            raise ValueError("tasks must be at least one, got ()")
+        parallel.check_workers(self.workers)
+
+    @property
+    def title(self) -> str:
+        """The entry's name."""
+        return self.name or Path(self.policy).stem.replace(":", " ")
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """Make the board of all entries."""
+
+    results: Path = RESULTS
+    """Folder of entries."""
+    out: Path | None = None
+    """Markdown file to write; the default prints the board."""
+
+
+def benchmark(config: BenchmarkConfig, console: "Console") -> None:
+    """Run a policy, and write its entry."""
+    from ..evaluation.runner import show_progress
+    from .entry import (
+        BenchmarkEntry,
+        describe_machine,
+        digest_source,
+        make_jobs,
+        run_entry,
+        write_entry,
+    )
+    from .process import PolicyLimits
+
+    chosen = {"actions": config.actions, "control_period": config.control_period}
+    given = {name: value for name, value in chosen.items() if value is not None}
+    limits = PolicyLimits(memory=config.memory, seconds=config.seconds)
+    jobs = make_jobs(config.policy, config.tasks, config.seeds, given, limits)
+    entry = BenchmarkEntry(
+        config.title, (), config.by, config.link, config.kind, config.interactions,
+        Path(config.policy).name, digest_source([job.source for job in jobs]),
+        machine=describe_machine(),
+    )  # fmt: skip
+    with show_progress(console, "benchmark", len(jobs)) as advance:
+        entry = run_entry(entry, jobs, config.workers, advance)
+    file = config.out / f"{config.title.lower().replace(' ', '-').replace('/', '-')}.json"
+    write_entry(entry, file)
+    failed = [row for row in entry.rows if row.failure]
+    for row in failed:
+        console.print(f"{row.task}, {row.cell}, seed {row.seed} failed: {row.failure}")
+    console.print(f"the entry is in {file}; surface-gym benchmark table shows the board")
+    if len(failed) == len(entry.rows):
+        raise ValueError(f"policy must run, got {config.policy}: {failed[0].failure}")
+
+
+def show_board(config: TableConfig, console: "Console") -> None:
+    """Print or write the board."""
+    from .board import Board, make_page
+    from .entry import read_entries
+
+    entries = read_entries(config.results)
+    if not entries:
+        raise ValueError(f"results must be a folder with entries, got {config.results}")
+    page = make_page(Board(entries))
+    if config.out is None:
+        print(page)
+        return
+    config.out.write_text(page)
+    console.print(f"the board of {len(entries)} entries is in {config.out}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; an error prints one line."""
+    from rich.console import Console
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if given[:1] == [TABLE]:
+            show_board(parse_options(TableConfig, "benchmark", given[1:]), Console())
+        else:
+            benchmark(parse_options(BenchmarkConfig, "benchmark", given), Console())
+    except (ValueError, WorkError) as error:
+        sys.exit(f"error: {describe_error(error)}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)

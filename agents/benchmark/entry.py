@@ -1,0 +1,287 @@
+"""Entries: results of one policy on the benchmark, by episode, and the file that holds them."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import surface_gym as sg
+from surface_gym import checks
+from surface_gym.files import DAMAGE, describe_damage, read_text, replacing
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.parallel import Workers, map_jobs, without_report
+from surface_gym.registration import PERIODS
+
+from .. import library
+from ..evaluation.stream_scenario import measure_stream, play_stream
+from ..rollout import run_episodes
+from .process import PolicyFailure, PolicyLimits, PolicyProcess
+from .protocol import CELLS, EPISODES, TASKS, VERSION, WARM_UP, TestCell, list_cells
+
+SIZE = 2**24  # [bytes] maximum size of a file
+TEXT = 200  # maximum characters of a text in an entry
+
+
+@dataclass(frozen=True)
+class Row:
+    """Results of one training seed of a policy in one cell."""
+
+    task: str
+    cell: str
+    seed: int  # of training; 0 for policies that do not learn
+    digest: str  # of the cell's starts
+    env_kwargs: dict[str, Any]  # chosen arguments of the environment
+    # (episodes,) 1 for a success and 0 for a failure; on streams, correct deliveries per hour
+    scores: tuple[float, ...]
+    times: tuple[float, ...]  # (episodes,) [s] duration of the episode
+    decision_time: float  # [s] mean time of a decision for one environment, with its process
+    failure: str = ""  # reason; then there are no scores
+
+    def __post_init__(self) -> None:
+        TestCell(self.task, self.cell)
+        checks.integer("seed", self.seed, least=0)
+        checks.not_negative("decision_time", self.decision_time)
+        most = 1e6 if PERIODS[self.task] is None else 1.0
+        for name, limit in (("scores", most), ("times", 1e6)):
+            values = tuple(checks.not_negative(name, each, limit) for each in getattr(self, name))
+            object.__setattr__(self, name, values)
+            if len(values) not in (0, EPISODES) or (not values) != bool(self.failure):
+                raise ValueError(
+                    f"{name} must have {EPISODES} numbers, or none with a failure, "
+                    f"got {len(values)}"
+                )
+
+
+@dataclass(frozen=True)
+class BenchmarkEntry:
+    """An entry of the benchmark: who, how, and the results of each episode."""
+
+    name: str  # unique on the board
+    rows: tuple[Row, ...]
+    by: str = ""  # author
+    link: str = ""  # to code or a publication
+    kind: str = "agent"  # "agent", "rule", "planner" or "baseline"
+    interactions: int = 0  # control periods of training per seed
+    source: str = ""  # name of the policy's file or folder
+    source_digest: str = ""  # of the policy's files
+    version: str = sg.__version__  # of the package
+    machine: str = ""  # processor
+    protocol: int = VERSION
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.type is str and (not isinstance(value, str) or len(value) > TEXT):
+                raise ValueError(f"{each.name} must be a text of at most {TEXT}, got {value!r:.60}")
+        if not self.name:
+            raise ValueError("name must not be empty")
+        checks.one_of("kind", self.kind, KINDS)
+        checks.one_of("protocol", self.protocol, (VERSION,))
+        checks.integer("interactions", self.interactions, least=0)
+        keys = [(row.task, row.cell, row.seed) for row in self.rows]
+        if len(set(keys)) < len(keys):
+            raise ValueError("rows must be one per task, cell and seed, got one twice")
+
+
+KINDS = ("baseline", "rule", "planner", "agent")
+
+
+@dataclass(frozen=True)
+class PolicyJob:
+    """A training seed of a policy in cells, one after the other."""
+
+    tests: tuple[TestCell, ...]
+    source: str  # of `PolicyProcess`
+    seed: int
+    given: tuple[tuple[str, Any], ...] = ()  # arguments of the environment from the command line
+    limits: PolicyLimits = field(default_factory=PolicyLimits)
+
+    @property
+    def name(self) -> str:
+        """Name of the job for progress."""
+        return f"{', '.join(dict.fromkeys(test.task for test in self.tests))}, seed {self.seed}"
+
+    def __call__(self) -> list[Row]:
+        """Run the policy in its own process; a failure of the policy is a result."""
+        rows = []
+        with ExitStack() as processes:
+            policy = None
+            for test in self.tests:
+                kwargs: dict[str, Any] = {}
+                try:
+                    if policy is None:
+                        policy = processes.enter_context(PolicyProcess(self.source, self.limits))
+                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].preset)
+                    kwargs |= dict(self.given)
+                    rows.append(self._run(policy, test, kwargs))
+                except PolicyFailure as error:
+                    policy = None  # its process has ended
+                    key = (test.task, test.cell, self.seed, test.digest, kwargs)
+                    rows.append(Row(*key, (), (), 0.0, str(error)[:TEXT]))
+        return rows
+
+    def _run(self, policy: PolicyProcess, test: TestCell, kwargs: dict[str, Any]) -> Row:
+        scores, times = play_cell(test, policy, self.seed, kwargs)
+        decisions = len(times) * max(times) / test.config(kwargs).control_period
+        seconds = float(f"{policy.decided / decisions:.2g}")
+        return Row(test.task, test.cell, self.seed, test.digest, kwargs, scores, times, seconds)
+
+
+Values = tuple[float, ...]
+
+
+def play_cell(
+    test: TestCell,
+    policy: PolicyProcess,
+    seed: int,
+    kwargs: dict[str, Any],
+    count: int = EPISODES,
+) -> tuple[Values, Values]:
+    """Run the first episodes of a cell; return scores and durations [s].
+
+    Args:
+        seed: training seed.
+        kwargs: arguments of the environment that the policy chose.
+
+    Raises:
+        PolicyFailure: the policy failed.
+        ValueError: the package draws other starts than the protocol's, or an argument is not
+            allowed.
+    """
+    config = test.config(kwargs)
+    if (found := test.compute_digest(config)) != test.digest:
+        raise ValueError(
+            f"starts of {test.task}, {test.cell}, must have the digest {test.digest}, got {found}"
+        )
+    policy.begin(config.arguments(), seed)
+    if config.task.is_stream:
+        batch = play_stream(config, policy, count, seed=test.seed)
+        assert batch is not None
+        rows = measure_stream(batch, WARM_UP)
+        scores = [HOUR * row["correct"] / row["counted"] for row in rows]
+        return _rounded(scores, 1), _rounded(batch.streams.clock, 2)
+    starts: list[dict[str, Any]] = [{}] * count
+    episodes = run_episodes(policy, config, starts, test.seed, test.periods(config))
+    return _rounded(episodes.success, 0), _rounded(episodes.time, 3)
+
+
+def _rounded(values: Any, digits: int) -> Values:
+    return tuple(np.round(np.asarray(values, dtype=np.float64), digits).tolist())
+
+
+def run_entry(
+    entry: BenchmarkEntry,
+    jobs: Sequence[PolicyJob],
+    workers: Workers,
+    advance: Callable[[int, int, str], None],
+) -> BenchmarkEntry:
+    """Run jobs, and return the entry with their rows after its own.
+
+    Args:
+        advance: called with finished jobs, all jobs, and the latest job.
+    """
+    found: dict[int, list[Row]] = {}
+    work = [partial(without_report, job) for job in jobs]
+    for place, rows in map_jobs(work, workers, name=lambda place: jobs[place].name):
+        found[place] = rows
+        advance(len(found), len(jobs), jobs[place].name)
+    more = tuple(row for place in sorted(found) for row in found[place])
+    return replace(entry, rows=entry.rows + more)
+
+
+def make_jobs(
+    source: str,
+    tasks: Sequence[str],
+    seeds: Sequence[int],
+    given: dict[str, Any],
+    limits: PolicyLimits,
+) -> list[PolicyJob]:
+    """List the jobs of a policy: all cells of a task, for each training seed.
+
+    Args:
+        source: as for `PolicyProcess`; "{seed}" stands for the training seed.
+        seeds: empty: all seeds of a shipped agent, or 0.
+        given: arguments of the environment besides the policy's own.
+    """
+    chosen, is_shipped = tuple(given.items()), source in library.names()
+    if is_shipped:
+        seeds = seeds or library.seeds(source)
+        source = str(library.SHELF / source / "seed-{seed}")
+    return [
+        PolicyJob(
+            tuple(list_cells((checks.one_of("tasks", task, TASKS),))),
+            source.replace("{seed}", str(seed)), seed, chosen, limits,
+        )
+        for task in tasks
+        for seed in seeds or (0,)
+    ]  # fmt: skip
+
+
+def digest_source(sources: Sequence[str]) -> str:
+    """Compute the digest of the files of a policy; "" for a name without a file."""
+    made, found = hashlib.sha256(), False
+    for source in dict.fromkeys(sources):
+        place = Path(source.rpartition(":")[0] or source)
+        files = sorted(place.rglob("*")) if place.is_dir() else [place]
+        for file in files:
+            if file.is_file():
+                made.update(file.name.encode() + file.read_bytes())
+                found = True
+    return made.hexdigest()[:16] if found else ""
+
+
+def describe_machine() -> str:
+    """Name the processor of this machine."""
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()[:TEXT]
+    return f"{platform.machine()} {platform.system()}"
+
+
+def write_entry(entry: BenchmarkEntry, file: Path) -> None:
+    """Write an entry as JSON, with one line per row."""
+    head = {name: value for name, value in asdict(entry).items() if name != "rows"}
+    lines = [json.dumps(asdict(row), separators=(",", ":")) for row in entry.rows]
+    text = json.dumps(head, indent=1)[:-2] + ',\n "rows": [\n' + ",\n".join(lines) + "\n]\n}\n"
+    with replacing(file) as part:
+        part.write_text(text)
+
+
+def read_entry(file: Path) -> BenchmarkEntry:
+    """Read an entry.
+
+    Raises:
+        ValueError: the file holds something else; the message names the file and the reason.
+    """
+    try:
+        found = json.loads(read_text(file, SIZE))
+        for row in found["rows"]:
+            row["scores"], row["times"] = tuple(row["scores"]), tuple(row["times"])
+        return BenchmarkEntry(**{**found, "rows": tuple(Row(**row) for row in found["rows"])})
+    except FileNotFoundError:
+        raise ValueError(f"{file} does not exist") from None
+    except DAMAGE as error:
+        raise ValueError(f"{file} holds no entry: {describe_damage(error)}") from None
+
+
+def read_entries(folder: Path) -> list[BenchmarkEntry]:
+    """Read all entries of a folder, in order of their names.
+
+    Raises:
+        ValueError: a file holds no entry, or two have the same name.
+    """
+    found = [read_entry(file) for file in sorted(folder.glob("*.json"))]
+    names = [each.name for each in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"name must be unique on the board, got {name!r} twice in {folder}")
+    return sorted(found, key=lambda each: (KINDS.index(each.kind), each.name))

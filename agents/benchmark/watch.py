@@ -1,0 +1,229 @@
+"""The watch of a policy's process: memory, other processes, output and files.
+
+Linux lists a process's children in /proc. Elsewhere only output and files are watched.
+"""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+PERIOD = 0.05  # [s] between looks at the processes
+DISK_PERIODS = 10  # periods between looks at the files
+MAX_OUTPUT = 2**24  # [bytes] printed
+MAX_DISK = 2**28  # [bytes] of all files
+BLOCK = 4096  # [bytes] least size of a file
+TAIL = 4096  # [bytes] of the output that are kept
+END_TIME = 10.0  # [s] for processes to end
+_SUBREAPER = 36  # option of prctl: orphans become children of this process
+
+
+class ProcessWatch(threading.Thread):
+    """A thread that watches a process and ends it, with all its children, if it exceeds a limit.
+
+    Args:
+        process: process that leads its own session.
+        output: descriptor of its output, which the thread closes.
+        folder: folder of its files.
+        memory: [bytes] of the process with its children.
+        marker: part of the process's environment variables, and of no other's.
+    """
+
+    def __init__(
+        self,
+        process: subprocess.Popen[bytes],
+        output: int,
+        folder: Path,
+        memory: int,
+        marker: bytes,
+    ) -> None:
+        super().__init__(daemon=True)
+        self.reason: str | None = None  # why it ended the process
+        self.allows_children = True  # whether other processes are allowed: until its code is loaded
+        self._process, self._output, self._folder = process, output, folder
+        self._memory, self._marker = memory, marker
+        self._tail: deque[bytes] = deque()
+        self._printed = 0
+        self._has_output = True
+        self._others: set[int] = set()  # found so far
+        self._is_done = threading.Event()
+        self._ending = threading.Lock()
+
+    def run(self) -> None:
+        """Watch until `finish`."""
+        due, looks = 0.0, 0
+        while not self._is_done.is_set():
+            self._read(PERIOD)
+            if time.monotonic() >= due and self.reason is None:
+                reason = self._find_excess(looks % DISK_PERIODS == 0)
+                if reason is not None:
+                    self.reason = reason
+                    self.end()
+                due, looks = time.monotonic() + PERIOD, looks + 1
+
+    def finish(self) -> None:
+        """End the process with all its children, and the thread."""
+        self.end()
+        self._is_done.set()
+        if self.is_alive():
+            self.join()
+        os.close(self._output)
+
+    def last_line(self, timeout: float = 0.5) -> str:
+        """Return the last line of the output of an ended process."""
+        deadline = time.monotonic() + timeout
+        while self._has_output and time.monotonic() < deadline:
+            time.sleep(0.01)
+        lines = b"".join(self._tail)[-TAIL:].decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else ""
+
+    def _read(self, timeout: float) -> None:
+        """Read some output, if there is any within a time [s]."""
+        if not self._has_output:
+            self._is_done.wait(timeout)
+            return
+        if not select.select([self._output], [], [], timeout)[0]:
+            return
+        chunk = os.read(self._output, 2**16)
+        self._has_output = bool(chunk)
+        self._printed += len(chunk)
+        self._tail.append(chunk)
+        while len(self._tail) > 1 and sum(map(len, self._tail)) - len(self._tail[0]) >= TAIL:
+            self._tail.popleft()
+
+    def _find_excess(self, with_files: bool) -> str | None:
+        """Return the limit that is exceeded, if there is one."""
+        if self._printed > MAX_OUTPUT:
+            return f"printed more than {MAX_OUTPUT >> 20} MiB"
+        if self._find_others() and not self.allows_children:
+            return "started a process"
+        if read_memory(self._process.pid) > self._memory:
+            return f"used more than {self._memory / 2**30:g} GiB of memory"
+        if with_files and measure_files(self._folder) > MAX_DISK:
+            return f"wrote more than {MAX_DISK >> 20} MiB of files"
+        return None
+
+    def _find_others(self) -> set[int]:
+        """Return the other processes that descend from the process, orphans too."""
+        own = self._process.pid
+        found = find_descendants(own) if self._process.returncode is None else set()
+        for each in find_children(os.getpid()) - {own}:
+            if (
+                each in self._others
+                or read_session(each) == own
+                or self._marker in read_environment(each)
+            ):
+                found |= {each} | find_descendants(each)
+        self._others |= found
+        return found
+
+    def end(self) -> None:
+        """End the process with all its children, and wait for them."""
+        deadline = time.monotonic() + END_TIME
+        with self._ending:
+            while time.monotonic() < deadline:
+                others = self._find_others()
+                for each in others:
+                    with suppress(ProcessLookupError, PermissionError):
+                        os.kill(each, signal.SIGKILL)
+                    with suppress(ChildProcessError):  # it is not an orphan yet
+                        os.waitpid(each, os.WNOHANG)
+                if self._process.poll() is None:
+                    with suppress(ProcessLookupError, PermissionError):
+                        os.killpg(self._process.pid, signal.SIGKILL)
+                elif not others:
+                    return
+                time.sleep(0.002)
+
+
+def find_children(process: int) -> set[int]:
+    """Return the children of a process, also ended ones that nobody has awaited."""
+    found: set[int] = set()
+    with suppress(OSError):
+        for task in os.listdir(f"/proc/{process}/task"):
+            with suppress(OSError):
+                found.update(map(int, _read(f"/proc/{process}/task/{task}/children").split()))
+    return found
+
+
+def find_descendants(process: int) -> set[int]:
+    """Return all children of a process, their children, and so on."""
+    found: set[int] = set()
+    waiting = [process]
+    while waiting:
+        new = find_children(waiting.pop()) - found
+        found |= new
+        waiting += new
+    return found
+
+
+def read_session(process: int) -> int:
+    """Return the session of a process; 0: there is no such process."""
+    try:
+        # The name before it may have spaces and brackets.
+        return int(_read(f"/proc/{process}/stat").rpartition(b")")[2].split()[3])
+    except (OSError, IndexError):
+        return 0
+
+
+def read_environment(process: int) -> bytes:
+    """Return the environment variables with which a process began."""
+    try:
+        return _read(f"/proc/{process}/environ")
+    except OSError:
+        return b""
+
+
+def read_memory(process: int) -> int:
+    """Return the resident memory [bytes] of a process; 0: there is no such process."""
+    try:
+        pages = int(_read(f"/proc/{process}/statm").split()[1])
+    except (OSError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def measure_files(folder: Path) -> int:
+    """Return the size [bytes] of all files and folders in a folder."""
+    total = 0
+    for place, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            with suppress(OSError):
+                total += max(BLOCK, os.lstat(os.path.join(place, name)).st_size)
+    return total
+
+
+def _read(file: str) -> bytes:
+    with open(file, "rb") as stream:
+        return stream.read()
+
+
+_adopting = threading.Lock()
+_adoptions = 0
+
+
+@contextmanager
+def adopting_orphans() -> Iterator[None]:
+    """Make this process the parent of its orphaned descendants, on Linux."""
+    _adopt(1)
+    try:
+        yield
+    finally:
+        _adopt(-1)
+
+
+def _adopt(change: int) -> None:
+    global _adoptions
+    with _adopting:
+        before, _adoptions = _adoptions, _adoptions + change
+        if sys.platform == "linux" and (before == 0) != (_adoptions == 0):
+            import ctypes
+
+            ctypes.CDLL(None).prctl(_SUBREAPER, int(_adoptions > 0), 0, 0, 0)
