@@ -1,16 +1,20 @@
 """Train PPO of Stable-Baselines3 on an environment, and count the successes of its episodes.
 
 python examples/first_agent.py --actions halves --steps 20000
+python examples/first_agent.py --actions modules --policy GridPolicy --steps 20000
 """
 
 import argparse
 
 import gymnasium as gym
+import torch
 from stable_baselines3 import PPO
 
 import surface_gym  # registers the environments
+from surface_gym.agents import GridPolicy
 
 EPISODES = 200
+POLICIES = {"MlpPolicy": "MlpPolicy", "GridPolicy": GridPolicy}
 
 
 def main() -> None:
@@ -18,10 +22,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--env", default="SmartSurface/Sort-v0")
     parser.add_argument("--actions", default="halves")
+    parser.add_argument("--policy", choices=POLICIES, default="MlpPolicy")
     parser.add_argument("--steps", type=int, default=20_000)
     options = parser.parse_args()
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     env = gym.make(options.env, actions=options.actions)
-    model = PPO("MlpPolicy", env, seed=0, device="cpu").learn(options.steps)
+    model = PPO(POLICIES[options.policy], env, seed=0, device="cpu").learn(options.steps)
     successes = 0
     for episode in range(EPISODES):
         observation, info = env.reset(seed=1000 + episode)
