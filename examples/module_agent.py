@@ -11,8 +11,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-import surface_gym  # registers the environments
-from surface_gym.agents import GridPolicy
+from surface_gym.agents import GridPolicy  # also registers the environments
 from surface_gym.agents.vec_env import SurfaceVecEnv
 
 EPISODES = 200
