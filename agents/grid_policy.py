@@ -87,6 +87,11 @@ class GridNetwork(nn.Module):
     differ.
     """
 
+    _shown: torch.Tensor  # columns of the features that the networks get
+    _image: torch.Tensor  # (choices,) mirror image of each choice
+    _same: torch.Tensor  # (choices,)
+    _far: torch.Tensor  # (choices,) log probabilities of a module far from the parcel
+
     def __init__(self, config: EnvConfig, hidden: tuple[int, ...]) -> None:
         super().__init__()
         self._places = GridPlaces(config)
@@ -186,19 +191,23 @@ class SharedDraws(MultiCategoricalDistribution):
 class GridPolicy(ActorCriticPolicy):
     """Actor and critic for environments with the default actions, one choice per module.
 
-    `PPO(GridPolicy, "SmartSurface/Sort-v0")` trains it; options of `policy_kwargs` are those of
+    `PPO(GridPolicy, "SmartSurface/Sort-v0")` trains it. It takes the same `policy_kwargs` as
     Stable-Baselines3's `ActorCriticPolicy`, with `net_arch` as one list of units.
 
     Raises:
-        ValueError: the actions are not those of modules of a task of one parcel.
+        ValueError: the actions are not "modules" with given orientations, or of a stream.
     """
 
     action_space: ModuleChoices
 
     def __init__(
-        self, observation_space: spaces.Space, action_space: spaces.Space, lr_schedule: Any,
-        net_arch: list[int] | None = None, **more: Any,
-    ) -> None:  # fmt: skip
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        lr_schedule: Any,
+        net_arch: list[int] | None = None,
+        **more: Any,
+    ) -> None:
         if not isinstance(action_space, ModuleChoices):
             raise ValueError(
                 f"action_space must be of an environment of surface_gym with actions='modules', "

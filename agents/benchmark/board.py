@@ -27,8 +27,8 @@ TRIMMED = 0.25  # [-] share cut off at both ends for the interquartile mean
 SEED = 1
 TITLE = """# The board
 
-Results of all entries of [the benchmark](benchmark.md), best first. Made by `surface-gym benchmark table`
-from the entries' files in `benchmarks/results/`."""
+Results of all entries of [the benchmark](benchmark.md), best first. Made by
+`surface-gym benchmark table` from the entries' files in `benchmarks/results/`."""
 
 
 @dataclass(frozen=True)
