@@ -101,6 +101,12 @@ def bare(env_id: str = SORT, **settings: Any) -> sg.SmartSurfaceEnv:
     return gym.make(env_id, disable_env_checker=True, **settings).unwrapped
 
 
+def cell(env_id: str, actions: str) -> dict[str, Any]:
+    """A kind of action and the sensor that an id has with it in CELLS."""
+    (sensor,) = (each[2] for each in CELLS if each[:2] == (env_id, actions))
+    return {"actions": actions, "sensors": sensor()}
+
+
 def same_choice(env: sg.SmartSurfaceEnv, choice: int) -> Any:
     """The action that sets every module it reaches to one orientation."""
     kind = env.config.action_kind

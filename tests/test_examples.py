@@ -28,8 +28,9 @@ from tests.docs.reading import code_blocks
 from tests.environments import played_out
 
 ROOT = Path(__file__).parent.parent
-# The README shows the first agent by a few of its lines.
-EXAMPLES = sorted({*(ROOT / "examples").glob("*.py")} - {ROOT / "examples" / "first_agent.py"})
+# The README and docs/agents.md show these by a few of their lines.
+SHORT = {ROOT / "examples" / name for name in ("first_agent.py", "module_agent.py")}
+EXAMPLES = sorted({*(ROOT / "examples").glob("*.py")} - SHORT)
 
 
 @cache
