@@ -64,7 +64,7 @@ class EvaluateConfig:
     resume: bool = False
     """Keep the existing results in the folder, and compute the missing ones."""
     quick: bool = False
-    """Fewer starts, streams, levels and seeds: the same tables in about three minutes."""
+    """Fewer starts, streams, levels and seeds: the same tables in a few minutes."""
     robustness: bool = False
     """Study robustness instead: success of rules and agents if one factor differs from training,
     and by parcel shape in the lab; for streams, agent and scheduler on lines without training.
