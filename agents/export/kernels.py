@@ -20,12 +20,13 @@ from typing import TYPE_CHECKING, Any
 from surface_gym.cli import typed
 from surface_gym.executors import Job, Report
 from surface_gym.parallel import check_count, map_jobs, usable_cores
-from surface_gym.registration import SHIPPED
+from surface_gym.registration import DEFAULT_TASK, SHIPPED
 
 if TYPE_CHECKING:
     from surface_gym.env import SmartSurfaceEnv
 
 PRESETS = ("exact", "lab")  # presets of environments of one parcel
+TRAINED = (*PRESETS, "camera")  # presets in training and results of the default task
 CACHE = "NUMBA_CACHE_DIR"  # Numba's variable with its cache folder
 PROCESSOR, FEATURES = "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"  # Numba's target
 
@@ -71,7 +72,8 @@ def list_jobs() -> list[Job[str]]:
     jobs: list[Job[str]] = [partial(compile_task, task) for task in SHIPPED]
     for task, shipped in SHIPPED.items():
         for index, method in enumerate(all_methods(task)):
-            for preset in PRESETS if shipped.periods else PRESETS[:1]:
+            presets = TRAINED if task == DEFAULT_TASK else PRESETS
+            for preset in presets if shipped.periods else PRESETS[:1]:
                 if method.presets is None or preset in method.presets:
                     jobs.append(partial(compile_method, task, index, preset))
     return jobs
