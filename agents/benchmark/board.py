@@ -42,7 +42,8 @@ class Score:
     def __str__(self) -> str:
         if math.isnan(self.value):
             return NOTHING
-        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
+        # Spaces that do not break keep a row of the page on one line.
+        return f"{self.value + 0.0:.2f} ({self.low:.2f} to {self.high:.2f})".replace(" ", "\u00a0")
 
 
 def compute_iqm(scores: Numbers) -> float:
@@ -135,11 +136,10 @@ class Board:
         zero, one = read_protocol()["references"].get(task, ("", ""))
         caption = (
             f"{form.capitalize()} by cell. Score: interquartile mean with its 95 % interval, where "
-            f"0 is {zero} and 1 is {one}."
+            f"0 is {zero} and 1 is {one}. Interactions are control periods of training per seed."
         )
         header = (
-            "entry", "kind", "by", "interactions", "seeds", *CELLS, "score", "time per decision",
-            "source",
+            "entry", "score", *CELLS, "seeds", "interactions", "decision", "kind", "by", "source",
         )  # fmt: skip
         return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
 
@@ -153,10 +153,10 @@ class Board:
         name = f"[{entry.name}]({entry.link})" if entry.link else entry.name
         times = [row.decision_time for row in rows if not row.failure]
         return (
-            name, entry.kind, entry.by or NOTHING, f"{entry.interactions:,}".replace(",", " "),
-            str(len({row.seed for row in rows})), *means, str(score),
+            name, str(score), *means, str(len({row.seed for row in rows})),
+            f"{entry.interactions / 1e6:.1f} M" if entry.interactions else NOTHING,
             number(1e6 * float(np.median(times)) if times else None, ".0f", " us"),
-            f"`{entry.source}`",
+            entry.kind, entry.by or NOTHING, f"`{entry.source}`",
         )  # fmt: skip
 
 

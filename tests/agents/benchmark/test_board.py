@@ -69,7 +69,7 @@ def test_a_table_ranks_and_names_failures() -> None:
     table = Board(entries).table("sort")
     assert table is not None
     assert [row[0] for row in table.rows] == ["seeds", ONE, ZERO, "broken"]
-    assert table.rows[0][4] == "5"
+    assert table.rows[0][table.header.index("seeds")] == "5"
     assert "failed" in table.rows[-1]
     assert math.isnan(Board(entries).score(entries[-1], ("sort",)).value)
     assert "| seeds |" in make_page(Board(entries))
