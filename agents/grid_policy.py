@@ -7,8 +7,6 @@ centre share one random number, and the modules behind it another: each looks it
 cumulative probabilities. Modules with similar places choose alike.
 """
 
-import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,6 +20,7 @@ from surface_gym.config import EnvConfig, ModuleChoices
 from surface_gym.tasks.planning import LineObservation
 
 from .base import mirrored_orientations
+from .module_policy import make_layers, make_linear
 
 GROUPS = 2  # groups of modules that share a random number: ahead of the parcel's centre, behind it
 PLACE_SIZE = 6  # number of features of a module's place
@@ -108,12 +107,12 @@ class GridNetwork(nn.Module):
         far = torch.full((choices,), _NEVER)
         far[rest] = 0.0
         self.register_buffer("_far", far)
-        self._alike = _linear(len(shown), hidden[0])
+        self._alike = make_linear(len(shown), hidden[0])
         self._apart = nn.Linear(PLACE_SIZE, hidden[0], bias=False)
         nn.init.zeros_(self._apart.weight)
-        self._between = nn.Sequential(*_layers(hidden))
-        self._logits = _linear(hidden[-1], choices, 0.01)
-        self._critic = nn.Sequential(*_layers((len(shown), *hidden)))
+        self._between = nn.Sequential(*make_layers(hidden))
+        self._logits = make_linear(hidden[-1], choices, 0.01)
+        self._critic = nn.Sequential(*make_layers((len(shown), *hidden)))
         self.latent_dim_pi, self.latent_dim_vf = config.action_kind.size * (choices + 1), hidden[-1]
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -228,14 +227,3 @@ class GridPolicy(ActorCriticPolicy):
         space = self.action_space
         self.action_dist = SharedDraws(len(space.nvec), int(space.nvec[0]))
         super()._build(lr_schedule)
-
-
-def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
-    layer = nn.Linear(inputs, outputs)
-    nn.init.orthogonal_(layer.weight, gain)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-
-def _layers(units: tuple[int, ...]) -> list[nn.Module]:
-    return [layer for sizes in pairwise(units) for layer in (_linear(*sizes), nn.Tanh())]

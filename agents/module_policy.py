@@ -165,15 +165,17 @@ def log_likelihood(
     return (last - first).clamp(min=_SMALLEST).log().reshape(-1, GROUPS).sum(dim=1)
 
 
-def _linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
+def make_linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
+    """Make a layer with orthogonal weights, as Stable-Baselines3's networks begin."""
     layer = nn.Linear(inputs, outputs)
     nn.init.orthogonal_(layer.weight, gain)
     nn.init.zeros_(layer.bias)
     return layer
 
 
-def _layers(units: tuple[int, ...]) -> list[nn.Module]:
-    return [layer for sizes in pairwise(units) for layer in (_linear(*sizes), nn.Tanh())]
+def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
+    """Make layers with tanh between numbers of units."""
+    return [layer for sizes in pairwise(units) for layer in (make_linear(*sizes), nn.Tanh())]
 
 
 class SharedNetwork(nn.Module):
@@ -188,11 +190,11 @@ class SharedNetwork(nn.Module):
     ) -> None:
         super().__init__()
         # Files of weights contain these names.
-        self._alike = _linear(shared_size(observe), hidden[0])
+        self._alike = make_linear(shared_size(observe), hidden[0])
         self._apart = nn.Linear(place_size(observe), hidden[0], bias=False)
         nn.init.zeros_(self._apart.weight)
-        self._between = nn.Sequential(*_layers(hidden))
-        self._logits = _linear(hidden[-1], choices, 0.01)
+        self._between = nn.Sequential(*make_layers(hidden))
+        self._logits = make_linear(hidden[-1], choices, 0.01)
 
     def forward(self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
         """Compute log probabilities (modules, choices)."""
@@ -207,7 +209,9 @@ class ValueNetwork(nn.Module):
     def __init__(self, hidden: tuple[int, ...], observe: tuple[str, ...] = ()) -> None:
         super().__init__()
         inputs = SIDE + len(group_features(observe))
-        self._layers = nn.Sequential(*_layers((inputs, *hidden)), _linear(hidden[-1], 1, 1.0))
+        self._layers = nn.Sequential(
+            *make_layers((inputs, *hidden)), make_linear(hidden[-1], 1, 1.0)
+        )
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Compute values (num_envs,) of observations (num_envs, features)."""
