@@ -20,14 +20,12 @@ from surface_gym.config import EnvConfig, ModuleChoices
 from surface_gym.tasks.planning import LineObservation
 
 from .base import mirrored_orientations
-from .module_policy import make_layers, make_linear
+from .module_policy import GROUPS, draw_choices, log_likelihood, make_layers, make_linear
 
-GROUPS = 2  # groups of modules that share a random number: ahead of the parcel's centre, behind it
 PLACE_SIZE = 6  # number of features of a module's place
 NEAR = 0.3  # [m] scale of distances from the parcel
 MARGIN = 0.05  # [m] modules closer to the base than this take part in the likelihood
 _NEVER = -30.0  # log probability of a choice that is never drawn
-_SMALLEST = 1e-6  # shorter intervals of random numbers count as empty in single precision
 
 
 class GridPlaces:
@@ -157,20 +155,15 @@ class SharedDraws(MultiCategoricalDistribution):
         each = action_logits.reshape(-1, modules, choices + 1)
         self._log_probability = each[:, :, :choices]
         self._group = each[:, :, choices].long()
-        self._edges = self._log_probability.exp().cumsum(dim=2)[:, :, :-1]
+        self._near = (self._group >= 0).nonzero(as_tuple=True)
+        # Index of each near module's group among all environments' groups.
+        self._index = GROUPS * self._near[0] + self._group[self._near]
         return self
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
-        choice = actions.long().unsqueeze(2)
-        below = nn.functional.pad(self._edges, (1, 0), value=0.0).gather(2, choice).squeeze(2)
-        above = nn.functional.pad(self._edges, (0, 1), value=1.0).gather(2, choice).squeeze(2)
-        total = below.new_zeros(len(below))
-        for group in range(GROUPS):
-            inside = self._group == group
-            first = torch.where(inside, below, 0.0).amax(dim=1)
-            last = torch.where(inside, above, 1.0).amin(dim=1)
-            total = total + (last - first).clamp(min=_SMALLEST).log()
-        return total
+        choices = actions.long()[self._near]
+        groups = GROUPS * len(self._group)
+        return log_likelihood(self._log_probability[self._near], choices, self._index, groups)
 
     def entropy(self) -> torch.Tensor:
         """Return the mean entropy of the modules near the parcel, for each group."""
@@ -179,9 +172,10 @@ class SharedDraws(MultiCategoricalDistribution):
         return GROUPS * (each * near).sum(dim=1) / near.sum(dim=1).clamp(min=1.0)
 
     def sample(self) -> torch.Tensor:
-        drawn = torch.rand((len(self._group), GROUPS), device=self._edges.device)
-        uniform = drawn.gather(1, self._group.clamp(min=0)).unsqueeze(2)
-        return (uniform > self._edges).sum(dim=2)
+        uniform = torch.rand(GROUPS * len(self._group), device=self._group.device)
+        choices = self.mode()
+        near = draw_choices(self._log_probability[self._near], self._index, uniform)
+        return choices.index_put(self._near, near)
 
     def mode(self) -> torch.Tensor:
         return self._log_probability.argmax(dim=2)

@@ -1,9 +1,9 @@
-"""The board: scores of all entries, as a table and as a plot.
+"""The board: scores of all entries, one table per task.
 
 A score of an episode is linear in its result: 0 for the mean of the task's fixed layout, 1 for the
-mean of the best policy known when the protocol was made, both in the same cell. Entries are ranked
-by the interquartile mean (IQM) of the scores of training seeds in cells, with a 95 % interval by a
-stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend.
+mean of the best rule, both in the same cell. The protocol's file names the two entries. The board
+ranks by the interquartile mean (IQM) of the scores of training seeds in cells, with a 95 % interval
+by a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) recommend.
 """
 
 import math
@@ -42,8 +42,9 @@ class Score:
     def __str__(self) -> str:
         if math.isnan(self.value):
             return NOTHING
+        value = round(self.value, 2) + 0.0  # no negative zero
         # Spaces that do not break keep a row of the page on one line.
-        return f"{self.value + 0.0:.2f} ({self.low:.2f} to {self.high:.2f})".replace(" ", "\u00a0")
+        return f"{value:.2f} ({self.low:.2f} to {self.high:.2f})".replace(" ", "\u00a0")
 
 
 def compute_iqm(scores: Numbers) -> float:

@@ -2,9 +2,9 @@
 
 A task has four cells of 128 episodes each. In the first three, sensors are exact and the axes turn
 ever more slowly, from the same starts. The fourth is the lab, with other parcels, friction, sensors
-and actuators. An episode's start follows from the protocol's seed, the
-cell and the episode's number. The file `protocol-1.json` holds a digest of all starts of a cell, so
-that a version of the package that draws other starts is refused.
+and actuators. An episode's start follows from the protocol's seed, the cell and the episode's
+number. The file `protocol-1.json` holds a digest of all starts of a cell, so a version of the
+package that draws other starts is refused.
 """
 
 import hashlib
@@ -31,7 +31,6 @@ FILE = Path(__file__).parent / f"protocol-{VERSION}.json"
 EPISODES = 128  # per cell and training seed
 SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
-BUDGETS = (1_000_000, 10_000_000)  # control periods of training
 TASKS = tuple(SHIPPED)
 
 
@@ -40,7 +39,6 @@ class Cell:
     """Conditions of 128 episodes of a task."""
 
     name: str
-    meaning: str
     preset: str  # name of a preset
     quarter_turn: float = 0.0  # [s] time of an axis for 90 deg; the lab has its own
 
@@ -55,10 +53,10 @@ class Cell:
 CELLS = {
     cell.name: cell
     for cell in (
-        Cell("0 ms", "exact sensors, axes that turn at once", "exact"),
-        Cell("100 ms", "exact sensors, axes that take 100 ms for 90 deg", "exact", 0.1),
-        Cell("200 ms", "exact sensors, axes that take 200 ms for 90 deg", "exact", 0.2),
-        Cell("lab", "the lab: a camera, slow and stuck axes, other parcels, friction", "lab"),
+        Cell("0 ms", "exact"),
+        Cell("100 ms", "exact", 0.1),
+        Cell("200 ms", "exact", 0.2),
+        Cell("lab", "lab"),
     )
 }
 
