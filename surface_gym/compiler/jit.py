@@ -338,7 +338,8 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
 
 def linked(function: Callable[..., Any]) -> Any:
     """Compile a function once for all of its compiled callers; its code is cached."""
-    return _cached(LinkedFunction(function, **_OPTIONS), kind=_LinkedCache)
+    # Numba gives an option that is not set the value that it has in the caller.
+    return _cached(LinkedFunction(function, forceinline=False, **_OPTIONS), kind=_LinkedCache)
 
 
 def inlined(function: Callable[..., Any]) -> Any:

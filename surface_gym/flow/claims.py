@@ -1,6 +1,7 @@
 """Assignment of modules to parcels, and commands of modules (compiled)."""
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ def _after(point: float, low: float, high: float, speed: float) -> float:
     return (high - point) / -speed if speed < 0.0 else np.inf
 
 
+@lru_cache(maxsize=64)
 def claiming(base_distance: Function) -> Any:
     """Build `claim_modules` from the task's `base_distance(state, x, y)`."""
 
@@ -139,6 +141,7 @@ def is_turn(angle: float, before: float) -> bool:
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
 
 
+@lru_cache(maxsize=64)
 def assigning(base_distance: Function) -> Any:
     """Build `assign_modules(view)`, which writes the parcel that each module obeys."""
     claim_modules = claiming(base_distance)
@@ -156,6 +159,7 @@ def assigning(base_distance: Function) -> Any:
     return assign_modules
 
 
+@lru_cache(maxsize=64)
 def obeying(base_distance: Function, part_of: Function, commanded: Function, obey: Function) -> Any:
     """Build `obey_command(view)`, which sets a surface's modules and counts their turns."""
     assign_modules = assigning(base_distance)

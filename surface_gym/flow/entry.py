@@ -5,6 +5,7 @@ more rows show waiting parcels.
 """
 
 import math
+from functools import lru_cache
 from typing import Any
 
 from surface_gym import state as st
@@ -114,6 +115,7 @@ def _occupy(view: StreamView, slot: int, arrival: int) -> None:
         streams.pressing[i, k, slot] = 0.0
 
 
+@lru_cache(maxsize=64)
 def entering(has_room: Function) -> Any:
     """Build `let_in(view)` with the task's `has_room(surface, state, other)`."""
 

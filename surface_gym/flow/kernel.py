@@ -123,12 +123,18 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
         streams.touched_at[i, b, a] = streams.steps[i]
 
 
-def _moving(functions: StreamFunctions) -> Any:
-    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
-    has_departed, task_exit = functions.has_departed, functions.exit_taken
-    deliver, sensor_update = functions.deliver, functions.update_sensor
-    advance = functions.advance
-    watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
+# What is built below is kept, so that kernels with some of the same functions share its code.
+
+
+@lru_cache(maxsize=64)
+def _following(
+    has_departed: Function,
+    task_exit: Function,
+    deliver: Function,
+    sensor_update: Function,
+    watches: bool,
+) -> Any:
+    """Build `follow(view, slot, physics)`, what follows a physics step for a parcel."""
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:
@@ -144,6 +150,13 @@ def _moving(functions: StreamFunctions) -> Any:
         elif watches:
             st.read_truth(state)
             sensor_update(view.params.sensor, state, physics)
+
+    return follow
+
+
+@lru_cache(maxsize=64)
+def _moving(follow: Function, advance: Function, turn: Function, turns: bool) -> Any:
+    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
 
     @inlined
     def move(
@@ -177,13 +190,10 @@ def _moving(functions: StreamFunctions) -> Any:
     return move
 
 
-def _running(functions: StreamFunctions) -> Any:
-    """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
-
-    Parcels depart and enter meanwhile. A start has no steps; parcels only enter.
-    """
-    move, let_in = _moving(functions), entering(functions.has_room)
-    task_begin, sensor_begin = functions.begin, functions.begin_sensor
+@lru_cache(maxsize=64)
+def _receiving(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
+    """Build `enter(view) -> bool`, which lets a parcel enter."""
+    let_in = entering(has_room)
 
     @inlined
     def enter(view: StreamView) -> bool:
@@ -196,6 +206,16 @@ def _running(functions: StreamFunctions) -> Any:
         task_begin(state)
         sensor_begin(view.params.sensor, state)
         return True
+
+    return enter
+
+
+@lru_cache(maxsize=64)
+def _running(move: Function, enter: Function) -> Any:
+    """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
+
+    Parcels depart and enter meanwhile. A start has no steps; parcels only enter.
+    """
 
     @inlined
     def run(view: StreamView, begins: bool, scratch: WorldScratch, sensor_scratch: Scratch) -> None:
@@ -229,12 +249,12 @@ def _running(functions: StreamFunctions) -> Any:
     return run
 
 
-def _earning(functions: StreamFunctions) -> Any:
+@lru_cache(maxsize=64)
+def _earning(task_reward: Function, sensor_read: Function) -> Any:
     """Build `earn(view) -> bool`, which computes parcels' rewards and reads their sensors.
 
     It returns True if there are parcels, and all of them are at rest.
     """
-    task_reward, sensor_read = functions.reward, functions.read_sensor
 
     @inlined
     def earn(view: StreamView) -> bool:
@@ -311,10 +331,14 @@ def _nearest(view: StreamView, slot: int, ahead: bool) -> int:
     return nearest
 
 
-def _observing(functions: StreamFunctions) -> Any:
+@lru_cache(maxsize=64)
+def _observing(
+    inform: Function,
+    observe: Function,
+    observe_neighbour: Function,
+    observe_no_neighbour: Function,
+) -> Any:
     """Build `observe_parcels(view)`, which writes a surface's table, one row per parcel."""
-    observe, observe_neighbour = functions.observe, functions.observe_neighbour
-    inform, observe_no_neighbour = functions.inform, functions.observe_no_neighbour
 
     @inlined
     def observe_neighbours(view: StreamView, slot: int) -> None:
@@ -367,10 +391,15 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     Among all chosen surfaces (count,), it begins placed ones, steps running ones by one control
     period, and leaves ended ones unchanged. It returns the number of surfaces with a fault.
     """
-    straighten, obey = functions.actuation.straighten, functions.actuation.obey
-    obey_command = obeying(functions.base_distance, functions.part_of, functions.commanded, obey)
-    run, earn = _running(functions), _earning(functions)
-    observe_parcels, may_jam = _observing(functions), functions.may_jam
+    f = functions
+    straighten, turn, turns = f.actuation.straighten, f.actuation.turn, f.actuation.turns
+    obey_command = obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
+    follow = _following(f.has_departed, f.exit_taken, f.deliver, f.update_sensor, f.watches)
+    enter = _receiving(f.has_room, f.begin, f.begin_sensor)
+    run = _running(_moving(follow, f.advance, turn, turns), enter)
+    earn = _earning(f.reward, f.read_sensor)
+    observe_parcels = _observing(f.inform, f.observe, f.observe_neighbour, f.observe_no_neighbour)
+    may_jam = f.may_jam
 
     def step_streams(
         params: EnvParams,

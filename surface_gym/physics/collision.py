@@ -145,7 +145,7 @@ def read_body(bodies: Bodies, site: int) -> Body:
 LEAST_REST = 1e-9  # [s] minimum time that remains in a step after a touch
 
 
-@linked
+@inlined
 def find_near_pairs(world: World, scratch: WorldScratch) -> int:
     """Write the pairs whose bases may touch in this step (broad phase); return their number."""
     before, after, reach = scratch.before, world.state, scratch.reach
@@ -177,7 +177,7 @@ def find_near_pairs(world: World, scratch: WorldScratch) -> int:
     return pairs
 
 
-@linked
+@inlined
 def add_pushed_pairs(world: World, scratch: WorldScratch, pairs: int) -> int:
     """Append the pairs that only a push brought near; return the number of all pairs.
 
@@ -224,7 +224,7 @@ def _read_place(scratch: WorldScratch, k: int) -> sd.Transform:
     return sd.Transform(place[0], place[1], place[2], place[3])
 
 
-@linked
+@inlined
 def find_impacts(world: World, scratch: WorldScratch, pairs: int, dt: float) -> bool:
     """Write the time of impact of each near pair, and the islands; return whether any touch."""
     bodies, before, after = world.bodies, scratch.before, world.state

@@ -34,7 +34,7 @@ from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 MAX_SWEEPS = 100
 
 
-@linked
+@inlined
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Separate near pairs that overlap along their normals; the heavier parcel moves less.
 
@@ -245,7 +245,7 @@ def _is_pushed(scratch: WorldScratch, island: Island, k: int) -> bool:
     return False
 
 
-@linked
+@inlined
 def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool, dt: float) -> None:
     """Move a pushed parcel: with its own motion until the first touch, then with its new velocity.
 
@@ -280,7 +280,7 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     state[ph.OMEGA] = omega
 
 
-@linked
+@inlined
 def step_world(
     grid: Grid, world: World, material: ContactMaterial, scratch: WorldScratch, dt: float
 ) -> int:

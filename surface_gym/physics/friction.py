@@ -118,7 +118,7 @@ def _kink_nearest_middle(scratch: Scratch, kinks: int, low: float, high: float) 
     return nearest
 
 
-@linked
+@inlined
 def step_length(
     scratch: Scratch,
     contacts: Contacts,

@@ -21,7 +21,7 @@ TIPPING_TOLERANCE = 1e-6  # [pitch] allowed distance of the load point from the 
 COLLINEAR_TOLERANCE = 1e-6  # [-] minimum of the product of the two spreads over their sum squared
 
 
-@linked
+@inlined
 def _minimise_along(
     scratch: Scratch,
     contacts: int,

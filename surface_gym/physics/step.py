@@ -270,7 +270,7 @@ def advance_explicit(
     state[ph.AY] = ay
 
 
-@linked
+@inlined
 def step_implicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
