@@ -13,7 +13,7 @@ compiler vectorises loops of the first kind only, so no sum depends on the vecto
 
 import math
 
-from surface_gym.compiler.jit import inlined, linked
+from surface_gym.compiler.jit import inlined
 from surface_gym.physics import types as ph
 from surface_gym.physics.types import Array, Contacts, Grid, Scratch
 

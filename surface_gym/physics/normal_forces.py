@@ -6,7 +6,7 @@ k_i is N_i = k_i max(0, c + cx x_i + cy y_i). The upper bound m g cos(gamma) of 
 vertical balance and N >= 0, so it never binds. All forces are per unit mass.
 """
 
-from surface_gym.compiler.jit import inlined, linked
+from surface_gym.compiler.jit import inlined
 from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, PRESSURE, STIFFNESS, Scratch
 
 MAX_ITERATIONS = 100

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym.compiler.jit import compiled, inlined, linked
+from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import find_contacts
 from surface_gym.physics.friction import implicit_velocity

@@ -270,6 +270,24 @@ def test_from_python_a_linked_function_is_the_python_it_is(decorate: Any) -> Non
     assert compiled(lambda x: triple(x), "triple")(2.0) == 6.0
 
 
+@pytest.mark.usefixtures("cache")
+def test_a_linked_function_is_called_also_where_an_inlined_one_contains_the_call() -> None:
+    @linked
+    def triple(x):
+        return 3.0 * x
+
+    @inlined
+    def triple_twice(x):
+        return triple(triple(x))
+
+    assert compiled(lambda x: triple_twice(x), "twice")(2.0) == 18.0
+    (own,) = (each.library.get_llvm_str() for each in triple.overloads.values())
+    (of_caller,) = (each.library.get_llvm_str() for each in triple_twice.overloads.values())
+    assert "alwaysinline" in of_caller
+    assert "alwaysinline" not in own
+    assert re.search(r"^declare .*triple", of_caller, re.MULTILINE)
+
+
 SOURCE = """
 import math
 from typing import NamedTuple
