@@ -89,6 +89,8 @@ OF_INFOS = (
     "tests/learners/test_learners.py::test_a_library_stacks_infos_in_its_own_way"
     "[gymnasium-by_gymnasium-SmartSurface/"
 )
+# Pages whose code compiles kernels that no other test needs.
+PAGES_AT_NIGHT = ("sensors.md", "material-flow.md")
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
@@ -197,7 +199,63 @@ NIGHTLY = (
         f"python[{task}"
         for task in ("sort-dqn", "slow", "stop", "track")
     ),
-    *(f"{OF_INFOS}{task}" for task in ("Slow", "Stop", "Track", "Orient", "Singulate", "Sequence")),
+    *(
+        f"{OF_INFOS}{task}"
+        for task in ("Slow", "Stop", "Track", "Orient", "Flow", "Singulate", "Sequence")
+    ),
+    # A stream's module takes half a minute to compile: by day the home page's line is equal to
+    # Python's to the bit, and one task of a parcel.
+    OF_STREAMS[0],
+    f"{OF_STREAMS[1]}[flow",
+    *OF_SLOPES,
+    *(
+        f"tests/web/test_tasks.py::test_episodes_are_equal_from_their_starts_to_their_ends[{task}"
+        for task in ("slow", "track", "orient", "stop")
+    ),
+    *(
+        f"tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_"
+        f"python[{agent}"
+        for agent in ("orient", "sort-ppo-lab")
+    ),
+    "tests/web/test_agents.py::test_a_run_on_a_slope_acts_as_in_python",
+    "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'stuck'",
+    "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python",
+    "tests/web/test_rules.py::test_a_rule_runs_as_in_python[orient",
+    # An algorithm's run is resumed: PPO's, DQN's and those on streams without sensors by day.
+    *(
+        "tests/agents/learning/test_runs.py::test_an_interrupted_run_is_resumed_to_the_same_result"
+        f"[{algorithm}"
+        for algorithm in ("local", "schedule", "modules")
+    ),
+    "tests/agents/learning/test_runs.py::test_a_damaged_checkpoint_and_a_foreign_one_are_refused"
+    "[local",
+    f"{LEARNING_ON_SLOPES[0]}[merge-parcels",
+    "tests/agents/learning/test_training.py::test_modules_learn_for_the_lab_from_more_features",
+    "tests/agents/rules/test_slopes.py::TestTimeSlots::test_parcels_leave_one_by_one[merge",
+    "tests/agents/rules/test_layouts.py::test_it_leads_along_a_path_that_rolling_strays_from",
+    "tests/agents/rules/test_layouts.py::"
+    "test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do",
+    "tests/agents/test_programs.py::test_the_comparison_of_a_task",
+    "tests/agents/benchmark/test_results.py::test_the_board_of_the_documentation_shows_them",
+    "tests/agents/benchmark/test_board.py::test_an_interval_covers_the_truth_as_often_as_it_says",
+    "tests/agents/benchmark/test_process.py::TestGood::test_a_zip_file_acts_as_here[DQN",
+    "tests/agents/runtime/test_simulator.py::"
+    "test_a_simulator_that_was_killed_is_there_again_at_the_same_address",
+    "tests/test_own.py::test_the_cache_holds_and_notices_an_edit_of_a_users_file",
+    "tests/agents/tuning/test_study.py::TestResuming::"
+    "test_a_killed_search_of_several_workers_is_resumed",
+    "tests/agents/tuning/test_study.py::TestTrials::"
+    "test_values_lie_in_the_space_and_tpe_finds_better_ones",
+    *(f"tests/test_docs.py::test_the_code_of_a_page_runs[docs/{page}" for page in PAGES_AT_NIGHT),
+    "tests/test_wheel.py::test_environment_and_shipped_agent_work",
+    "tests/learners/test_learners.py::test_it_learns_to_sort[cleanrl",
+    "tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles[sort",
+    "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
+    "[SmartSurface/Sort-v0-quadrants",
+    *(
+        f"tests/test_axes.py::TestOnRequest::test_nothing_is_there_unasked[SmartSurface/{task}-v0"
+        for task in ("Slow", "Stop", "Track", "Orient")
+    ),
 )
 
 
