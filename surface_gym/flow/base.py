@@ -420,11 +420,15 @@ class StreamTask(Task):
 
 # Features shared by tasks.
 FAR = 4.0  # [m] maximum distance of a neighbour, also shown without a neighbour
-GAP = Feature("gap", -20.0, 20.0, f"clear along x; there is none: {FAR:g} m", "m", 0.5)
-SPEED = Feature("speed", -20.0, 20.0, "its vx over the own", "m/s", 0.5)
-ASIDE = Feature("offset", -20.0, 20.0, "its y over the own", "m", 0.3)
-TIME = Feature("time", -1000.0, 1000.0, "since it entered; since it came: < 0", "s", HORIZON)
-PRESENT = Feature("present", 0.0, 1.0, "1: there is a parcel; 0: none, and so is all else")
+GAP = Feature(
+    "gap", -20.0, 20.0, f"clear distance along x; {FAR:g} m without a neighbour", "m", 0.5
+)
+SPEED = Feature("speed", -20.0, 20.0, "its vx minus this parcel's", "m/s", 0.5)
+ASIDE = Feature("offset", -20.0, 20.0, "its y minus this parcel's", "m", 0.3)
+TIME = Feature(
+    "time", -1000.0, 1000.0, "since its entry; if it waits: minus its wait", "s", HORIZON
+)
+PRESENT = Feature("present", 0.0, 1.0, "1: a parcel; 0: a free row, all 0")
 WAITS = Feature("waits", 0.0, 1.0, "1: at the gate, yet to enter; 0: on the surface")
 
 

@@ -29,15 +29,15 @@ class Singulate(TakeAwayTask):
 
     `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
     0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
-    any angle. A due parcel enters with its rear at the upper edge when its base is
-    `entry_gap` clear of all others, at most one per physics step. Until then, it and all later
-    parcels wait. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
+    any angle. A due parcel and all later ones wait until its base has a clearance of `entry_gap` to
+    all others. It then enters, with its rear at the upper edge. At most one parcel enters per
+    physics step. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
 
     ### The end
 
     A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
-    the speed `take_away`; until then, it slides on the belt with a friction coefficient of 0.5. A
-    departure is correct if all of these conditions hold:
+    the speed `take_away`. Until it has this speed, it slides on the belt with a friction
+    coefficient of 0.5. A departure is correct if all of these conditions hold:
 
     - its whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the surface,
       "mouth" is 0.6 m wide in the middle, and "mouths" are two side by side;
@@ -48,8 +48,8 @@ class Singulate(TakeAwayTask):
 
     ### Actions
 
-    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with "any" they are
-    angles.
+    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with
+    `orientations="any"` they are angles.
 
     | `actions` | space | sets |
     | --- | --- | --- |
@@ -58,9 +58,9 @@ class Singulate(TakeAwayTask):
 
     Modules at 0 deg brake a parcel, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45
     deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels", a module obeys
-    the parcel on it, or else the first parcel that reaches it within `ahead` seconds, by the
-    parcels' sensed boxes and velocities. If two parcels are on a module, it obeys the parcel with
-    the nearer centre. A module without a parcel keeps its axis.
+    the parcel on it, or else the first parcel that reaches it within `ahead` seconds. Sensed
+    boxes and velocities decide this. If two parcels are on a module, it obeys the parcel with the
+    nearer centre. A module without a parcel keeps its axis.
 
     ### Observation
 
@@ -73,7 +73,7 @@ class Singulate(TakeAwayTask):
     | 7 to 12 | half length and half width, and extents ahead, back, left and right at its angle |
     | 13, 14 | required motion in y to the nearest mouth, and required turn to be aligned |
     | 15 | time until departure if it rolls |
-    | 16 | distance of the last departed parcel of this mouth past the required gap |
+    | 16 | distance from the nearest mouth to the rear of its last departed parcel, minus `gap` |
     | 17 | 1 if the take-away runs and continues |
     | 18 to 20 | time since its entry; 1 for a parcel, 0 for a free row; 1 for a parcel at the gate |
     | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
@@ -100,14 +100,15 @@ class Singulate(TakeAwayTask):
 
     `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
     for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
-    `waiting` parcels; the terms of the reward, each as `reward_` and its name. At the end of an
-    episode (0 before), its figures: the fields of `surface_gym.flow.take_away.TakeAwayStatistics`,
-    each as `episode_` and its name. These are parcels per hour, share of correct gaps, gaps,
-    touches, the largest impulse and squeeze, and times.
+    `waiting` parcels; the terms of the reward, each as `reward_` and its name. The statistics
+    of the episode, which are 0 until it ends: the fields of
+    `surface_gym.flow.take_away.TakeAwayStatistics`, each as `episode_` and its name. These are
+    parcels per hour, share of correct gaps, gaps, touches, the largest impulse and squeeze, and
+    times.
 
-    `reset(options={"stream": ...})` sets the stream of an episode. Sensors and randomisation apply
-    to each parcel, but friction and stiffness to the surface. In PettingZoo, each parcel is an
-    agent in `surface_gym.flow.parallel_env.FlowParallelEnv`, and each module in
+    `reset(options={"stream": ...})` sets the stream of an episode. Sensor errors and randomisation
+    are drawn for each parcel, but friction and stiffness once for the surface. In PettingZoo, each
+    parcel is an agent in `surface_gym.flow.parallel_env.FlowParallelEnv`, and each module in
     `surface_gym.flow.module_parallel_env.ModuleParallelEnv`.
 
     ### Example

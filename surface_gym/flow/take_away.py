@@ -120,7 +120,7 @@ FEATURES: tuple[Feature, ...] = (
     Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth", "m", 0.3),
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until it has left if it rolls", "s", HORIZON),
-    Feature("clear", -20.0, 20.0, "end of the last that left, past the asked gap", "m", 0.5),
+    Feature("clear", -20.0, 20.0, "last departed parcel's rear past the end minus `gap`", "m", 0.5),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
@@ -338,7 +338,7 @@ class TakeAwayTask(StreamTask):
     """
 
     stream: Stream = bulk()
-    exits: Any = "end"  # "end", "mouth", "mouths", or `Exits` straight ahead
+    exits: Any = "end"  # "end", "mouth", "mouths", or your own `Exits`, all straight ahead
     tilt: float = math.radians(8.0)  # [rad] downhill towards +x
     max_parcels: int = 32
     entry_gap: float = 0.0  # [m] clearance of an entering parcel to all others, in any direction

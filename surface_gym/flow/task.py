@@ -28,7 +28,7 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 # Features of a row of Flow's table. The first ones equal Sort's, so a policy for one parcel can
 # sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
-    GAP, SPEED, replace(ASIDE, meaning="its y over the own, towards the asked side"),
+    GAP, SPEED, replace(ASIDE, meaning="its y minus this parcel's, towards the asked side"),
     Feature("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
     replace(SIZE, meaning="of it, as of this one"),
 )  # fmt: skip

@@ -54,10 +54,9 @@ class Task:
     parcels: Any = field(default=("S", "B"), kw_only=True)  # parcels to draw from
     # [m] lateral offset of the entry, to both sides at equal odds
     entry_offset: float = field(default=0.0, kw_only=True)
-    entry_turn: float = field(
-        default=0.0, kw_only=True
-    )  # [rad] angle at the entry, to the same side
-    # control periods after which an episode is truncated; None: `periods`
+    # [rad] angle at the entry, to the same side
+    entry_turn: float = field(default=0.0, kw_only=True)
+    # control periods after which an episode is truncated; None: the task's own limit
     time_limit: int | None = field(default=None, kw_only=True)
 
     line: ClassVar[BaseLine] = Line()
@@ -246,7 +245,7 @@ DIRECTION = (Feature("sine of theta", -1.0, 1.0), Feature("cosine of theta", -1.
 FORWARD_SPEED = Feature("forward speed", -10.0, 10.0, "vx", "m/s", 1.0, 1.0)
 LATERAL_SPEED = Feature("lateral speed", -20.0, 20.0, "vy", "m/s", 0.5)
 TURNING_SPEED = Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0)
-SIZE = Feature("size", -10.0, 100.0, "half length: -1 for the S-box, 1 for the B", "m", 0.05, 0.175)
+SIZE = Feature("size", -10.0, 100.0, "half length; shown: S-box -1, B-box 1", "m", 0.05, 0.175)
 LENGTH = replace(SIZE, name="length", meaning="half length")
 WIDTH = replace(SIZE, name="width", meaning="half width")
 PHASE = (

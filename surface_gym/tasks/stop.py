@@ -37,7 +37,12 @@ FEATURES = (
     Feature("to go, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
     Feature("to go, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
     Feature(
-        "excess of speed", -50.0, 50.0, "over what full braking ends at the asked x", "m/s", 0.2
+        "excess of speed",
+        -50.0,
+        50.0,
+        "vx minus the highest speed that full braking stops at the asked x",
+        "m/s",
+        0.2,
     ),
 )
 COLUMN = columns(FEATURES)
@@ -56,10 +61,10 @@ class Stop(base.Task):
     ### Start
 
     The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal x: uniform in the range of reachable stops. The
-    range begins at the stop after full braking (0.5 g) from the point where the parcel is wholly in
-    the zone. It ends at the last point where the parcel is wholly in the zone, or at 0.8 of the
-    rolling distance. If it is empty, as in a short zone, the goal is its end.
+    uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the farthest stop.
+    The nearest results from full braking (0.5 g) as soon as the parcel is wholly in the zone. The
+    farthest is the last point wholly in the zone, or 0.8 of the rolling distance if that is less.
+    If the farthest is before the nearest, as in a short zone, it is the goal.
 
     ### Goal and end
 
