@@ -1,7 +1,8 @@
 """`train.py`: train an agent, resume a run, or search hyper-parameters."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ from typing import Any
 import tyro
 
 from surface_gym.cli import TRAIN, command_line, parse_options
-from surface_gym.executors import WorkError, describe_error
-from surface_gym.parallel import choose_workers, usable_cores
+from surface_gym.executors import Cluster, Processes, WorkError, describe_error
+from surface_gym.parallel import Workers, choose_workers, usable_cores
 from surface_gym.registration import DEFAULT_TASK, TASKS
 
 from .learning import config as configs
@@ -20,6 +21,7 @@ from .library import ALGORITHMS, find_task, task_files
 from .yaml_file import current_option
 
 SWEEP = "sweep.yml"  # file in the folder of a search
+LOADED = 6  # maximum number of processes that load while a policy trains: one for each result
 
 
 @dataclass(frozen=True)
@@ -124,17 +126,39 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
 
             check_device(config)
         folder = make_folder(config, arguments)
-    trained = train_seeds(config, folder, console, workers)
-    if len(trained) < config.seeds or any(each.interrupted for each in trained):
-        console.print(
-            f"interrupted: {folder} holds what was learned so far; "
-            f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
-        )
-        return
-    with console.status("loading what compares"):
-        from .evaluation.report import evaluate_run
+    with _comparing(workers, config.seeds) as ready:
+        trained = train_seeds(config, folder, console, workers)
+        if len(trained) < config.seeds or any(each.interrupted for each in trained):
+            console.print(
+                f"interrupted: {folder} holds what was learned so far; "
+                f"{command_line(TRAIN, '--resume', str(folder))} goes on from the last checkpoint"
+            )
+            return
+        with console.status("loading what compares"):
+            from .evaluation.report import evaluate_run
 
-    write_card(config, trained, evaluate_run(folder, config.task, workers, console), folder)
+        write_card(config, trained, evaluate_run(folder, config.task, ready, console), folder)
+
+
+@contextmanager
+def _comparing(workers: Workers, seeds: int) -> Iterator[Workers]:
+    """Yield the workers of the comparison.
+
+    While a single seed is trained, cores are idle: processes load there what compares.
+    """
+    if isinstance(workers, Cluster) or workers == 1 or seeds > 1:
+        yield workers
+        return
+    assert isinstance(workers, int)
+    with closing(Processes(workers)) as processes:
+        processes.load(_load, LOADED)
+        yield processes
+
+
+def _load(_: Any) -> None:
+    from .evaluation import report
+
+    del report
 
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:

@@ -24,10 +24,14 @@ def main() -> None:
     parser.add_argument("--actions", default="halves")
     parser.add_argument("--policy", choices=POLICIES, default="MlpPolicy")
     parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", help="file for the model, e.g. runs/ppo-0.zip")
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     env = gym.make(options.env, actions=options.actions)
-    model = PPO(POLICIES[options.policy], env, seed=0, device="cpu").learn(options.steps)
+    model = PPO(POLICIES[options.policy], env, seed=options.seed, device="cpu").learn(options.steps)
+    if options.save is not None:
+        model.save(options.save)
     successes = 0
     for episode in range(EPISODES):
         observation, info = env.reset(seed=1000 + episode)

@@ -21,6 +21,7 @@ Message = tuple[str, Any]  # kind, and content: report, result, error or loss
 Event = tuple[int, str, Any]  # a job's index, and its message's kind and content
 
 REPORTED, DONE, FAILED, LOST = "reported", "done", "failed", "lost"
+_LOADING = -1  # index of jobs whose results nobody takes
 POLL = 0.2  # [s] maximum wait of an executor for events
 
 # Processes are spawned, since a fork would copy locks of other libraries' threads.
@@ -95,6 +96,17 @@ class Processes:
     def running(self) -> int:
         """Number of unfinished jobs."""
         return len(self._busy)
+
+    def load(self, job: Job[Any], most: int) -> None:
+        """Start up to `most` processes with a job that only loads what later jobs need."""
+        for _ in range(min(most, self.free)):
+            self.submit(_LOADING, job)
+
+    def finish_loading(self) -> None:
+        """Wait for the jobs of `load`."""
+        while self._busy:
+            for _ in self.events():
+                pass
 
     def submit(self, index: int, job: Job[Any]) -> None:
         process, pipe = self._idle.pop() if self._idle else _start_process()

@@ -31,7 +31,8 @@ OnReport = Callable[[int, Any], None]  # called with a job's index and its repor
 MAX_LOSSES = 10  # maximum successive losses of a job's process without a report
 GRACE = 60.0  # [s] for interrupted jobs to write files and report
 
-Workers = int | Cluster  # number of processes on this machine, or a cluster
+# Number of processes on this machine, or processes that others started and close, or a cluster.
+Workers = int | Processes | Cluster
 
 
 def map_jobs(
@@ -50,7 +51,7 @@ def map_jobs(
     Args:
         jobs: functions of one argument, `report`. The next job is taken from the iterable only when
             a worker is free.
-        workers: number of processes, or a cluster; with one process, jobs run in this process.
+        workers: see `Workers`. If their number is one, jobs run in this process.
         on_report: called with a job's index and its report.
         grace: [s] time for interrupted jobs to finish.
         name: function from a job's index to its name, for a note on the job's error.
@@ -65,6 +66,9 @@ def map_jobs(
         from surface_gym.ray_executor import RayExecutor
 
         executor = RayExecutor(workers)
+    elif isinstance(workers, Processes):
+        executor = workers
+        executor.finish_loading()
     else:
         known = len(jobs) if isinstance(jobs, Sized) else workers
         if min(check_count("workers", workers), known) <= 1:
@@ -88,7 +92,8 @@ def map_jobs(
                     on_report(index, value)
         raise
     finally:
-        executor.close()
+        if executor is not workers:
+            executor.close()
 
 
 def _map(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from gymnasium.utils.seeding import np_random
 from rich.console import Console
 
 from surface_gym.config import PRESETS
+from surface_gym.executors import Processes
 from surface_gym.files import replacing
-from surface_gym.parallel import Workers
+from surface_gym.parallel import Workers, map_jobs, without_report
 
 from .. import library
 from . import plots, stream_views, views
@@ -317,8 +319,14 @@ def evaluate_run(
     show_tables(tables, console, "")
     if not streams:
         with console.status("drawing and filming"):
-            write_trajectories(methods, run / "trajectories.png")
-            file, caption = write_example(methods, run)
+            drawn: list[Callable[[], Any]] = [
+                partial(write_trajectories, methods, run / "trajectories.png"),
+                partial(write_example, methods, run),
+            ]
+            # Processes that begin now would load for longer than drawing takes.
+            ready = workers if isinstance(workers, Processes) else 1
+            drawn_at = dict(map_jobs([partial(without_report, each) for each in drawn], ready))
+            file, caption = drawn_at[1]
         console.print(f"{file.name}: {caption}")
     console.print(f"everything is in {run}")
     if not streams:

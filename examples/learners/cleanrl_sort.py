@@ -1,8 +1,10 @@
 """PPO in one file, as CleanRL writes it, on the native vector env of Sort.
 
 pip install -e ".[agents]"
-python examples/learners/cleanrl_sort.py
+python examples/learners/cleanrl_sort.py --seed 0 --save runs/cleanrl-0.pt
 """
+
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -21,17 +23,22 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
-def learn(steps: int) -> Act:
-    """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
+def likeliest(actor: nn.Module) -> Act:
+    """The likeliest actions of a network."""
+    return lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1))
+
+
+def learn(steps: int, seed: int) -> nn.Sequential:
+    """The network that so many control periods lead to; the learning rate falls to 0 over them."""
     turns = -(-steps // (NUM_ENVS * PERIODS))
-    torch.manual_seed(0)
+    torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
     mode = AutoresetMode.SAME_STEP  # what has ended shows its next start at once: no step is lost
     env = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     actor, critic = network(15, 16), network(15, 1)
     weights = [*actor.parameters(), *critic.parameters()]
     adam = torch.optim.Adam(weights, RATE, eps=1e-5)
-    seen = torch.from_numpy(env.reset(seed=0)[0])
+    seen = torch.from_numpy(env.reset(seed=seed)[0])
     for turn in range(turns):
         adam.param_groups[0]["lr"] = RATE * (1 - turn / turns)
         kept: list[tuple[Tensor, ...]] = []
@@ -67,12 +74,18 @@ def learn(steps: int) -> Act:
         if turn % 25 == 0:
             mean = rewards.sum() / ends.sum()
             print(f"{(turn + 1) * len(gained):8} periods: return {mean:.2f}, loss {loss:.3f}")
-    return lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1))
+    return actor
+
+
+def save(actor: nn.Sequential, file: Path) -> None:
+    """Save a network as the benchmark's entry in `examples/entries/cleanrl.py` reads it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    torch.save(actor.state_dict(), file)
 
 
 def main() -> None:
     """Train, and let the policy take its likeliest actions on fresh starts."""
-    run(learn, success, 2_500_000)
+    run(learn, lambda actor: success(likeliest(actor)), 2_500_000, save=save)
 
 
 if __name__ == "__main__":

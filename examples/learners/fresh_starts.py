@@ -24,21 +24,31 @@ SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S
 STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
 
 
-def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, *used: str) -> None:
+def run(
+    learn: Callable[[int, int], Any],
+    measure: Callable[[Any], Any],
+    steps: int,
+    *used: str,
+    save: Callable[[Any, Path], Any] | None = None,
+) -> None:
     """Learn, measure, and print how that went; `--keep FILE` writes it to a file too.
 
     Args:
-        learn: from so many control periods; gives what is measured.
+        learn: from so many control periods, with a seed; returns what is measured.
         measure: gives the figures.
         steps: control periods, unless `--steps` says otherwise.
         used: names of packages whose versions are reported.
+        save: writes what was learned to the file of `--save`; None: there is no such option.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=steps, help="control periods to learn from")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the starts and the network")
     parser.add_argument("--keep", type=Path, help="file that says how it went")
+    if save is not None:
+        parser.add_argument("--save", type=Path, help="file for what was learned")
     asked = parser.parse_args()
     command, begun = " ".join(["python", *sys.argv]), time.perf_counter()
-    learned = learn(asked.steps)
+    learned = learn(asked.steps, asked.seed)
     of_run = {
         "command": command,
         "seconds": round(time.perf_counter() - begun),
@@ -53,6 +63,8 @@ def run(learn: Callable[[int], Any], measure: Callable[[Any], Any], steps: int, 
     print(text, end="")
     if asked.keep is not None:
         asked.keep.write_text(text)
+    if save is not None and asked.save is not None:
+        save(learned, asked.save)
 
 
 def success(act: Act, num_envs: int = 2000) -> dict[str, dict[str, float]]:

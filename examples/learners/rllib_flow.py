@@ -48,9 +48,9 @@ class FlowOfAgents(MultiAgentEnv):
         return result
 
 
-def learn(steps: int) -> Act:
+def learn(steps: int, seed: int) -> Act:
     """The policy of all parcels that so many control periods of lines lead to."""
-    config = ppo(steps, ROLLOUT).environment(FlowOfAgents)
+    config = ppo(steps, ROLLOUT, seed).environment(FlowOfAgents)
     config.multi_agent(policies={"parcel"}, policy_mapping_fn=lambda *_, **__: "parcel")
     config.env_runners(num_env_runners=0, num_envs_per_env_runner=8)
     logits = train(config, steps, ROLLOUT, "parcel")

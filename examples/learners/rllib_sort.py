@@ -16,12 +16,12 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 ROLLOUT = 64 * 64  # control periods: of 64 environments, 64 each
 
 
-def ppo(steps: int, rollout: int) -> PPOConfig:
+def ppo(steps: int, rollout: int, seed: int) -> PPOConfig:
     """PPO whose learning rate falls to 0 over the steps, and a small network, in this process."""
     ray.init(address="local", num_cpus=1, include_dashboard=False)
     torch.set_num_threads(1)  # the network is small
     network = DefaultModelConfig([64, 64], fcnet_activation="tanh", vf_share_layers=False)
-    config = PPOConfig().debugging(seed=0).rl_module(model_config=network)
+    config = PPOConfig().debugging(seed=seed).rl_module(model_config=network)
     return config.training(
         train_batch_size_per_learner=rollout,
         minibatch_size=rollout // 4,
@@ -52,9 +52,9 @@ def train(config: PPOConfig, steps: int, rollout: int, policy: str) -> Callable[
     return lambda seen: module.forward_inference({"obs": torch.from_numpy(seen)})[odds]
 
 
-def learn(steps: int) -> Act:
+def learn(steps: int, seed: int) -> Act:
     """The policy that so many control periods lead to."""
-    config = ppo(steps, ROLLOUT)
+    config = ppo(steps, ROLLOUT, seed)
     config.environment("SmartSurface/Sort-v0", env_config={"actions": "halves"})
     config.env_runners(
         num_env_runners=0,

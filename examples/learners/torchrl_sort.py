@@ -27,14 +27,14 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
-def learn(steps: int) -> Act:
+def learn(steps: int, seed: int) -> Act:
     """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
-    torch.manual_seed(0)
+    torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
     mode = AutoresetMode.DISABLED  # TorchRL resets ended environments itself
     envs = gym.make_vec("SmartSurface/Sort-v0", NUM_ENVS, actions="halves", autoreset_mode=mode)
     env = GymWrapper(envs, categorical_action_encoding=True)
-    env.set_seed(0)
+    env.set_seed(seed)
     odds = network(15, 16)
     logits = TensorDictModule(odds, ["observation"], ["logits"])
     actor = ProbabilisticActor(

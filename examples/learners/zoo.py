@@ -38,14 +38,14 @@ class NativeVecEnv(SurfaceVecEnv):
         super().__init__(env)
 
 
-def learn(steps: int) -> Act:
+def learn(steps: int, seed: int) -> Act:
     """The policy that the zoo's command, `python -m rl_zoo3.train`, leaves in its folder."""
     ExperimentManager.default_vec_env_cls = NativeVecEnv  # else single environments, one by one
     with TemporaryDirectory() as folder:
         sys.argv = ["train", "--algo", "ppo", "--env", "SmartSurface/Sort-v0"]
         sys.argv += ["--conf-file", str(YAML), "--n-timesteps", str(steps), "--eval-freq", "-1"]
         sys.argv += ["--hyperparams", "n_envs:64", "n_steps:64", "batch_size:1024"]
-        sys.argv += ["--seed", "0", "--num-threads", "1", "--log-folder", folder]
+        sys.argv += ["--seed", str(seed), "--num-threads", "1", "--log-folder", folder]
         train()
         model = PPO.load(next(Path(folder).rglob("SmartSurface-Sort-v0.zip")), device="cpu")
     return lambda seen: model.predict(seen, deterministic=True)[0]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Generator, Iterator
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +29,7 @@ from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_fold
 from surface_gym.agents.library import WEIGHTS, task_files
 from surface_gym.agents.tuning.study import run_trial
 from surface_gym.design import Case, SortPurpose, least_speed
-from surface_gym.executors import Cluster, WorkError, describe_error
+from surface_gym.executors import Cluster, Processes, WorkError, describe_error
 from surface_gym.parallel import choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
 from tests.agents.tuning.cheap import searched
@@ -268,6 +269,15 @@ class TestProcesses:
         assert dict(map_jobs([jobs.own_process], 8)) == {0: os.getpid()}
         assert dict(map_jobs([jobs.own_process] * 2, 1)) == {0: os.getpid(), 1: os.getpid()}
         assert list(map_jobs([], 2)) == []
+
+    def test_processes_that_have_loaded_serve_calls_until_they_are_closed(self):
+        with closing(Processes(2)) as processes:
+            processes.load(jobs.fails_stubbornly, most=2)  # whatever becomes of it
+            first = set(dict(map_jobs([jobs.own_process] * 4, processes)).values())
+            again = set(dict(map_jobs([jobs.own_process] * 4, processes)).values())
+            assert os.getpid() not in first | again
+            assert len(first | again) <= 2
+        assert not any(map(is_there, first | again))
 
     def test_an_error_that_cannot_be_pickled_keeps_its_text(self):
         with pytest.raises(RuntimeError, match="Stubborn: 1 and 2"):

@@ -1,0 +1,39 @@
+"""Entry of the benchmark: PPO as CleanRL writes it, trained on Sort by five seeds.
+
+python examples/learners/cleanrl_sort.py --seed 0 --save runs/cleanrl-0.pt  # likewise 1 to 4
+surface-gym benchmark --policy examples/entries/cleanrl.py:CleanRL --tasks sort --seeds 0 1 2 3 4
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from surface_gym.config import EnvConfig
+
+RUNS = Path(__file__).parents[2] / "runs"
+
+
+class CleanRL:
+    """The likeliest action of a network with two hidden layers of 64."""
+
+    env_kwargs = {"actions": "halves"}
+
+    def __init__(self, config: EnvConfig, seed: int) -> None:
+        del config
+        torch.set_num_threads(1)
+        hidden = nn.Linear(15, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
+        self._network = nn.Sequential(*hidden, nn.Linear(64, 16))
+        self._network.load_state_dict(torch.load(RUNS / f"cleanrl-{seed}.pt", weights_only=True))
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """Choose actions for observations (num_envs, features)."""
+        del episode_start, deterministic
+        with torch.no_grad():
+            chosen = self._network(torch.from_numpy(np.asarray(observation))).argmax(dim=1)
+        return chosen.numpy(), state
