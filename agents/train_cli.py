@@ -1,5 +1,6 @@
 """`train.py`: train an agent, resume a run, or search hyper-parameters."""
 
+import gc
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -73,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         carry_out(parse_arguments(given), given, Console())
     except (ValueError, WorkError) as error:
         sys.exit(f"error: {describe_error(error)}")
+    gc.freeze()  # a last collection of all that was loaded would take a second
 
 
 def parse_arguments(arguments: Sequence[str]) -> Request:
@@ -156,9 +158,10 @@ def _comparing(workers: Workers, seeds: int) -> Iterator[Workers]:
 
 
 def _load(_: Any) -> None:
+    from . import policy
     from .evaluation import report
 
-    del report
+    del policy, report
 
 
 def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:

@@ -15,7 +15,7 @@ from surface_gym import registration
 from surface_gym.actions import KINDS
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
-from surface_gym.flow.base import ACTIONS, StreamTask
+from surface_gym.flow.base import ACTIONS, OF_ONE_PARCEL, StreamTask
 from surface_gym.registration import DEFAULT_STREAM, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.features import Feature
@@ -139,6 +139,8 @@ def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:
     rows, usual = [], kind()
     for field in fields(kind):
         if not field.init and kind is not EnvConfig:
+            continue
+        if issubclass(kind, StreamTask) and field.name in OF_ONE_PARCEL:
             continue
         if field.name in same and same[field.name] == getattr(usual, field.name):
             continue

@@ -138,11 +138,12 @@ class Processes:
 
     def close(self) -> None:
         """End all jobs and processes."""
-        for process, _ in self._busy.values():
-            process.terminate()
         busy = [(process, pipe) for pipe, (process, _) in self._busy.items()]
-        for process, pipe in [*self._idle, *busy]:
+        started = [*self._idle, *busy]
+        for process, pipe in started:  # idle ones too: what they loaded takes a second to unload
+            process.terminate()
             pipe.close()
+        for process, _ in started:
             process.join()
 
 

@@ -208,7 +208,7 @@ def write_card(
         "command": training_command(config),
         "seeds": list(range(config.seed, config.seed + config.seeds)),
         "steps": [each.steps for each in trained],
-        "seconds": [round(each.seconds) for each in trained],  # per seed, on one core or device
+        "seconds": [round(each.seconds) for each in trained],  # per seed
         "results": results,
     }
     (folder / CARD).write_text(yaml.safe_dump(card, sort_keys=False))

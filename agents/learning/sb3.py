@@ -1,7 +1,9 @@
 """Stable-Baselines3: training environments, PPO and DQN."""
 
+import os
 import time
 from dataclasses import replace
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 import surface_gym as sg
 from surface_gym import checks
 from surface_gym.config import PRESETS, Preset
+from surface_gym.parallel import usable_cores
 from surface_gym.parcel import assortment
 
 from ..base import action_mirror, time_for, with_zone
@@ -71,6 +74,12 @@ def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
     return exact, replace(camera, randomisation=sg.Randomisation(friction=config.friction))
 
 
+def _count_threads() -> int:
+    """Return the number of threads for environments: all cores, unless other runs share them."""
+    is_alone = parent_process() is None and "OMP_NUM_THREADS" not in os.environ
+    return usable_cores() if is_alone else 1
+
+
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
 ) -> SurfaceVecEnv:
@@ -84,6 +93,7 @@ def _make_envs(
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
             num_envs=num_envs,
+            threads=min(num_envs, _count_threads()),
             max_episode_steps=periods,
             task=task,
             line=line,

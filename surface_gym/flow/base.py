@@ -30,6 +30,12 @@ from surface_gym.tasks.benchmark import default_stream_benchmark
 from surface_gym.tasks.features import Feature
 from surface_gym.tasks.sort import HORIZON
 
+# Arguments of tasks for one parcel without a meaning for streams, and what streams have instead.
+OF_ONE_PARCEL = {
+    "entry_offset": "`aside` of the stream",
+    "entry_turn": "`turned` of the stream",
+    "time_limit": "`duration`",
+}
 HALVES = 2  # parts of a parcel's command: the modules ahead of its centre and behind it
 
 
@@ -178,6 +184,11 @@ class StreamTask(Task):
         set_field(self, "parcels", self.stream.kinds)
         set_field(self, "inlets", inlets_option(self.inlets))
         super().__post_init__()
+        for name, of_streams in OF_ONE_PARCEL.items():
+            if (value := getattr(self, name)) not in (None, 0.0):
+                raise ValueError(
+                    f"{name} must be left out for streams (they have {of_streams}), got {value!r}"
+                )
         for name, allowed in (("duration", (0.0, checks.EPISODE)), ("patience", checks.PATIENCE)):
             set_field(self, name, checks.positive(name, getattr(self, name), *allowed))
         for name, most in (

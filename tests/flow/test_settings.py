@@ -39,6 +39,9 @@ BAD: dict[str, list[Any]] = {
     "gate": [1, None],
     "queue": [0, 2, 2.0, True],
     "ahead": [-0.1, True],
+    "entry_offset": [0.1],
+    "entry_turn": [0.1],
+    "time_limit": [100],
 }
 
 
