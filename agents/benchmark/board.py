@@ -137,11 +137,9 @@ class Board:
         zero, one = read_protocol()["references"].get(task, ("", ""))
         caption = (
             f"{form.capitalize()} by cell. Score: interquartile mean with its 95 % interval, where "
-            f"0 is {zero} and 1 is {one}. Interactions are control periods of training per seed."
+            f"0 is {zero} and 1 is {one}."
         )
-        header = (
-            "entry", "score", *CELLS, "seeds", "interactions", "decision", "kind", "by", "source",
-        )  # fmt: skip
+        header = ("entry", "score", *CELLS, "seeds", "decision")
         return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
 
     def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
@@ -155,10 +153,21 @@ class Board:
         times = [row.decision_time for row in rows if not row.failure]
         return (
             name, str(score), *means, str(len({row.seed for row in rows})),
-            f"{entry.interactions / 1e6:.1f} M" if entry.interactions else NOTHING,
-            number(1e6 * float(np.median(times)) if times else None, ".0f", " us"),
-            entry.kind, entry.by or NOTHING, f"`{entry.source}`",
+            number(1e6 * float(np.median(times)) if times else None, ".0f", "\u00a0us"),
         )  # fmt: skip
+
+    def sources(self) -> Table:
+        """Return the table of where entries come from."""
+        rows = [
+            (
+                entry.name, entry.kind, entry.by or NOTHING, f"`{entry.source}`",
+                f"{entry.interactions / 1e6:.1f}\u00a0M" if entry.interactions else NOTHING,
+            )
+            for entry in sorted(self.entries, key=lambda each: each.name)
+        ]  # fmt: skip
+        header = ("entry", "kind", "by", "source", "interactions")
+        caption = "Interactions are control periods of training per seed."
+        return Table("entries", caption, header, tuple(rows))
 
 
 def _mean(results: Numbers | None) -> float | None:
@@ -170,6 +179,7 @@ def _is_rate(task: str) -> bool:
 
 
 def make_page(board: Board) -> str:
-    """Return the tables of all tasks as a page in Markdown."""
+    """Return the tables of all tasks, and of the entries, as a page in Markdown."""
     tables = [found for task in TASKS if (found := board.table(task)) is not None]
+    tables.append(board.sources())
     return "\n\n".join([TITLE, *(each.markdown().strip() for each in tables)]) + "\n"
