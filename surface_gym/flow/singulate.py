@@ -101,7 +101,7 @@ class Singulate(TakeAwayTask):
     `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
     for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
     `waiting` parcels; the terms of the reward, each as `reward_` and its name. The statistics
-    of the episode, which are 0 until it ends: the fields of
+    of the episode (0 until it ends): the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`, each as `episode_` and its name. These are
     parcels per hour, share of correct gaps, gaps, touches, the largest impulse and squeeze, and
     times.
