@@ -12,6 +12,7 @@ from surface_gym.agents.benchmark.protocol import CELLS, TestCell, read_protocol
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "benchmarks/results"
+TRAINED = {"cleanrl-ppo": "runs/cleanrl-0.pt"}  # weights of entries that are not in the repository
 ENTRIES = {entry.name: entry for entry in read_entries(RESULTS)}
 SAMPLE = 6  # episodes
 
@@ -34,6 +35,8 @@ def test_the_board_of_the_documentation_shows_them() -> None:
 @pytest.mark.parametrize("name", ENTRIES)
 def test_a_sample_comes_out_the_same(name: str) -> None:
     entry = ENTRIES[name]
+    if name in TRAINED and not (ROOT / TRAINED[name]).is_file():
+        pytest.skip(f"there is no {TRAINED[name]}: the entry's file says how to train it")
     row = next(row for row in entry.rows if not row.failure)
     test = TestCell(row.task, row.cell)
     assert row.digest == test.digest
