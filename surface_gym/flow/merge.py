@@ -18,9 +18,6 @@ LINE = columns(MERGE_FEATURES).line
 _observe = TakeAwayTask.observe
 
 
-THREE = side_by_side(3)
-
-
 def lines(rate: float = 6000.0) -> Stream:
     """Make boxes of mixed sizes on each line, at a total mean rate [parcels/h].
 
@@ -77,7 +74,7 @@ class Merge(TakeAwayTask):
     """
 
     stream: Stream = lines()
-    inlets: Any = THREE
+    inlets: Any = side_by_side(3)
     exits: Any = "mouth"
 
     features = MERGE_FEATURES
