@@ -158,7 +158,7 @@ class StreamTask(Task):
     gate: bool = False  # whether the action opens the gate for the next parcel
     queue: int = 1  # number of waiting parcels in the observation, with a gate
     entry_gap: float = 0.02  # [m] clearance ahead of an entering parcel
-    ahead: float = 0.1  # [s] time before a parcel's arrival from which a module may obey it
+    ahead: float = 0.1  # [s] a module may obey a parcel this long before it arrives
     patience: float = 2.0  # [s] time without motion that counts as a jam
 
     is_stream = True

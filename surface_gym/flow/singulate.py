@@ -74,7 +74,7 @@ class Singulate(TakeAwayTask):
     | 13, 14 | required motion in y to the nearest mouth, and required turn to be aligned |
     | 15 | time until departure if it rolls |
     | 16 | distance from the nearest mouth to the rear of its last departed parcel, minus `gap` |
-    | 17 | 1 if the take-away runs and continues |
+    | 17 | 1 if the take-away runs and is not about to stop |
     | 18 to 20 | time since its entry; 1 for a parcel, 0 for a free row; 1 for a parcel at the gate |
     | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
     | 25 to 28 | the next parcel behind |

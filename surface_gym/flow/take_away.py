@@ -112,7 +112,7 @@ FEATURES: tuple[Feature, ...] = (
     *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED, base.LENGTH,
     base.WIDTH,
     *(
-        Feature(name, -10.0, 100.0, f"reach of its base {way}, turned as it is", "m", 0.1, 0.2)
+        Feature(name, -10.0, 100.0, f"reach of its base {way}, at its angle", "m", 0.1, 0.2)
         for name, way in (
             ("front", "along x"), ("rear", "against x"), ("left", "along y"), ("right", "against y")
         )

@@ -54,7 +54,7 @@ class Task:
     parcels: Any = field(default=("S", "B"), kw_only=True)  # parcels to draw from
     # [m] lateral offset of the entry, to both sides at equal odds
     entry_offset: float = field(default=0.0, kw_only=True)
-    # [rad] angle at the entry, to the same side
+    # [rad] angle at the entry, to the side of the offset
     entry_turn: float = field(default=0.0, kw_only=True)
     # control periods after which an episode is truncated; None: the task's own limit
     time_limit: int | None = field(default=None, kw_only=True)

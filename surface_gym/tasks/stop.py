@@ -40,7 +40,7 @@ FEATURES = (
         "excess of speed",
         -50.0,
         50.0,
-        "vx minus the highest speed that full braking stops at the asked x",
+        "vx minus the highest speed from which full braking still stops by the asked x",
         "m/s",
         0.2,
     ),
@@ -64,7 +64,7 @@ class Stop(base.Task):
     uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the farthest stop.
     The nearest results from full braking (0.5 g) as soon as the parcel is wholly in the zone. The
     farthest is the last point wholly in the zone, or 0.8 of the rolling distance if that is less.
-    If the farthest is before the nearest, as in a short zone, it is the goal.
+    In a short zone the farthest may be before the nearest; then the goal is the farthest.
 
     ### Goal and end
 
@@ -72,7 +72,7 @@ class Stop(base.Task):
     with its centre within 5 mm of the goal x. Each failure ends the episode as `terminated`:
 
     - "missed": it rests elsewhere;
-    - "passed the asked x": its centre moves on more than 5 mm past it;
+    - "passed the asked x": its centre is more than 5 mm past it and still moves;
     - "off the line": no rotor is under the base any more;
     - "off the surface": the centre of mass passes the edge of the surface.
 
