@@ -4,12 +4,10 @@ pip install -e ".[agents]"
 python examples/learners/cleanrl_sort.py --seed 0 --save runs/cleanrl-0.pt
 """
 
-from pathlib import Path
-
 import gymnasium as gym
 import numpy as np
 import torch
-from fresh_starts import Act, run, success
+from fresh_starts import run, success
 from gymnasium.vector import AutoresetMode
 from torch import Tensor, nn
 
@@ -21,11 +19,6 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
     """Two hidden layers of 64."""
     hidden = nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
-
-
-def likeliest(actor: nn.Module) -> Act:
-    """The likeliest actions of a network."""
-    return lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1))
 
 
 def learn(steps: int, seed: int) -> nn.Sequential:
@@ -77,15 +70,14 @@ def learn(steps: int, seed: int) -> nn.Sequential:
     return actor
 
 
-def save(actor: nn.Sequential, file: Path) -> None:
-    """Save a network as the benchmark's entry in `examples/entries/cleanrl.py` reads it."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(actor.state_dict(), file)
+def measure(actor: nn.Module) -> dict[str, dict[str, float]]:
+    """The success of the likeliest actions."""
+    return success(lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1)))
 
 
 def main() -> None:
     """Train, and let the policy take its likeliest actions on fresh starts."""
-    run(learn, lambda actor: success(likeliest(actor)), 2_500_000, save=save)
+    run(learn, measure, 2_500_000, save=lambda actor, file: torch.save(actor.state_dict(), file))
 
 
 if __name__ == "__main__":

@@ -64,6 +64,7 @@ def run(
     if asked.keep is not None:
         asked.keep.write_text(text)
     if save is not None and asked.save is not None:
+        asked.save.parent.mkdir(parents=True, exist_ok=True)
         save(learned, asked.save)
 
 
