@@ -64,13 +64,14 @@ OF_FLOWS = (
     "TestTwins::test_go_on_alike",
     "TestBesideSingles::test_each_environment_is_a_single_env",
 )
-# Of each stream, whose module takes half a minute to compile.
+# Of streams, whose modules take half a minute to compile: by day the home page's line is equal to
+# Python's to the bit.
 OF_STREAMS = (
     "tests/web/test_streams.py::test_a_stream_is_equal_in_which_parcels_touch_or_leave",
     "tests/web/test_playground.py::"
     "test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python",
 )
-# Of agents on each slope, of which Merge is tried each time.
+# Of agents on slopes.
 OF_SLOPES = tuple(
     f"tests/web/test_agents.py::{test}"
     for test in (
@@ -82,9 +83,9 @@ OF_SLOPES = tuple(
 )
 # A policy that learns on each slope, and its results: Merge is tried each time.
 LEARNING_ON_SLOPES = (
-    "tests/agents/learning/test_slopes.py::test_a_policy_is_left_that_acts_in_its_task",
+    "tests/agents/learning/test_slopes.py::test_a_policy_is_left_that_acts_in_its_task"
 )
-# Infos of each task in two processes of Gymnasium's; of Sort, Flow and Merge each time.
+# Infos of each task in two processes of Gymnasium's; of Sort and Merge each time.
 OF_INFOS = (
     "tests/learners/test_learners.py::test_a_library_stacks_infos_in_its_own_way"
     "[gymnasium-by_gymnasium-SmartSurface/"
@@ -94,10 +95,7 @@ PAGES_AT_NIGHT = ("sensors.md", "material-flow.md")
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
-    *(
-        f"tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles[{task}"
-        for task in ("stop", "track", "slow", "orient")
-    ),
+    "tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles",
     "tests/agents/export/test_kernels.py::test_states_are_equal_to_the_bit_on_the_baseline",
     # A kernel of streams takes twenty seconds to compile; others hold each part of these.
     *(f"tests/flow/test_env.py::{test}[modules, presence" for test in OF_FLOWS),
@@ -135,14 +133,14 @@ NIGHTLY = (
     "tests/web/test_agents.py::test_a_rule_on_a_slope_leaves_a_wider_gap_where_a_camera_errs",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'camera'",
     "tests/web/test_rules.py::test_a_rule_sees_by_a_camera_as_in_python",
-    *(f"{test}[{task}" for test in OF_STREAMS for task in ("singulate", "merge", "sequence")),
-    *(f"{OF_STREAMS[1]}[{task}" for task in ("slow", "stop")),
-    "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python[orient",
+    OF_STREAMS[0],
     *(
-        f"{test}[{task}"
-        for test in (*OF_SLOPES, *LEARNING_ON_SLOPES)
-        for task in ("singulate", "sequence")
+        f"{OF_STREAMS[1]}[{task}"
+        for task in ("slow", "stop", "flow", "singulate", "merge", "sequence")
     ),
+    "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python",
+    *OF_SLOPES,
+    *(f"{LEARNING_ON_SLOPES}[{case}" for case in ("singulate", "sequence", "merge-parcels")),
     # The slowest rule of several whose layouts are found by search.
     *(
         f"tests/agents/rules/test_rules.py::{test}[orient: best fixed layout"
@@ -166,7 +164,13 @@ NIGHTLY = (
     *(
         "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
         f"[SmartSurface/{case}"
-        for case in ("Track-v0-modules", "Slow-v0-window", "Stop-v0-halves", "Orient-v0-modules")
+        for case in (
+            "Track-v0-modules",
+            "Slow-v0-window",
+            "Stop-v0-halves",
+            "Orient-v0-modules",
+            "Sort-v0-quadrants",
+        )
     ),
     *(
         f"tests/test_axes.py::TestSeenAxes::test_the_rest_is_as_without[{k}"
@@ -194,32 +198,18 @@ NIGHTLY = (
         f"test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise[{task}"
         for task in ("sort", "stop", "track", "orient")
     ),
-    *(
-        f"tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_"
-        f"python[{task}"
-        for task in ("sort-dqn", "slow", "stop", "track")
-    ),
+    "tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_python",
     *(
         f"{OF_INFOS}{task}"
         for task in ("Slow", "Stop", "Track", "Orient", "Flow", "Singulate", "Sequence")
     ),
-    # A stream's module takes half a minute to compile: by day the home page's line is equal to
-    # Python's to the bit, and one task of a parcel.
-    OF_STREAMS[0],
-    f"{OF_STREAMS[1]}[flow",
-    *OF_SLOPES,
+    # By day one task of a parcel is equal to Python's to the bit.
     *(
         f"tests/web/test_tasks.py::test_episodes_are_equal_from_their_starts_to_their_ends[{task}"
         for task in ("slow", "track", "orient", "stop")
     ),
-    *(
-        f"tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_"
-        f"python[{agent}"
-        for agent in ("orient", "sort-ppo-lab")
-    ),
     "tests/web/test_agents.py::test_a_run_on_a_slope_acts_as_in_python",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'stuck'",
-    "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python",
     "tests/web/test_rules.py::test_a_rule_runs_as_in_python[orient",
     # An algorithm's run is resumed: PPO's, DQN's and those on streams without sensors by day.
     *(
@@ -229,7 +219,6 @@ NIGHTLY = (
     ),
     "tests/agents/learning/test_runs.py::test_a_damaged_checkpoint_and_a_foreign_one_are_refused"
     "[local",
-    f"{LEARNING_ON_SLOPES[0]}[merge-parcels",
     "tests/agents/learning/test_training.py::test_modules_learn_for_the_lab_from_more_features",
     "tests/agents/rules/test_slopes.py::TestTimeSlots::test_parcels_leave_one_by_one[merge",
     "tests/agents/rules/test_layouts.py::test_it_leads_along_a_path_that_rolling_strays_from",
@@ -249,9 +238,6 @@ NIGHTLY = (
     *(f"tests/test_docs.py::test_the_code_of_a_page_runs[docs/{page}" for page in PAGES_AT_NIGHT),
     "tests/test_wheel.py::test_environment_and_shipped_agent_work",
     "tests/learners/test_learners.py::test_it_learns_to_sort[cleanrl",
-    "tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles[sort",
-    "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
-    "[SmartSurface/Sort-v0-quadrants",
     *(
         f"tests/test_axes.py::TestOnRequest::test_nothing_is_there_unasked[SmartSurface/{task}-v0"
         for task in ("Slow", "Stop", "Track", "Orient")

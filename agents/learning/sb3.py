@@ -93,7 +93,7 @@ def _make_envs(
     return SurfaceVecEnv(
         sg.SmartSurfaceVectorEnv(
             num_envs=num_envs,
-            threads=min(num_envs, _count_threads()),
+            threads=_count_threads(),
             max_episode_steps=periods,
             task=task,
             line=line,

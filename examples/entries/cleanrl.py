@@ -1,6 +1,6 @@
 """Entry of the benchmark: PPO as CleanRL writes it, trained on Sort by five seeds.
 
-python examples/learners/cleanrl_sort.py --seed 0 --save runs/cleanrl-0.pt  # likewise 1 to 4
+python examples/learners/cleanrl_sort.py --seed 0  # likewise 1 to 4
 surface-gym benchmark --policy examples/entries/cleanrl.py:CleanRL --tasks sort --seeds 0 1 2 3 4
 """
 
@@ -13,7 +13,7 @@ from torch import nn
 
 from surface_gym.config import EnvConfig
 
-RUNS = Path(__file__).parents[2] / "runs"
+ROOT = Path(__file__).parents[2]  # where the commands above run
 
 
 class CleanRL:
@@ -26,7 +26,7 @@ class CleanRL:
         torch.set_num_threads(1)
         hidden = nn.Linear(15, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()
         self._network = nn.Sequential(*hidden, nn.Linear(64, 16))
-        self._network.load_state_dict(torch.load(RUNS / f"cleanrl-{seed}.pt", weights_only=True))
+        self._network.load_state_dict(torch.load(ROOT / f"cleanrl-{seed}.pt", weights_only=True))
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None,

@@ -1,13 +1,13 @@
-"""PPO in one file, as CleanRL writes it, on the native vector env of Sort.
+"""PPO in one file, as CleanRL writes it, on the native vector env of Sort; saves cleanrl-SEED.pt.
 
 pip install -e ".[agents]"
-python examples/learners/cleanrl_sort.py --seed 0 --save runs/cleanrl-0.pt
+python examples/learners/cleanrl_sort.py --seed 0
 """
 
 import gymnasium as gym
 import numpy as np
 import torch
-from fresh_starts import run, success
+from fresh_starts import Act, run, success
 from gymnasium.vector import AutoresetMode
 from torch import Tensor, nn
 
@@ -21,8 +21,8 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(*hidden, nn.Linear(64, outputs))
 
 
-def learn(steps: int, seed: int) -> nn.Sequential:
-    """The network that so many control periods lead to; the learning rate falls to 0 over them."""
+def learn(steps: int, seed: int) -> Act:
+    """The policy that so many control periods lead to; the learning rate falls to 0 over them."""
     turns = -(-steps // (NUM_ENVS * PERIODS))
     torch.manual_seed(seed)
     torch.set_num_threads(1)  # the networks are small
@@ -67,17 +67,13 @@ def learn(steps: int, seed: int) -> nn.Sequential:
         if turn % 25 == 0:
             mean = rewards.sum() / ends.sum()
             print(f"{(turn + 1) * len(gained):8} periods: return {mean:.2f}, loss {loss:.3f}")
-    return actor
-
-
-def measure(actor: nn.Module) -> dict[str, dict[str, float]]:
-    """The success of the likeliest actions."""
-    return success(lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1)))
+    torch.save(actor.state_dict(), f"cleanrl-{seed}.pt")
+    return lambda seen: np.asarray(actor(torch.from_numpy(seen)).argmax(dim=1))
 
 
 def main() -> None:
     """Train, and let the policy take its likeliest actions on fresh starts."""
-    run(learn, measure, 2_500_000, save=lambda actor, file: torch.save(actor.state_dict(), file))
+    run(learn, success, 2_500_000)
 
 
 if __name__ == "__main__":

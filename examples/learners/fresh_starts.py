@@ -24,28 +24,19 @@ SIZE = [feature.name for feature in FEATURES].index("size")  # below 0 for the S
 STARTS = {"as they come": Sort(), "0.3 to 2.7 m/s evenly": Sort(slow_share=0.0)}
 
 
-def run(
-    learn: Callable[[int, int], Any],
-    measure: Callable[[Any], Any],
-    steps: int,
-    *used: str,
-    save: Callable[[Any, Path], Any] | None = None,
-) -> None:
+def run(learn: Callable[..., Any], measure: Callable[[Any], Any], steps: int, *used: str) -> None:
     """Learn, measure, and print how that went; `--keep FILE` writes it to a file too.
 
     Args:
-        learn: from so many control periods, with a seed; returns what is measured.
+        learn: from so many control periods and a seed; gives what is measured.
         measure: gives the figures.
         steps: control periods, unless `--steps` says otherwise.
         used: names of packages whose versions are reported.
-        save: writes what was learned to the file of `--save`; None: there is no such option.
     """
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=steps, help="control periods to learn from")
     parser.add_argument("--seed", type=int, default=0, help="seed of the starts and the network")
     parser.add_argument("--keep", type=Path, help="file that says how it went")
-    if save is not None:
-        parser.add_argument("--save", type=Path, help="file for what was learned")
     asked = parser.parse_args()
     command, begun = " ".join(["python", *sys.argv]), time.perf_counter()
     learned = learn(asked.steps, asked.seed)
@@ -53,19 +44,14 @@ def run(
         "command": command,
         "seconds": round(time.perf_counter() - begun),
         "cores": os.cpu_count(),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in ("surface_gym", "gymnasium", "torch", *used)},
-        },
+        "versions": {"python": platform.python_version()}
+        | {name: version(name) for name in ("surface_gym", "gymnasium", "torch", *used)},
         "figures": measure(learned),
     }
     text = yaml.safe_dump(of_run, sort_keys=False)
     print(text, end="")
     if asked.keep is not None:
         asked.keep.write_text(text)
-    if save is not None and asked.save is not None:
-        asked.save.parent.mkdir(parents=True, exist_ok=True)
-        save(learned, asked.save)
 
 
 def success(act: Act, num_envs: int = 2000) -> dict[str, dict[str, float]]:

@@ -2,7 +2,7 @@
 
 The digest of a function covers its code and the code of all functions it calls. Like the compiler,
 the walk follows names from a function to the functions and constants it refers to, in any file. An
-edit to one of them changes the digest. Edits of docstrings and of other functions do not.
+edit to one of them changes the digest; an edit of a docstring or of another function does not.
 """
 
 import gc

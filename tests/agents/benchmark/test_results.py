@@ -12,7 +12,7 @@ from surface_gym.agents.benchmark.protocol import CELLS, TestCell, read_protocol
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "benchmarks/results"
-TRAINED = {"cleanrl-ppo": "runs/cleanrl-0.pt"}  # weights of entries that are not in the repository
+TRAINED = {"cleanrl-ppo": "cleanrl-0.pt"}  # weights of entries that are not in the repository
 ENTRIES = {entry.name: entry for entry in read_entries(RESULTS)}
 SAMPLE = 6  # episodes
 
