@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.actions import ActionKind
 from surface_gym.config import EnvConfig
 from surface_gym.tasks.sort import COLUMN
 
@@ -148,26 +147,16 @@ def find_axes(config: EnvConfig) -> Axes:
 SIDE = COLUMN.side.place  # of the asked side in the observation
 
 
-def mirrored_orientations(orientations: tuple[float, ...]) -> Integers:
-    """Return the index (choices,) of each axis angle's mirror image in orientations [rad]."""
-    angles = np.array(orientations)
-    apart = axes_apart(-angles[:, np.newaxis], angles)
-    nearest = apart.argmin(axis=1)
-    if (apart[np.arange(len(angles)), nearest] > SAME).any():
-        raise ValueError(f"orientations must hold the mirror image of each, got {orientations}")
-    return nearest
-
-
 class ActionMirror:
     """Mirror of actions chosen for y > 0, if the goal side is y < 0.
 
-    Args:
-        orientations: [rad] axis angles to choose from; continuous actions ignore them.
+    Raises:
+        ValueError: a choice of the environment has no mirror image.
     """
 
-    def __init__(self, kind: ActionKind, orientations: tuple[float, ...]) -> None:
-        self._kind = kind
-        self._image = None if kind.continuous else mirrored_orientations(orientations)
+    def __init__(self, config: EnvConfig) -> None:
+        self._kind = config.action_kind
+        self._image = None if self._kind.continuous else config.images
 
     def __call__(self, actions: NDArray[Any], side: Singles) -> NDArray[Any]:
         """Return actions (num_envs, ...) in the world for goal sides (num_envs,)."""
@@ -183,4 +172,4 @@ def action_mirror(config: EnvConfig) -> ActionMirror | None:
     """Build the mirror of an environment's actions; None if its task is not symmetric."""
     if not config.task.mirrored:
         return None
-    return ActionMirror(config.action_kind, config.chosen_orientations)
+    return ActionMirror(config)

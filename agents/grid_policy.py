@@ -19,7 +19,6 @@ from torch import nn
 from surface_gym.config import EnvConfig, ModuleChoices
 from surface_gym.tasks.planning import LineObservation
 
-from .base import mirrored_orientations
 from .module_policy import GROUPS, draw_choices, log_likelihood, make_layers, make_linear
 
 PLACE_SIZE = 6  # number of features of a module's place
@@ -97,7 +96,7 @@ class GridNetwork(nn.Module):
         shown = [k for k, name in enumerate(names) if not (hides and name == "side")]
         choices = config.choices
         self.register_buffer("_shown", torch.tensor(shown))
-        image = mirrored_orientations(config.chosen_orientations) if hides else range(choices)
+        image = config.images if hides else range(choices)
         self.register_buffer("_image", torch.tensor(list(image)))
         self.register_buffer("_same", torch.arange(choices))
         # Modules far from the parcel turn to the angle at which it will roll on.

@@ -24,7 +24,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.feature_groups import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.tasks import sort
 
-from .base import SIDE, Integers, Singles, mirrored_orientations
+from .base import SIDE, Integers, Singles
 from .library import PolicyCard, TrainedPolicy, Weights
 from .module_places import AHEAD, ASIDE, PLACE_SIZE, find_places, find_shown
 from .rules.decoding import look_at_line
@@ -74,7 +74,7 @@ class SortModuleView:
         self._size = config.action_kind.size
         self._features = len(config.features)
         self._sight, self._shown = look_at_line(config), find_shown(config)
-        self._image = mirrored_orientations(config.chosen_orientations)
+        self._image = config.images
         angles = np.array(config.chosen_orientations)
         self._rest = int(np.abs(np.sin(angles)).argmax())  # choice closest to 90 deg
         columns = config.columns

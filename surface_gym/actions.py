@@ -17,6 +17,7 @@ from gymnasium import spaces
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import inlined
 from surface_gym.layouts import ROLLING
+from surface_gym.modules import ACROSS, ALONG, ANGLE
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import Array, Integers, X, Y
@@ -33,6 +34,8 @@ class ActionParams(NamedTuple):
     zone_rows: int  # rows of the widest zone, and of the commands
     orientations: Array  # (choices,) [rad] available axis angles
     turn: float  # [rad] turn of an axis per physics step; infinite: at once
+    modes: Array  # (choices + 1, 4) what modules do by choice, as in `surface_gym.modules`
+    ramp: float  # [m/s] change of a driven surface's velocity per physics step; infinite: at once
 
 
 class Corner(NamedTuple):
@@ -142,6 +145,14 @@ def aim_at_angle(
 
 
 @inlined
+def aim_at_mode(
+    acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
+) -> None:
+    """Set the mode chosen by the part as the target of a driven module."""
+    surfaces.target[i, row, column] = surfaces.command[i, part]
+
+
+@inlined
 def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Do nothing: the axes have turned already."""
     return False
@@ -169,6 +180,39 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
             surfaces.direction[i, axis, 0] = cosine
             surfaces.direction[i, axis, 1] = sine
     return turned
+
+
+@inlined
+def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
+    """Turn and drive each module of the zone towards its mode; return whether any changed."""
+    changed = False
+    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
+            mode = acting.modes[int(surfaces.target[i, row, column])]
+            axis = surfaces.axis[i, row, column]
+            apart = mode[ANGLE] - surfaces.angle[i, row, column]
+            if apart != 0.0:
+                changed = True
+                # A driven axis has period 2 pi, since its surface has a direction.
+                apart -= 2.0 * math.pi * math.floor(apart / (2.0 * math.pi) + 0.5)
+                angle = mode[ANGLE]
+                if abs(apart) > acting.turn:
+                    angle = surfaces.angle[i, row, column] + math.copysign(acting.turn, apart)
+                surfaces.angle[i, row, column] = angle
+                cosine, sine = axis_direction(angle)
+                surfaces.direction[i, axis, 0] = cosine
+                surfaces.direction[i, axis, 1] = sine
+            drive = surfaces.drive[i, axis]
+            along, across = mode[ALONG] - drive[st.ALONG], mode[ACROSS] - drive[st.ACROSS]
+            if along != 0.0 or across != 0.0:
+                changed = True
+                share = min(1.0, acting.ramp / math.sqrt(along * along + across * across))
+                if share == 1.0:
+                    drive[st.ALONG], drive[st.ACROSS] = mode[ALONG], mode[ACROSS]
+                else:
+                    drive[st.ALONG] += share * along
+                    drive[st.ACROSS] += share * across
+    return changed
 
 
 # Reset of all axes to the conveyor's, at once.
@@ -199,6 +243,23 @@ def straighten_targets(acting: ActionParams, surfaces: SurfaceState, i: int) -> 
         for column in range(surfaces.angle.shape[2]):
             surfaces.angle[i, row, column] = ROLLING
             surfaces.target[i, row, column] = ROLLING
+
+
+@inlined
+def straighten_modes(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
+    """Set each driven module to the conveyor's mode."""
+    conveyor = acting.modes.shape[0] - 1
+    mode = acting.modes[conveyor]
+    cosine, sine = axis_direction(mode[ANGLE])
+    for row in range(surfaces.axis.shape[1]):
+        for column in range(surfaces.axis.shape[2]):
+            axis = surfaces.axis[i, row, column]
+            surfaces.angle[i, row, column] = mode[ANGLE]
+            surfaces.target[i, row, column] = conveyor
+            surfaces.direction[i, axis, 0] = cosine
+            surfaces.direction[i, axis, 1] = sine
+            for k in range(st.ALONG, st.DRIVEN + 1):
+                surfaces.drive[i, axis, k] = mode[ALONG + k]
 
 
 # Function that returns a module's part, by kind of action.

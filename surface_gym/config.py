@@ -15,7 +15,9 @@ from surface_gym import checks
 from surface_gym.actions import ANY, ActionKind
 from surface_gym.feature_groups import AXIS_SIZE, group_features, offered_groups
 from surface_gym.lines import BaseLine, Site
+from surface_gym.modules import ANGLE, ModuleKind, find_module
 from surface_gym.parcel import Parcel, assortment
+from surface_gym.physics.types import Array, Integers
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.registration import DEFAULT_TASK, TASKS
 from surface_gym.sensors import AdaptiveCamera, Camera, Entry, Exact, Sensor
@@ -104,7 +106,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 
 LONGEST_STEP = 0.005  # [s]
-INFOS = ("axes", "normal_forces")  # optional entries of `info`
+INFOS = ("axes", "normal_forces", "energy")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
@@ -148,12 +150,15 @@ class EnvConfig:
     # [rad] at least two axis angles; "any"; or None: the line's (0, pi/4, -pi/4, pi/2)
     orientations: tuple[float, ...] | str | None = None
     actuators: Actuators = Actuators()  # `axis_speed` [rad/s], `stuck` modules, `stuck_share`
+    # kind of module: "idle", "steered", "omni", "belt", "popup", or one of `surface_gym.modules`
+    modules: str | ModuleKind = "idle"
     # spreads of friction, mass, size, load and start
     randomisation: Randomisation = Randomisation()
     # a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
-    info: tuple[str, ...] = ()  # optional entries of `info`: "axes", "normal_forces"
+    # optional entries of `info`: "axes", "normal_forces", "energy"
+    info: tuple[str, ...] = ()
     # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
     observe: tuple[str, ...] = ()
 
@@ -213,6 +218,7 @@ class EnvConfig:
         elif self.orientations is not None:
             angles = checks.orientations("orientations", self.orientations)
             set_field(self, "orientations", angles)
+        self._check_modules()
         period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
         set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
@@ -222,6 +228,14 @@ class EnvConfig:
         self._check_places()
         self.task.check(self)
         _ = self.action_kind, self.draws
+
+    def _check_modules(self) -> None:
+        """Raise a ValueError if a kind of module is unknown, or given beside orientations."""
+        if self.module_kind.drives and self.orientations is not None:
+            raise ValueError(
+                "orientations must not be given beside driven modules, whose headings they are, "
+                f"got {self.orientations!r} and {self.modules!r}"
+            )
 
     def _check_places(self) -> None:
         """Raise a ValueError if the zone, a stuck module or a start is not on the surface."""
@@ -282,10 +296,34 @@ class EnvConfig:
 
     @property
     def chosen_orientations(self) -> tuple[float, ...]:
-        """[rad] available axis angles; by default and for any angle, the line's orientations."""
+        """[rad] axis angle of each choice; by default and for any angle, the line's orientations.
+
+        With driven modules, several choices may have the same.
+        """
+        if self.module_kind.drives:
+            return tuple(self.modes[:-1, ANGLE].tolist())
+        return self._orientations
+
+    @property
+    def _orientations(self) -> tuple[float, ...]:
         if self.orientations is None or isinstance(self.orientations, str):
             return self.chosen_line.orientations
         return self.orientations
+
+    @property
+    def module_kind(self) -> ModuleKind:
+        """The kind of module."""
+        return find_module(self.modules)
+
+    @property
+    def modes(self) -> Array:
+        """(choices + 1, 4) what a module does by choice, and without a command."""
+        return self.module_kind.modes(self._orientations)
+
+    @property
+    def images(self) -> Integers:
+        """(choices,) index of each choice's mirror image in y."""
+        return self.module_kind.images(self._orientations)
 
     @property
     def action_kind(self) -> ActionKind:
@@ -299,7 +337,7 @@ class EnvConfig:
 
     @property
     def choices(self) -> int:
-        """Number of orientations; 0: any angle."""
+        """Number of choices of a module: orientations or modes; 0: any angle."""
         return 0 if self.orientations == ANY else len(self.chosen_orientations)
 
     @property
@@ -317,6 +355,11 @@ class EnvConfig:
     def rows(self) -> int:
         """Rows of parcels per environment: one, or the rows of a stream."""
         return self.task.rows
+
+    @property
+    def meters(self) -> bool:
+        """Whether the energy of drives and friction is summed."""
+        return "energy" in self.info
 
     @property
     def draws(self) -> int:

@@ -18,6 +18,10 @@ from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Pla
 ALONG_FACTOR, ACROSS_FACTOR, SUPPORT_FACTOR, GRAVITY_X, GRAVITY_Y, GRAVITY_NORMAL = range(6)
 CONDITION_COLUMNS = 6
 GRAVITY_COLUMNS = slice(GRAVITY_X, GRAVITY_NORMAL + 1)
+# Columns of `SurfaceState.drive`.
+ALONG, ACROSS, DRIVEN = range(3)
+# Columns of `ParcelState.energy`.
+WORK, HEAT = range(2)
 # Columns of `BodyTable.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
@@ -39,8 +43,12 @@ class SurfaceState(NamedTuple):
 
     axis: Places  # (surfaces, rows, columns) index of each rotor's axis among the directions
     direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis
+    # (surfaces or 1, directions, 3) velocity [m/s] of a module's surface along its axis and across
+    # it, and 1 for driven modules
+    drive: Array
     angle: Array  # (surfaces, rows, columns) [rad] angle of each axis, if axes take time to turn
-    target: Array  # (surfaces, rows, columns) [rad] target angle of each axis
+    # (surfaces, rows, columns) [rad] target angle of each axis; with drives, the chosen mode
+    target: Array
     stiffness: Array  # (surfaces or 1, rows, columns) [-]
     # (surfaces, 6) factors of friction [-], gravity along x, along y and normal [m/s^2]
     conditions: Array
@@ -76,6 +84,7 @@ class ParcelState(NamedTuple):
     reward: Array  # (rows,) sum of the terms
     outcome: Integers  # (rows,) index into the common outcomes and the task's failures
     fault: Integers  # (rows,)
+    energy: Array  # (rows, 2 or 0) [J] work of the drives, and heat of friction; if asked for
 
 
 class BodyTable(NamedTuple):
@@ -123,6 +132,7 @@ def read_grid(
     return Grid(
         surfaces.axis[surface],
         surfaces.direction[surface if surfaces.direction.shape[0] > 1 else 0],
+        surfaces.drive[surface if surfaces.drive.shape[0] > 1 else 0],
         bodies.rotor[body if bodies.rotor.shape[0] > 1 else 0],
         surfaces.stiffness[surface if surfaces.stiffness.shape[0] > 1 else 0],
         friction,
@@ -175,6 +185,7 @@ class EnvState(NamedTuple):
     elements: Geometry  # positions of the elements
     axis: Places  # (rows, columns) index of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine of an axis
+    drive: Array  # (directions, 3) drive of a module, as in `SurfaceState`
     rotor: Booleans  # (rows, columns) a rotor, else a support
     obeys: Booleans  # (rows, columns) whether a rotor is in the zone and not stuck
     goal: Array  # (goals,) goal of the task, from its starts
@@ -217,6 +228,7 @@ def env_state(
         elements,
         surfaces.axis[surface],
         surfaces.direction[surface if surfaces.direction.shape[0] > 1 else 0],
+        surfaces.drive[surface if surfaces.drive.shape[0] > 1 else 0],
         bodies.rotor[layout],
         bodies.obeys[layout],
         parcels.goal[row],
@@ -286,6 +298,12 @@ def zone_end(state: EnvState) -> float:
 def planar_speed(motion: Array) -> float:
     """Return the speed [m/s] of `state.truth` or `state.sensed`."""
     return math.sqrt(motion[ph.VX] * motion[ph.VX] + motion[ph.VY] * motion[ph.VY])
+
+
+@inlined
+def is_driven(state: EnvState) -> bool:
+    """Return whether the modules are driven, so that a parcel at rest may move again."""
+    return bool(state.drive[0, DRIVEN] > 0.0)
 
 
 @inlined

@@ -70,8 +70,8 @@ class Surface(Elements):
     Raises:
         ValueError: an array is empty, not finite, or has another shape than `axis`; `pitch` is not
             positive; a friction coefficient is negative; `mu_min` is greater than `mu_max`; the
-            tilt is not below 45 deg; its direction exceeds a full turn; or a number is outside the
-            limits of `surface_gym.checks`.
+            tilt is not below 45 deg; its direction exceeds a full turn; `surface_velocity` is
+            given for a support; or a number is outside the limits of `surface_gym.checks`.
 
     >>> import numpy as np
     >>> surface = Surface(axis=np.full((20, 30), np.pi / 2), rotor=np.ones((20, 30), bool))
@@ -90,6 +90,9 @@ class Surface(Elements):
     # (rows, columns) [-] relative stiffness of each element; None: equal, as in Eq. (1)
     stiffness: Array | None = None
     tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
+    # (rows, columns, 2) [m/s] velocity in x and y of the surfaces of driven modules, which grip
+    # alike in all directions; NaN: an idle rotor or a support; None: no module is driven
+    surface_velocity: Array | None = None
 
     def __post_init__(self) -> None:
         axis = checks.array("axis", self.axis, (None, None))
@@ -115,6 +118,9 @@ class Surface(Elements):
                 f"tilt must be between -pi/4 and pi/4 (45 deg), got {self.tilt!r}; {checks.DEGREES}"
             )
         checks.settle(self, tilt=checks.number, tilt_direction=checks.angle)
+        if self.surface_velocity is not None:
+            drive = _checked_drive(self.surface_velocity, rotor)
+            checks.set_fields(self, surface_velocity=drive)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by the constructor, so that the arrays are read-only again."""
@@ -140,13 +146,27 @@ class Surface(Elements):
         """Return y [m] of each row's centre (rows,)."""
         return self.origin[1] + self.pitch_y * np.arange(self.rows, dtype=np.float64)
 
+    @property
+    def driven(self) -> Booleans:
+        """Return a mask (rows, columns) of the driven modules."""
+        if self.surface_velocity is None:
+            return np.zeros(self.axis.shape, dtype=bool)
+        return ~np.isnan(self.surface_velocity[..., 0])
+
     @cached_property
     def grid(self) -> Grid:
         """Return the surface as input of the compiled physics."""
         gravity_x, gravity_y, gravity_normal = split_gravity(self.tilt, self.tilt_direction)
+        direction, drive = axis_directions(self.axis.ravel()), np.zeros((self.axis.size, 3))
+        driven = self.driven.ravel()
+        if self.surface_velocity is not None:  # axes of driven modules have no effect
+            direction[driven] = 1.0, 0.0
+            drive[driven, :2] = self.surface_velocity.reshape(-1, 2)[driven]
+            drive[driven, 2] = 1.0
         return Grid(
             axis=np.arange(self.axis.size, dtype=np.int32).reshape(self.axis.shape),
-            direction=axis_directions(self.axis.ravel()),
+            direction=direction,
+            drive=drive,
             rotor=np.array(self.rotor),
             stiffness=np.ones(self.axis.shape) if self.stiffness is None else self.stiffness.copy(),
             friction=self.friction.copy(),
@@ -161,6 +181,24 @@ class Surface(Elements):
             gravity_y=gravity_y,
             gravity_normal=gravity_normal,
         )
+
+
+def _checked_drive(value: Any, rotor: Booleans) -> Array:
+    """Return the velocities (rows, columns, 2) [m/s] of driven modules, or raise a ValueError."""
+    drive = np.array(value, dtype=np.float64)
+    if drive.shape != (*rotor.shape, 2):
+        raise ValueError(
+            f"surface_velocity must have the shape {(*rotor.shape, 2)}, got {drive.shape}"
+        )
+    idle = np.isnan(drive)
+    if (idle[..., 0] != idle[..., 1]).any() or (~idle[..., 0] & ~rotor).any():
+        raise ValueError(
+            "surface_velocity must be two numbers for a driven module, which is among the rotors, "
+            f"and NaN for all others, got {value!r}"
+        )
+    if not (np.abs(drive[~idle]) <= checks.SPEED).all():
+        raise ValueError(f"surface_velocity must be at most {checks.SPEED:g} m/s, got {value!r}")
+    return drive
 
 
 def _check_stiffness(stiffness: Array) -> None:

@@ -67,11 +67,11 @@ class ContactRecord:
     """Contacts of a run, one row per contact and step, in the order of steps and of the grid.
 
     Friction is the force on the parcel. For a rotor, "along" is the direction (cos, sin) of
-    `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support, "along" is x and
-    "across" is y. The implicit step uses friction at its final velocity, the explicit step at its
-    initial velocity. The paper's rule for a standing parcel scales the forces along the axes; the
-    record holds the scaled forces. If all other friction exceeds gravity even then, the rule holds
-    the parcel, and the forces do not balance along x.
+    `Surface.axis`, and "across" is 90 deg anti-clockwise from it. For a support or a driven module,
+    "along" is x and "across" is y. The implicit step uses friction at its final velocity, the
+    explicit step at its initial velocity. The paper's rule for a standing parcel scales the forces
+    along the axes; the record holds the scaled forces. If all other friction exceeds gravity even
+    then, the rule holds the parcel, and the forces do not balance along x.
     """
 
     step: NDArray[np.int64]  # (rows,) step of the contact: the row of the trajectory after it
@@ -83,7 +83,8 @@ class ContactRecord:
     along: NDArray[np.float64]  # (rows,) [N] friction along the rotor's axis; x for a support
     across: NDArray[np.float64]  # (rows,) [N] friction across the axis; y for a support
     force: NDArray[np.float64]  # (rows, 2) [N] the same friction in x and y
-    # (rows, 2) [m/s] velocity of the base over the element after the step, along and across
+    # (rows, 2) [m/s] velocity of the base over the element's surface after the step, along and
+    # across
     slip: NDArray[np.float64]
 
     def __len__(self) -> int:
@@ -117,7 +118,7 @@ class ContactRecord:
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a parcel and its dissipation by friction since the start, one row per step.
+    """Energy of a parcel, dissipation and work of drives since the start, one row per step.
 
     The power of friction in a step uses the mean of the velocities before and after it.
     """
@@ -127,11 +128,13 @@ class Energy:
     along: NDArray[np.float64]  # (T,) [J] cumulated dissipation by rotors along their axes
     across: NDArray[np.float64]  # (T,) [J] cumulated dissipation by rotors across their axes
     supports: NDArray[np.float64]  # (T,) [J] cumulated dissipation by supports
+    driven: NDArray[np.float64]  # (T,) [J] cumulated dissipation over driven modules
+    drives: NDArray[np.float64]  # (T,) [J] cumulated work of the driven modules' motors
 
     @property
     def dissipated(self) -> NDArray[np.float64]:
         """Sum (T,) [J] of all dissipation by friction since the start."""
-        return self.along + self.across + self.supports
+        return self.along + self.across + self.supports + self.driven
 
     @property
     def balance(self) -> NDArray[np.float64]:
@@ -141,7 +144,8 @@ class Energy:
         step, it is an error that vanishes with the step length, plus the work of its rules for a
         standing parcel.
         """
-        return self.kinetic - self.kinetic[0] + self.potential + self.dissipated
+        gained = self.kinetic - self.kinetic[0] + self.potential
+        return gained + self.dissipated - self.drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,6 +338,7 @@ def _compute_contacts(run: Run, time: Array) -> ContactRecord:
     force = mass * observed.force
     along, across = _along_and_across(surface, observed.element, force)
     slide = _slip_velocity(run, time, step, place, run.states[:, ph.VX : ph.OMEGA + 1])
+    slide -= _drive_velocity(surface, observed.element)
     return ContactRecord(
         step=step,
         time=time[step],
@@ -352,7 +357,7 @@ def _along_and_across(surface: Surface, element: Integers, vector: Array) -> tup
     """Return the components along and across each element's axis; x and y on a support."""
     grid = surface.grid
     row, column = element.T
-    cosine, sine = grid.direction[grid.axis[row, column]].T
+    cosine, sine = grid.direction[grid.axis[row, column]].T  # of a driven module: 1 and 0
     cosine = np.where(grid.rotor[row, column], cosine, 1.0)
     sine = np.where(grid.rotor[row, column], sine, 0.0)
     x, y = vector.T
@@ -372,6 +377,14 @@ def _slip_velocity(run: Run, time: Array, step: Integers, place: Array, velocity
     return np.column_stack([vx - omega * arm[:, 1], vy + omega * arm[:, 0]])
 
 
+def _drive_velocity(surface: Surface, element: Integers) -> Array:
+    """Return the velocity (rows, 2) [m/s] of each element's surface."""
+    if surface.surface_velocity is None:
+        return np.zeros(element.shape)
+    row, column = element.T
+    return np.nan_to_num(surface.surface_velocity[row, column])
+
+
 def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
     """Compute the energy of a run from its states (T, 8) and contacts; time is (T,) [s]."""
     surface, parcel = run.surface, run.parcel
@@ -379,9 +392,13 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
     mean = np.zeros_like(velocity)
     mean[1:] = 0.5 * (velocity[1:] + velocity[:-1])
     slide = _slip_velocity(run, time, contacts.step, contacts.place, mean)
+    drive = _drive_velocity(surface, contacts.element)
+    slide -= drive
     slip_along, slip_across = _along_and_across(surface, contacts.element, slide)
     power_along, power_across = -contacts.along * slip_along, -contacts.across * slip_across
-    rotor = contacts.rotor
+    driven = surface.driven[tuple(contacts.element.T)]
+    rotor = contacts.rotor & ~driven
+    support = ~contacts.rotor
     vx, vy, omega = velocity.T
     turning = parcel.body.gyration * omega**2
     pull_x, pull_y = parcel.mass * surface.grid.gravity_x, parcel.mass * surface.grid.gravity_y
@@ -397,7 +414,9 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
         potential=pull_x * rise[:, 0] + pull_y * rise[:, 1],
         along=cumulate(np.where(rotor, power_along, 0.0)),
         across=cumulate(np.where(rotor, power_across, 0.0)),
-        supports=cumulate(np.where(rotor, 0.0, power_along + power_across)),
+        supports=cumulate(np.where(support, power_along + power_across, 0.0)),
+        driven=cumulate(np.where(driven, power_along + power_across, 0.0)),
+        drives=cumulate((contacts.force * drive).sum(axis=1)),
     )
 
 
@@ -415,7 +434,7 @@ MOTION = ("time", "pose", "velocity", "tipping", "end")
 SURFACE = ("axis", "rotor", "pitch", "origin", "mu_max", "mu_min", "mu_support", "tilt")
 PARCEL = ("mass", "com_height", "com_offset")
 RUN = ("dt", "method", "normal_forces", "states")
-MAY_BE_NONE = ("stiffness", "inertia")  # left out of a file if None
+MAY_BE_NONE = ("stiffness", "surface_velocity", "inertia")  # left out of a file if None
 ADDED = ("tilt_direction",)  # fields of `Surface` that older files lack; they get the default
 ALL = (*SURFACE, *PARCEL, *RUN, "base", "base_lengths")
 ROWS = 4_000_000  # maximum rows in an .npz file: an hour in steps of 1 ms
@@ -501,8 +520,9 @@ def _run_parts(run: Run) -> Parts:
     parts |= {name: np.asarray(getattr(parcel, name)) for name in PARCEL}
     parts |= {name: np.asarray(getattr(run, name)) for name in RUN}
     parts |= {"base": np.asarray(base), "base_lengths": lengths}
-    if surface.stiffness is not None:
-        parts["stiffness"] = surface.stiffness
+    for name in ("stiffness", "surface_velocity"):
+        if getattr(surface, name) is not None:
+            parts[name] = getattr(surface, name)
     if parcel.inertia is not None:
         parts["inertia"] = np.asarray(parcel.inertia)
     return parts
@@ -532,7 +552,7 @@ def _read_run(parts: Parts, rows: int) -> Run | None:
         for name in (*ALL, *MAY_BE_NONE, *ADDED)
         if name in parts
     }
-    of_surface = (*SURFACE, "stiffness", *ADDED)
+    of_surface = (*SURFACE, "stiffness", "surface_velocity", *ADDED)
     surface = Surface(**{name: plain[name] for name in of_surface if name in plain})
     lengths = checks.array("base_lengths", plain["base_lengths"], parts["base_lengths"].shape)
     make_base = BASES[checks.one_of("base", plain["base"], BASES)]

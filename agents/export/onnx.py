@@ -20,7 +20,7 @@ from surface_gym.feature_groups import GROUPS, QUADRANT_SIZE
 from surface_gym.lines import Line
 from surface_gym.tasks.features import decode
 
-from ..base import SIDE, Integers, Singles, mirrored_orientations
+from ..base import SIDE, Integers, Singles
 from ..module_places import ACROSS, BESIDE, ELLIPSE, EXACT, MARGIN, ROUND
 from .policy import Layer, Network, NetworkDecision, Source, are_close, to_array
 
@@ -415,7 +415,7 @@ def modules_decision(source: Source) -> ModulesDecision:
         Network((Layer(first, arrays["_alike.bias"]), *layers), "tanh"),
         config,
         np.array([k for k, name in enumerate(names) if name not in _APART], dtype=np.int64),
-        mirrored_orientations(angles),
+        config.images,
         int(np.abs(np.sin(angles)).argmax()),
         angles,
     )

@@ -14,7 +14,7 @@ from surface_gym.files import DAMAGE, describe_damage
 from surface_gym.tasks import Task
 
 from .. import library
-from ..base import SIDE, Booleans, Integers, Numbers, Singles, mirrored_orientations
+from ..base import SIDE, Booleans, Integers, Numbers, Singles
 from ..evaluation.method import policy_folders
 from ..learning import runs
 from ..learning.config import NOMINAL
@@ -247,7 +247,7 @@ def network_decision(source: Source) -> NetworkDecision:
     orientations, symmetry = config.chosen_orientations, None
     if config.task.mirrored:  # a goal at y < 0 is observed in a mirror
         parts = kind.flip(np.arange(kind.size)[np.newaxis])[0]
-        symmetry = Symmetry(SIDE, mirrored_orientations(orientations), parts)
+        symmetry = Symmetry(SIDE, config.images, parts)
     if kind.space().shape == ():  # one choice for all parts
         options, groups = kind.commands(np.arange(network.outputs), network.outputs), 1
     else:

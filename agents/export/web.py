@@ -34,7 +34,7 @@ from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
 
 from .. import library, local_policy, module_policy, parcel_policy
-from ..base import SIDE, Singles, mirrored_orientations
+from ..base import SIDE, Singles
 from ..evaluation.method import policy_folders
 from ..local_policy import LocalPolicy
 from ..module_places import find_places
@@ -134,7 +134,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
             *weights.add_layers(tensors, "_logits"),
         ],
         "shared": module_policy.SHARED,
-        "mirror": mirrored_orientations(config.chosen_orientations).tolist(),
+        "mirror": config.images.tolist(),
         "rest": local_policy.find_rest(config), "side": SIDE,
     }  # fmt: skip
 

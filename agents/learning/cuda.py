@@ -16,7 +16,7 @@ from gymnasium import spaces
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.registration import DEFAULT_TASK, TASKS, env_id
 
-from ..base import SIDE, ActionMirror, mirrored_orientations
+from ..base import SIDE, ActionMirror
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
 from ..tensors import check_like, load_optimizer
 from . import ppo
@@ -67,14 +67,14 @@ class TensorMirror:
     """`ActionMirror` on tensors."""
 
     def __init__(self, env_config: EnvConfig, device: torch.device) -> None:
-        kind, orientations = env_config.action_kind, env_config.chosen_orientations
+        kind = env_config.action_kind
         space = kind.space()
         if isinstance(space, spaces.Discrete):
             every = np.arange(space.n)
-            images = ActionMirror(kind, orientations)(every, -np.ones(len(every), np.float32))
+            images = ActionMirror(env_config)(every, -np.ones(len(every), np.float32))
             sources = np.zeros(1, dtype=np.int64)
         else:
-            images = mirrored_orientations(orientations)
+            images = env_config.images
             sources = kind.flip(np.arange(kind.size)[np.newaxis])[0]
         self._images = torch.from_numpy(images).to(device)  # (options,) mirror image of each option
         self._sources = torch.from_numpy(sources).to(device)  # (parts,) mirror image of each part

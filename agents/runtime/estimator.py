@@ -354,7 +354,11 @@ def make_move(update: Function, label: str) -> Any:
     ) -> None:
         physics = Physics(params.assumed, params.stiffness, scratch, length)
         acting = actions.ActionParams(
-            params.acting.zone_rows, params.acting.orientations, axis_speed * length
+            params.acting.zone_rows,
+            params.acting.orientations,
+            axis_speed * length,
+            params.acting.modes,
+            params.acting.ramp,
         )
         invalidate_contacts(scratch)
         parcels.noise_row[i, 0] = 0

@@ -12,6 +12,7 @@ from surface_gym import actions, feature_groups, state as st
 from surface_gym.compiler.jit import is_compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core.kernel import Actuation, EnvParams, KernelFunctions, ShownGroup
+from surface_gym.modules import ALONG, ANGLE
 from surface_gym.physics import types as ph
 from surface_gym.physics.step import axis_directions
 from surface_gym.physics.types import Integers, Scratch, make_scratch
@@ -89,8 +90,9 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         **compiled_functions(task, Task, "begin is_done outcome reward observe mirror"),
         **compiled_functions(sensor, Sensor, "begin update read", "_sensor"),
         watches=sensor.watches,
+        meters=config.meters,
         part_of=kind.part_of,
-        actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
+        actuation=choose_actuation(config),
         show_modules=feature_groups.show_occupancy if window else feature_groups.show_nothing,
         show_axes=show_axes if config.observe_axes else feature_groups.show_nothing,
         groups=tuple(
@@ -101,9 +103,23 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
     )
 
 
-def choose_actuation(any_angle: bool, turning: bool) -> Actuation:
-    """Return the functions of the axes: for any angle or given orientations, at once or turning."""
-    if turning:
+def changes_slowly(config: EnvConfig) -> bool:
+    """Return whether modules take time to obey."""
+    slow_drive = config.module_kind.drives and config.module_kind.acceleration != math.inf
+    return slow_drive or config.actuators.axis_speed != math.inf
+
+
+def choose_actuation(config: EnvConfig) -> Actuation:
+    """Return the functions of the modules.
+
+    There are some for any angle, given orientations and drives, at once or in time.
+    """
+    any_angle, slow = config.action_kind.continuous, changes_slowly(config)
+    if slow and config.module_kind.drives:
+        return Actuation(
+            actions.aim_at_mode, actions.ramp_modules, actions.straighten_modes, turns=True
+        )
+    if slow:
         aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
         return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)
     set_axis, straighten = actions.set_choice, actions.straighten_choices
@@ -135,6 +151,8 @@ def make_env_params(config: EnvConfig) -> EnvParams:
             kind.rows,
             np.array(config.chosen_orientations),
             config.actuators.axis_speed * timing.dt,
+            config.modes,
+            config.module_kind.acceleration * timing.dt,
         ),
         friction=line.friction.copy(),
         assumed=config.sensors.friction(line).copy(),
@@ -154,19 +172,25 @@ def make_state(config: EnvConfig, num_envs: int) -> tuple[st.SurfaceState, st.Pa
 def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
     line, kind = config.chosen_line, config.action_kind
     grid = (count, line.rows, line.columns)
-    turning = config.actuators.axis_speed != math.inf
+    turning = changes_slowly(config)
     # Axes are indices into few directions; with any angle, every axis has its own direction.
-    angles = np.array(config.chosen_orientations)
+    modes = config.modes
     if kind.choices > 0 and not turning:
-        axis = np.full(grid, len(angles), dtype=np.int32)
-        direction = np.array([[*axis_directions(angles), actions.CONVEYOR]])
+        axis = np.full(grid, kind.choices, dtype=np.int32)
+        direction = axis_directions(modes[:, ANGLE])[np.newaxis]
+        drive = modes[np.newaxis, :, ALONG:].copy()
     else:
         own = np.arange(line.rows * line.columns, dtype=np.int32).reshape(grid[1:])
         axis = np.tile(own, (count, 1, 1))
-        direction = np.tile(np.array(actions.CONVEYOR), (count, own.size, 1))
+        direction = np.tile(axis_directions(modes[-1:, ANGLE]), (count, own.size, 1))
+        # Drives of idle rotors are all zero, and common to all surfaces.
+        drive = np.tile(
+            modes[-1:, ALONG:], (count if config.module_kind.drives else 1, own.size, 1)
+        )
     return st.SurfaceState(
         axis=axis,
         direction=direction,
+        drive=drive,
         angle=np.zeros(grid if turning else (count, 1, 1)),
         target=np.zeros(grid if turning else (count, 1, 1)),
         stiffness=np.ones((count if config.randomisation.stiffness > 0.0 else 1, *grid[1:])),
@@ -199,4 +223,5 @@ def _make_parcels(config: EnvConfig, rows: int) -> st.ParcelState:
         reward=np.zeros(rows),
         outcome=np.zeros(rows, dtype=np.int64),
         fault=np.zeros(rows, dtype=np.int64),
+        energy=np.zeros((rows, 2 if config.meters else 0)),
     )

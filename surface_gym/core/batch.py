@@ -518,11 +518,14 @@ class Batch(BaseBatch):
             self.parcels.body[i] = self._plan.draw_stuck(i, parcel, working)
 
     def _on_request(self) -> Infos:
-        """Return the requested infos by name, each (num_envs, rows, columns).
+        """Return the requested infos by name.
 
-        The infos are axis angles [rad], and the parcel's normal force [N] on each element.
+        They are axis angles [rad] and the parcel's normal force [N] on each element, both
+        (num_envs, rows, columns), and energies [J] since the start (num_envs,).
         """
         found = {}
+        if self.config.meters:
+            found["drive_work"], found["friction_heat"] = self.parcels.energy.T.copy()
         if "axes" in self.config.info:
             found["axes"] = st.axis_angles(self.surfaces)
         if "normal_forces" in self.config.info:

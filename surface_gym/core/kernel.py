@@ -13,8 +13,9 @@ from surface_gym import state as st
 from surface_gym.actions import ActionParams, window_corner
 from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.physics.contacts import invalidate_contacts
+from surface_gym.physics.friction import friction_work
 from surface_gym.physics.step import OFF_SURFACE, step_implicit
-from surface_gym.physics.types import Array, Integers, Scratch
+from surface_gym.physics.types import MASS, OMEGA, VX, VY, Array, Contacts, Integers, Scratch
 from surface_gym.sensors.base import Physics, Singles
 from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState, Timing
 
@@ -52,6 +53,7 @@ class KernelFunctions(NamedTuple):
     update_sensor: Function
     read_sensor: Function
     watches: bool
+    meters: bool  # whether energies are summed
     part_of: Function
     actuation: Actuation
     show_modules: Function  # writes features after the task's
@@ -160,6 +162,33 @@ def begin_period(parcels: ParcelState, i: int) -> None:
     parcels.on_surface[i] = True
 
 
+@inlined
+def add_energy(
+    parcels: ParcelState,
+    i: int,
+    mass: float,
+    scratch: Scratch,
+    contacts: Contacts,
+    vx: float,
+    vy: float,
+    omega: float,
+) -> None:
+    """Add the work of the drives and the heat of friction of a step to a row of `parcels`.
+
+    `vx`, `vy` and `omega` are the velocity before the step.
+    """
+    after = parcels.state[i]
+    work, heat = friction_work(
+        scratch,
+        contacts,
+        0.5 * (vx + after[VX]),
+        0.5 * (vy + after[VY]),
+        0.5 * (omega + after[OMEGA]),
+    )
+    parcels.energy[i, st.WORK] += mass * work
+    parcels.energy[i, st.HEAT] += mass * heat
+
+
 def _running(functions: KernelFunctions) -> Any:
     """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
 
@@ -168,6 +197,7 @@ def _running(functions: KernelFunctions) -> Any:
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
+    meters = functions.meters
 
     @inlined
     def run(
@@ -192,8 +222,11 @@ def _running(functions: KernelFunctions) -> Any:
             if turns and turn(params.acting, surfaces, i, state.zone):
                 invalidate_contacts(scratch)
                 invalidate_contacts(sensor_scratch)
+            vx, vy, omega = state.com[VX], state.com[VY], state.com[OMEGA]
             report, contacts = step_implicit(grid, body, state.com, scratch, dt)
             on_surface = report < OFF_SURFACE
+            if meters and on_surface:
+                add_energy(parcels, i, state.body[MASS], scratch, contacts, vx, vy, omega)
             parcels.on_surface[i] = on_surface
             if on_surface:
                 parcels.clock[i] += dt
@@ -269,6 +302,8 @@ def make_kernel(functions: KernelFunctions) -> Any:
                 parcels.steps[i] = 0
                 parcels.outcome[i] = st.RUNNING
                 parcels.reward[i] = 0.0
+                for k in range(parcels.energy.shape[1]):
+                    parcels.energy[i, k] = 0.0
             state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
             mirror = task_mirror(state)
             if begins:

@@ -94,13 +94,13 @@ def _map(function: Callable[[Any], Any], values: Any) -> Any:
 
 # Named as in `physics.types`.
 TABLE_ROWS = (
-    "ARM_X", "ARM_Y", "AXIS_X", "AXIS_Y", "STIFFNESS", "MU_ALONG", "MU_ACROSS", "PRESSURE",
-    "NORMAL", "MOST_ALONG", "MOST_ACROSS", "SLIP_ALONG", "SLIP_ACROSS", "FORCE_X", "FORCE_Y",
-    "TORQUE", "CURVE_XX", "CURVE_XY", "CURVE_XW", "CURVE_YY", "CURVE_YW", "CURVE_WW",
-    "SLIDE_ALONG", "RATE_ALONG", "SLIDE_ACROSS", "RATE_ACROSS", "KINK_1", "KINK_2", "KINK_3",
-    "KINK_4", "SLOPE", "BOUND_START", "BOUND_SLOPE", "BOUND_SIDE", "KINKS",
+    "ARM_X", "ARM_Y", "AXIS_X", "AXIS_Y", "STIFFNESS", "DRIVE_ALONG", "DRIVE_ACROSS", "MU_ALONG",
+    "MU_ACROSS", "PRESSURE", "NORMAL", "MOST_ALONG", "MOST_ACROSS", "SLIP_ALONG", "SLIP_ACROSS",
+    "FORCE_X", "FORCE_Y", "TORQUE", "CURVE_XX", "CURVE_XY", "CURVE_XW", "CURVE_YY", "CURVE_YW",
+    "CURVE_WW", "SLIDE_ALONG", "RATE_ALONG", "SLIDE_ACROSS", "RATE_ACROSS", "KINK_1", "KINK_2",
+    "KINK_3", "KINK_4", "SLOPE", "BOUND_START", "BOUND_SLOPE", "BOUND_SIDE", "KINKS",
 )  # fmt: skip
-MARK_ROWS = ("ROTOR", "SUPPORT", "SPAN_ROW", "SPAN_FIRST", "SPAN_LAST", "COUNTS")
+MARK_ROWS = ("KIND", "ISOTROPIC", "SPAN_ROW", "SPAN_FIRST", "SPAN_LAST", "COUNTS")
 KINKS_PER_CONTACT = 4
 OUTLINE_MARGIN = 1.01  # factor by which an outline is enlarged, for safety
 
@@ -118,6 +118,7 @@ def scratch_layout(capacity: int) -> MappingProxyType[str, int]:
             "TABLE_SIZE": table["KINKS"] + KINKS_PER_CONTACT * capacity,
             **marks,
             "SPANS": counts + types.SPANS - types.COUNTS,
+            "ISOTROPICS": counts + types.ISOTROPICS - types.COUNTS,
             "SUPPORTS": counts + types.SUPPORTS - types.COUNTS,
             "MARKS_SIZE": counts + types.MARKS_SIZE - types.COUNTS,
         }

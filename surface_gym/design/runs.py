@@ -268,6 +268,7 @@ class SurfaceSet(NamedTuple):
 
     axis: Places  # (layouts, rows, columns) index of each rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
+    drive: Array  # (directions, 3) zeros: modules are idle
     rotor: Booleans  # (rows, columns)
     stiffness: Array  # (maps, rows, columns) [-]
     friction: Array  # (rows, columns, 3) [-] as `Grid.friction`
@@ -294,6 +295,7 @@ def _make_grid(surfaces: SurfaceSet, number: Integers, conditions: Array) -> Gri
     return Grid(
         surfaces.axis[number[LAYOUT]],
         surfaces.direction,
+        surfaces.drive,
         surfaces.rotor,
         surfaces.stiffness[number[STIFFNESS]],
         surfaces.friction,
@@ -390,7 +392,8 @@ def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) ->
     mu = np.array((line.mu_max, line.mu_min, line.mu_support))
     return SurfaceSet(
         axis=places.reshape(axes.shape).astype(np.int32),
-        direction=stepping.axis_directions(angles), rotor=line.rotor.copy(),
+        direction=stepping.axis_directions(angles), drive=np.zeros((len(angles), 3)),
+        rotor=line.rotor.copy(),
         stiffness=np.ones((1, *line.shape)) if stiffness is None else stiffness.astype(float),
         friction=np.broadcast_to(mu, (*line.shape, 3)).copy(), x0=0.5 * line.pitch_x,
         y0=0.5 * line.pitch_y, pitch_x=line.pitch_x, pitch_y=line.pitch_y,

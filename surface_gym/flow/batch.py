@@ -97,9 +97,10 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
         **compiled_functions(task, StreamTask, names),
         **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
+        meters=config.meters,
         part_of=claims.part_of_module if config.actions == "modules" else claims.part_of_owner,
         commanded=claims.commanded_angle if kind.continuous else claims.commanded_choice,
-        actuation=choose_actuation(kind.continuous, config.actuators.axis_speed != math.inf),
+        actuation=choose_actuation(config),
     )
 
 
@@ -206,7 +207,13 @@ class StreamBatch(BaseBatch):
             **dict(zip(COUNTS, streams.tally.T.copy(), strict=True)),
             "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
+            **(self._energies() if self.config.meters else {}),
         }
+
+    def _energies(self) -> Infos:
+        """Return the energies [J] of all parcels since the start, (num_envs,)."""
+        sums = self.parcels.energy.reshape(self.num_envs, self.rows, 2).sum(axis=1)
+        return {"drive_work": sums[:, st.WORK].copy(), "friction_heat": sums[:, st.HEAT].copy()}
 
     def info(self, env_index: int) -> dict[str, Any]:
         if self.config.info:

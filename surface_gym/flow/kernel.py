@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from surface_gym import state as st
 from surface_gym.compiler.jit import compiled, inlined
-from surface_gym.core.kernel import Actuation, EnvParams, Function
+from surface_gym.core.kernel import Actuation, EnvParams, Function, add_energy
 from surface_gym.flow import state as fs
 from surface_gym.flow.claims import assigning, obeying
 from surface_gym.flow.entry import count_due, count_waiting, depart, entering, show_waiting
@@ -22,6 +22,7 @@ from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.step import OFF_SURFACE
 from surface_gym.physics.types import Bodies, Integers, Scratch
+from surface_gym.physics.world_forces import is_among
 from surface_gym.sensors.base import Physics
 from surface_gym.state import BodyTable, ParcelState, SurfaceState
 from surface_gym.tasks.base import STALL_SPEED
@@ -48,6 +49,7 @@ class StreamFunctions(NamedTuple):
     update_sensor: Function
     read_sensor: Function
     watches: bool
+    meters: bool  # whether energies are summed
     part_of: Function  # kind of action
     commanded: Function
     actuation: Actuation
@@ -93,6 +95,10 @@ def begin_episode(view: StreamView) -> None:
         for column in range(streams.commanded.shape[2]):
             streams.commanded[i, row, column] = ROLLING
             streams.owner[i, row, column] = fs.NOBODY
+    energy = view.parcels.energy
+    for row in range(view.first, view.first + view.rows):
+        for k in range(energy.shape[1]):
+            energy[row, k] = 0.0
     streams.outcome[i] = st.RUNNING
 
 
@@ -121,6 +127,27 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
             memory[view.first + b, fs.TOUCHED] += 1.0
         streams.touched_at[i, a, b] = streams.steps[i]
         streams.touched_at[i, b, a] = streams.steps[i]
+
+
+@inlined
+def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
+    """Add the work of drives and the heat of friction of a step to the rows of its parcels.
+
+    For parcels that pushed each other, friction after the touch stands for the whole step.
+    """
+    parcels, dt = view.parcels, view.params.timing.dt
+    for slot in range(view.slots):
+        if not view.streams.present[view.i, slot] or scratch.report[slot] >= OFF_SURFACE:
+            continue
+        row, before = view.first + slot, scratch.before[slot]
+        mass = view.bodies.body[parcels.body[row], ph.MASS]
+        if is_among(scratch, pairs, slot):
+            mass *= dt / max(dt - scratch.since[slot], 1e-3 * dt)
+        marks = scratch.marks[slot]
+        contacts = ph.Contacts(scratch.floor[slot], marks[ph.ISOTROPICS], marks[ph.SUPPORTS])
+        under = Scratch(scratch.tables[slot], marks)
+        velocity = before[ph.VX], before[ph.VY], before[ph.OMEGA]
+        add_energy(parcels, row, mass, under, contacts, *velocity)
 
 
 # What is built below is kept, so that kernels with some of the same functions share its code.
@@ -155,7 +182,7 @@ def _following(
 
 
 @lru_cache(maxsize=64)
-def _moving(follow: Function, advance: Function, turn: Function, turns: bool) -> Any:
+def _moving(follow: Function, advance: Function, turn: Function, turns: bool, meters: bool) -> Any:
     """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
 
     @inlined
@@ -171,6 +198,8 @@ def _moving(follow: Function, advance: Function, turn: Function, turns: bool) ->
         streams.clock[i] += dt
         streams.steps[i] += 1
         note_touches(view, scratch, pairs)
+        if meters:
+            add_energies(view, scratch, pairs)
         advance(view_task(view), dt)
         for slot in range(view.slots):
             if streams.present[i, slot]:
@@ -396,7 +425,7 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     obey_command = obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
     follow = _following(f.has_departed, f.exit_taken, f.deliver, f.update_sensor, f.watches)
     enter = _receiving(f.has_room, f.begin, f.begin_sensor)
-    run = _running(_moving(follow, f.advance, turn, turns), enter)
+    run = _running(_moving(follow, f.advance, turn, turns, f.meters), enter)
     earn = _earning(f.reward, f.read_sensor)
     observe_parcels = _observing(f.inform, f.observe, f.observe_neighbour, f.observe_no_neighbour)
     may_jam = f.may_jam

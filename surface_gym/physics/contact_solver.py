@@ -257,11 +257,12 @@ def _advance(grid: Grid, world: World, scratch: WorldScratch, k: int, hit: bool,
     motion = sd.sweep_between(scratch.before[k], state)
     alone = scratch.since[k]
     rest = dt - alone
+    marks = scratch.marks[k]
     vx, vy, omega = implicit_velocity(
         grid,
         world.bodies.body[world.body[k], ph.GYRATION],
-        Scratch(scratch.tables[k], scratch.marks[k]),
-        Contacts(scratch.floor[k], scratch.marks[k, ph.SUPPORTS]),
+        Scratch(scratch.tables[k], marks),
+        Contacts(scratch.floor[k], marks[ph.ISOTROPICS], marks[ph.SUPPORTS]),
         rest,
         start[0],
         start[1],

@@ -65,30 +65,44 @@ def _row_interval(body: Body, table: Array, dy: float) -> tuple[float, float]:
 
 @inlined
 def _gather(grid: Grid, scratch: Scratch) -> int:
-    """Write the kind of each element of the spans, and return the number of supports."""
+    """Write the friction of each element of the spans, and return the number of supports."""
     table, marks = scratch.table, scratch.marks
     i = 0
+    isotropic = 0
     supports = 0
     for k in range(marks[ph.SPANS]):
         row = marks[ph.SPAN_ROW + k]
         for column in range(marks[ph.SPAN_FIRST + k], marks[ph.SPAN_LAST + k] + 1):
             table[ph.STIFFNESS + i] = grid.stiffness[row, column]
-            marks[ph.ROTOR + i] = grid.rotor[row, column]
+            cosine, sine, along, across = 1.0, 0.0, 0.0, 0.0
+            kind = ph.SUPPORT
             if grid.rotor[row, column]:
                 axis = grid.axis[row, column]
-                table[ph.AXIS_X + i] = grid.direction[axis, 0]
-                table[ph.AXIS_Y + i] = grid.direction[axis, 1]
-                table[ph.MU_ALONG + i] = grid.friction[row, column, 0] * grid.along_factor
-                table[ph.MU_ACROSS + i] = grid.friction[row, column, 1] * grid.across_factor
+                cosine, sine = grid.direction[axis, 0], grid.direction[axis, 1]
+                along, across = grid.drive[axis, 0], grid.drive[axis, 1]
+                kind = ph.DRIVEN if grid.drive[axis, 2] > 0.0 else ph.ROTOR
+                mu = grid.friction[row, column, 0] * grid.along_factor
+                mu_across = grid.friction[row, column, 1] * grid.across_factor
             else:
-                table[ph.AXIS_X + i] = 1.0
-                table[ph.AXIS_Y + i] = 0.0
                 mu = grid.friction[row, column, 2] * grid.support_factor
-                table[ph.MU_ALONG + i] = mu
-                table[ph.MU_ACROSS + i] = mu
-                marks[ph.SUPPORT + supports] = i
+                mu_across = mu
                 supports += 1
+            if kind != ph.ROTOR:
+                marks[ph.ISOTROPIC + isotropic] = i
+                isotropic += 1
+            if kind == ph.DRIVEN:  # without an axis: along x and y
+                along, across = cosine * along - sine * across, sine * along + cosine * across
+                cosine, sine = 1.0, 0.0
+                mu_across = mu
+            marks[ph.KIND + i] = kind
+            table[ph.AXIS_X + i] = cosine
+            table[ph.AXIS_Y + i] = sine
+            table[ph.DRIVE_ALONG + i] = along
+            table[ph.DRIVE_ACROSS + i] = across
+            table[ph.MU_ALONG + i] = mu
+            table[ph.MU_ACROSS + i] = mu_across
             i += 1
+    marks[ph.ISOTROPICS] = isotropic
     return supports
 
 
@@ -151,4 +165,4 @@ def find_contacts(
     if changed or marks[ph.SPANS] != spans:
         marks[ph.SPANS] = spans
         marks[ph.SUPPORTS] = _gather(grid, scratch)
-    return Contacts(count, marks[ph.SUPPORTS])
+    return Contacts(count, marks[ph.ISOTROPICS], marks[ph.SUPPORTS])

@@ -2,10 +2,12 @@
 
 The paper's forces, Eq. (2)-(3), are minus the gradient of
     Phi(v) = sum over rotors N_i (mu_max |a_i . u_i| + mu_min |p_i . u_i|)
-           + sum over supports N_j mu_support |u_j|
-with u the velocity at the contact, a the axis and p its normal. One step is the convex problem
+           + sum over supports N_j mu_support |u_j| + sum over driven modules N_k mu_max |u_k|
+with u the slip at the contact, which is the base's velocity over the element's surface, a the axis
+and p its normal. Only surfaces of driven modules move by themselves. One step is the convex problem
     v+ = argmin 1/2 |v - (v0 + dt g)|_M^2 + dt Phi(v)
-in three unknowns. The parcel stays at rest while friction holds it, and does not chatter.
+in three unknowns. A parcel that friction holds does not chatter: it stays at rest, or moves with
+the surfaces below.
 
 Each loop below either treats every contact independently, or sums in the order of the contacts. The
 compiler vectorises loops of the first kind only, so no sum depends on the vector width.
@@ -33,7 +35,7 @@ def _prepare(
     dw: float,
     rounding: float,
 ) -> None:
-    """Write each contact's velocity, its change along the search, and its kinks."""
+    """Write each contact's slip, its change along the search, and its kinks."""
     table = scratch.table
     for i in range(contacts.total):
         x = table[ph.ARM_X + i]
@@ -44,9 +46,9 @@ def _prepare(
         uy = vy + omega * x
         sx = dx - dw * y
         sy = dy + dw * x
-        along = ax * ux + ay * uy
+        along = ax * ux + ay * uy - table[ph.DRIVE_ALONG + i]
         along_rate = ax * sx + ay * sy
-        across = ax * uy - ay * ux
+        across = ax * uy - ay * ux - table[ph.DRIVE_ACROSS + i]
         across_rate = ax * sy - ay * sx
         table[ph.SLIDE_ALONG + i] = along
         table[ph.RATE_ALONG + i] = along_rate
@@ -72,8 +74,8 @@ def _slope(scratch: Scratch, contacts: Contacts, t: float, rounding: float) -> f
         table[ph.SLOPE + i] = table[ph.NORMAL + i] * (
             along * table[ph.RATE_ALONG + i] + across * table[ph.RATE_ACROSS + i]
         )
-    for k in range(contacts.supports):
-        i = scratch.marks[ph.SUPPORT + k]
+    for k in range(contacts.isotropic):
+        i = scratch.marks[ph.ISOTROPIC + k]
         u = table[ph.SLIDE_ALONG + i] + t * table[ph.RATE_ALONG + i]
         v = table[ph.SLIDE_ACROSS + i] + t * table[ph.RATE_ACROSS + i]
         share = table[ph.MU_ALONG + i] / max(rounding, math.sqrt(u * u + v * v))
@@ -203,8 +205,8 @@ def friction_gradient(
         ay = table[ph.AXIS_Y + i]
         ux = vx - omega * y
         uy = vy + omega * x
-        along = (ax * ux + ay * uy) * per_rounding
-        across = (ax * uy - ay * ux) * per_rounding
+        along = (ax * ux + ay * uy - table[ph.DRIVE_ALONG + i]) * per_rounding
+        across = (ax * uy - ay * ux - table[ph.DRIVE_ACROSS + i]) * per_rounding
         f_along = table[ph.MOST_ALONG + i] * min(1.0, max(-1.0, along))
         f_across = table[ph.MOST_ACROSS + i] * min(1.0, max(-1.0, across))
         fx = f_along * ax - f_across * ay
@@ -215,12 +217,12 @@ def friction_gradient(
         table[ph.FORCE_Y + i] = fy
         table[ph.TORQUE + i] = x * fy - y * fx
         held += (abs(along) < 1.0) | (abs(across) < 1.0)
-    for k in range(contacts.supports):
-        i = scratch.marks[ph.SUPPORT + k]
+    for k in range(contacts.isotropic):
+        i = scratch.marks[ph.ISOTROPIC + k]
         x = table[ph.ARM_X + i]
         y = table[ph.ARM_Y + i]
-        ux = vx - omega * y
-        uy = vy + omega * x
+        ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
+        uy = vy + omega * x - table[ph.DRIVE_ACROSS + i]
         share = table[ph.MOST_ALONG + i] / max(ROUNDING, math.sqrt(ux * ux + uy * uy))
         fx = share * ux
         fy = share * uy
@@ -232,7 +234,7 @@ def friction_gradient(
         gx += table[ph.FORCE_X + i]
         gy += table[ph.FORCE_Y + i]
         gw += table[ph.TORQUE + i]
-    return gx, gy, gw, held + contacts.supports == 0
+    return gx, gy, gw, held + contacts.isotropic == 0
 
 
 @inlined
@@ -268,12 +270,12 @@ def friction_curvature(
         kxy = (k_along - k_across) * ax * ay
         kyy = k_along * ay * ay + k_across * ax * ax
         _write_curvature(table, i, kxx, kxy, kyy)
-    for k in range(contacts.supports):
-        i = scratch.marks[ph.SUPPORT + k]
+    for k in range(contacts.isotropic):
+        i = scratch.marks[ph.ISOTROPIC + k]
         x = table[ph.ARM_X + i]
         y = table[ph.ARM_Y + i]
-        ux = vx - omega * y
-        uy = vy + omega * x
+        ux = vx - omega * y - table[ph.DRIVE_ALONG + i]
+        uy = vy + omega * x - table[ph.DRIVE_ACROSS + i]
         speed = math.sqrt(ux * ux + uy * uy)
         share = table[ph.MOST_ALONG + i] / max(ROUNDING, speed)
         kxx = kyy = share
@@ -358,3 +360,28 @@ def implicit_velocity(
         start = gx * dx + gy * dy + gw * dw
         step = 1.0
     return vx, vy, omega
+
+
+@inlined
+def friction_work(
+    scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
+) -> tuple[float, float]:
+    """Return the work of the drives and the heat of friction in the last step, per mass [J/kg].
+
+    Work and heat differ by the change of kinetic energy through friction.
+
+    Args:
+        scratch: holds the impulses of friction of the last `friction_gradient`.
+        vx, vy, omega: mean velocity of the centre of mass in the step.
+    """
+    table = scratch.table
+    work = heat = 0.0
+    for i in range(contacts.total):
+        ax, ay = table[ph.AXIS_X + i], table[ph.AXIS_Y + i]
+        wx = ax * table[ph.DRIVE_ALONG + i] - ay * table[ph.DRIVE_ACROSS + i]
+        wy = ay * table[ph.DRIVE_ALONG + i] + ax * table[ph.DRIVE_ACROSS + i]
+        ux = vx - omega * table[ph.ARM_Y + i] - wx
+        uy = vy + omega * table[ph.ARM_X + i] - wy
+        work -= table[ph.FORCE_X + i] * wx + table[ph.FORCE_Y + i] * wy
+        heat += table[ph.FORCE_X + i] * ux + table[ph.FORCE_Y + i] * uy
+    return work, heat

@@ -226,8 +226,9 @@ SEARCHED_SLOPE = 0.05
 def floor_contacts(island: Island, k: int) -> tuple[Scratch, Contacts]:
     """Return the contacts of a member with the elements."""
     total = island.floor[k]
+    isotropic = island.marks[k, ph.ISOTROPICS] if total > 0 else 0
     supports = island.marks[k, ph.SUPPORTS] if total > 0 else 0
-    return Scratch(island.tables[k], island.marks[k]), Contacts(total, supports)
+    return Scratch(island.tables[k], island.marks[k]), Contacts(total, isotropic, supports)
 
 
 @linked

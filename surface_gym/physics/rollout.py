@@ -211,7 +211,7 @@ def repeat_explicit(
         before, state, first = steps.before[k - 1], observed.state[k], steps.first[k]
         contacts = _begin(grid, body, steps, k, scratch, observed)
         step.advance_explicit(grid, body, state, scratch, contacts, steps.length[k])
-        standing = before[ph.VX] <= 0.0
+        standing = before[ph.VX] <= 0.0 and not step.is_driven(grid)
         vx = step.RESTART_SPEED if standing else before[ph.VX]
         along_x = 0.0
         other_x = grid.gravity_x
@@ -219,7 +219,7 @@ def repeat_explicit(
             # Apply the law to one contact: its scratch's tables begin at the contact.
             one = Scratch(scratch.table[i:], scratch.marks[i:])
             fx, fy, _, _ = step.explicit_acceleration(
-                level, body.gyration, one, Contacts(1, 0), vx, before[ph.VY], before[ph.OMEGA]
+                level, body.gyration, one, Contacts(1, 0, 0), vx, before[ph.VY], before[ph.OMEGA]
             )
             observed.force[first + i, 0] = fx
             observed.force[first + i, 1] = fy
@@ -235,7 +235,8 @@ def repeat_explicit(
 def _along(scratch: Scratch, i: int, fx: float, fy: float) -> float:
     """Return the part of a contact's friction along a rotor's axis; 0 for a support."""
     axis_x, axis_y = scratch.table[ph.AXIS_X + i], scratch.table[ph.AXIS_Y + i]
-    return scratch.marks[ph.ROTOR + i] * (axis_x * fx + axis_y * fy)
+    rotor = scratch.marks[ph.KIND + i] == ph.ROTOR
+    return rotor * (axis_x * fx + axis_y * fy)
 
 
 @inlined

@@ -121,6 +121,15 @@ def held_share(along_x: float, other_x: float) -> float:
 
 
 @inlined
+def is_driven(grid: Grid) -> bool:
+    """Return whether a surface has driven modules, to which the paper's rules do not apply."""
+    driven = False
+    for axis in range(grid.drive.shape[0]):
+        driven |= grid.drive[axis, 2] > 0.0
+    return driven
+
+
+@inlined
 def explicit_acceleration(
     grid: Grid,
     gyration: float,
@@ -135,7 +144,7 @@ def explicit_acceleration(
     Returns:
         The acceleration, and the vx to start from, which the rule may change.
     """
-    standing = vx <= 0.0
+    standing = vx <= 0.0 and not is_driven(grid)
     if standing:
         vx = RESTART_SPEED
     # The forces along the axes, which the rule may scale, and all others, per unit mass.
@@ -145,13 +154,15 @@ def explicit_acceleration(
     for i in range(contacts.total):
         x = table[ph.ARM_X + i]
         y = table[ph.ARM_Y + i]
-        ux = vx - omega * y
-        uy = vy + omega * x
+        ax = table[ph.AXIS_X + i]
+        ay = table[ph.AXIS_Y + i]
+        wx = ax * table[ph.DRIVE_ALONG + i] - ay * table[ph.DRIVE_ACROSS + i]
+        wy = ay * table[ph.DRIVE_ALONG + i] + ax * table[ph.DRIVE_ACROSS + i]
+        ux = vx - omega * y - wx
+        uy = vy + omega * x - wy
         speed = math.sqrt(ux * ux + uy * uy)
         smooth = table[ph.NORMAL + i] * math.tanh(STEEPNESS * speed)
-        if scratch.marks[ph.ROTOR + i]:
-            ax = table[ph.AXIS_X + i]
-            ay = table[ph.AXIS_Y + i]
+        if scratch.marks[ph.KIND + i] == ph.ROTOR:
             # cos(alpha) = a . V / |V|, and sin(alpha).
             f_par = table[ph.MU_ALONG + i] * smooth * _sign(ax * ux + ay * uy)
             f_perp = table[ph.MU_ACROSS + i] * smooth * _sign(ay * ux - ax * uy)
@@ -205,7 +216,7 @@ def find_support(grid: Grid, body: Body, state: Array, scratch: Scratch, lead: f
     x = state[ph.X] + lead * state[ph.VX]
     y = state[ph.Y] + lead * state[ph.VY]
     if not on_surface(grid, x, y):
-        return Contacts(0, 0)
+        return Contacts(0, 0, 0)
     return find_contacts(grid, body, x, y, state[ph.THETA] + lead * state[ph.OMEGA], scratch)
 
 
@@ -291,8 +302,8 @@ def step_explicit(
     grid: Grid, body: Body, state: Array, scratch: Scratch, dt: float
 ) -> tuple[int, Contacts]:
     """Do one step of the paper's loop (Figure 5a), including its stopping rule."""
-    if state[ph.VX] <= 0.0 and grid.gravity_x == 0.0:
-        return STOPPED, Contacts(0, 0)
+    if state[ph.VX] <= 0.0 and grid.gravity_x == 0.0 and not is_driven(grid):
+        return STOPPED, Contacts(0, 0, 0)
     contacts = find_support(grid, body, state, scratch, 0.0)
     if contacts.total == 0:
         return explain_unsupported(grid, state, 0.0), contacts

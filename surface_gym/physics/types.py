@@ -20,6 +20,9 @@ class Grid(NamedTuple):
 
     axis: Places  # (rows, columns) index of a rotor's axis in `direction`
     direction: Array  # (directions, 2) cosine and sine
+    # (directions, 3) [m/s] velocity of a module's surface along its axis and across it; [-] 1: a
+    # driven module, which grips alike in all directions; 0: an idle rotor
+    drive: Array
     rotor: Booleans  # (rows, columns) a rotor, else a support
     stiffness: Array  # (rows, columns) [-] relative stiffness of an element; weights Eq. (1)
     friction: Array  # (rows, columns, 3) [-] friction along a rotor's axis, across it, on a support
@@ -74,6 +77,7 @@ class Contacts(NamedTuple):
     """Numbers of contacts in a scratch."""
 
     total: int
+    isotropic: int  # how many of them grip alike in all directions
     supports: int  # how many of them are supports
 
 
@@ -85,16 +89,18 @@ STRIDE = CAPACITY + 8
 (
     ARM_X,  # [m] from the centre of mass to the contact
     ARM_Y,  # [m]
-    AXIS_X,  # cosine of the rotor axis; 1 on a support
-    AXIS_Y,  # sine; 0 on a support
+    AXIS_X,  # cosine of the rotor axis; 1 if friction is isotropic
+    AXIS_Y,  # sine; 0 if friction is isotropic
     STIFFNESS,  # [-]
+    DRIVE_ALONG,  # [m/s] velocity of the module's surface along the axis
+    DRIVE_ACROSS,  # [m/s] across it
     MU_ALONG,  # [-] friction along the axis
     MU_ACROSS,  # [-] across it
     PRESSURE,  # [m/s^2] plane of Eq. (1) at the contact, negative if lifted
     NORMAL,  # [m/s^2] normal force / mass
     MOST_ALONG,  # [m/s] friction along the axis once it slips, times dt
     MOST_ACROSS,  # [m/s] across it
-    SLIP_ALONG,  # [-] velocity along the axis, over the rounding
+    SLIP_ALONG,  # [-] velocity along the axis over the module's surface, over the rounding
     SLIP_ACROSS,  # [-] across it
     FORCE_X,  # [m/s] impulse of friction in a step
     FORCE_Y,  # [m/s]
@@ -105,7 +111,7 @@ STRIDE = CAPACITY + 8
     CURVE_YY,
     CURVE_YW,
     CURVE_WW,
-    SLIDE_ALONG,  # [m/s] velocity along the axis where a line search begins
+    SLIDE_ALONG,  # [m/s] slip along the axis where a line search begins
     RATE_ALONG,  # [m/s] change of this velocity over the search
     SLIDE_ACROSS,  # [m/s] the same across the axis
     RATE_ACROSS,  # [m/s]
@@ -118,18 +124,19 @@ STRIDE = CAPACITY + 8
     BOUND_SLOPE,  # [-]
     BOUND_SIDE,  # positive: x is bounded above; negative: below; 0: the edge lies along the row
     KINKS,  # [-] kinks of all contacts within the search, one after the other
-) = range(0, 35 * STRIDE, STRIDE)
+) = range(0, 37 * STRIDE, STRIDE)
 TABLE_SIZE = KINKS + 4 * CAPACITY
 (
-    ROTOR,  # 1: the contact is a rotor; 0: a support
-    SUPPORT,  # indices of the contacts that are supports
+    KIND,  # kind of the element: SUPPORT, ROTOR or DRIVEN
+    ISOTROPIC,  # indices of the contacts that grip alike in all directions
     SPAN_ROW,  # contacts lie in spans, one span per column: row,
     SPAN_FIRST,  # first column
     SPAN_LAST,  # and last
-    COUNTS,  # number of spans (negative if the contacts are invalid) and of supports
+    COUNTS,  # numbers of spans (negative if the contacts are invalid), isotropic ones, supports
 ) = range(0, 6 * STRIDE, STRIDE)
-SPANS, SUPPORTS = COUNTS, COUNTS + 1
-MARKS_SIZE = COUNTS + 2
+SPANS, ISOTROPICS, SUPPORTS = range(COUNTS, COUNTS + 3)
+MARKS_SIZE = COUNTS + 3
+SUPPORT, ROTOR, DRIVEN = range(3)  # kinds of elements; an idle rotor, a driven module
 
 # Columns of a point between two parcels.
 (

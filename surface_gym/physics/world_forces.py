@@ -74,7 +74,7 @@ def observe_world(
     scratch.ends[:, 2] = -1  # marks the end of this step's points
     pushed = step_world(grid, world, material, scratch, dt)
     for k in range(rows):
-        if _is_among(scratch, pushed, k):
+        if is_among(scratch, pushed, k):
             _share_friction(world, scratch, k, dt, forces)
     for e in range(pushed):
         _write_push(scratch, e, dt, forces)
@@ -105,7 +105,7 @@ def _add_friction(
 
 
 @inlined
-def _is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
+def is_among(scratch: WorldScratch, pushed: int, k: int) -> bool:
     """Return whether a parcel belongs to a pair that pushed each other."""
     found = False
     for e in range(pushed):
@@ -124,7 +124,8 @@ def _share_friction(
         below[i, 2] *= scratch.since[k] / dt
     mass = world.bodies.body[world.body[k], ph.MASS]
     under = Scratch(scratch.tables[k], scratch.marks[k])
-    contacts = Contacts(below.shape[0], scratch.marks[k, ph.SUPPORTS])
+    marks = scratch.marks[k]
+    contacts = Contacts(below.shape[0], marks[ph.ISOTROPICS], marks[ph.SUPPORTS])
     _add_friction(under, contacts, world.state[k], mass / dt, below)
 
 

@@ -115,19 +115,28 @@ def begin(params: Array, first: int, state: EnvState) -> None:
 def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, dt: float) -> None:
     """Write a step's damping of velocity errors, (M + dt S)^-1 M, to `estimate[DECAY:]`.
 
-    S is the slope of friction over the slip along rotors' axes, which is steep for held contacts.
+    S is the slope of friction over the slip along rotors' axes, and over the slip on driven
+    modules. It is steep for held contacts.
     """
     table = scratch.table
     xx, xy, yy, xt, yt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(contacts.total):
-        if not scratch.marks[ph.ROTOR + i]:
+        kind = scratch.marks[ph.KIND + i]
+        if kind == ph.SUPPORT:
             continue
         ux, uy = table[ph.AXIS_X + i], table[ph.AXIS_Y + i]
         lever = uy * table[ph.ARM_X + i] - ux * table[ph.ARM_Y + i]
         slip = (
-            ux * estimate[ph.VX] + uy * estimate[ph.VY] + lever * estimate[ph.OMEGA]
+            ux * estimate[ph.VX]
+            + uy * estimate[ph.VY]
+            + lever * estimate[ph.OMEGA]
+            - table[ph.DRIVE_ALONG + i]
         ) / STICTION_SPEED
         shrunk = 1.0 + slip * slip
+        side = table[ph.ARM_X + i]  # lever of a driven module's friction along y
+        if kind == ph.DRIVEN:
+            aside = estimate[ph.VY] + side * estimate[ph.OMEGA] - table[ph.DRIVE_ACROSS + i]
+            shrunk += aside * aside / (STICTION_SPEED * STICTION_SPEED)
         most = dt * table[ph.MU_ALONG + i] * table[ph.NORMAL + i]
         slope = most / (STICTION_SPEED * shrunk * shrunk)
         xx += slope * ux * ux
@@ -136,6 +145,10 @@ def _damp(body: Body, estimate: Array, scratch: Scratch, contacts: ph.Contacts, 
         xt += slope * ux * lever
         yt += slope * uy * lever
         tt += slope * lever * lever
+        if kind == ph.DRIVEN:
+            yy += slope
+            yt += slope * side
+            tt += slope * side * side
     xx += 1.0
     yy += 1.0
     tt += body.gyration
@@ -240,6 +253,7 @@ def move(state: EnvState, physics: Physics, factor: float, body: Body) -> ph.Con
     grid = Grid(
         state.axis,
         state.direction,
+        state.drive,
         state.rotor,
         physics.stiffness,
         physics.friction,
@@ -383,7 +397,7 @@ def _effect(
     drag_x, drag_y, drag_turn, all_x, all_y = 0.0, 0.0, 0.0, 0.0, 0.0
     count, mean_x, mean_y = 0, 0.0, 0.0
     for i in range(contacts.total):
-        if scratch.marks[ph.ROTOR + i]:
+        if scratch.marks[ph.KIND + i] != ph.SUPPORT:
             drag_x += table[ph.FORCE_X + i]
             drag_y += table[ph.FORCE_Y + i]
             drag_turn += table[ph.TORQUE + i]

@@ -298,7 +298,8 @@ def failure(state: EnvState) -> int:
         return OFF_SURFACE
     if not state.on_rotors:
         return OFF_LINE
-    return STALLED if st.is_slower(state, STALL_SPEED) else st.RUNNING
+    stalls = st.is_slower(state, STALL_SPEED) and not st.is_driven(state)
+    return STALLED if stalls else st.RUNNING
 
 
 @kernel_function

@@ -229,7 +229,8 @@ distance from the line's middle |
             return st.SUCCESS if towards > 0.0 else WRONG_SIDE
         if truth[X] - st.reach_along(state, truth[THETA], -1.0, 0.0) > st.zone_end(state):
             return st.SUCCESS if side == 0.0 else PASSED
-        return STALLED if st.is_slower(state, STALL_SPEED) else st.RUNNING
+        stalls = st.is_slower(state, STALL_SPEED) and not st.is_driven(state)
+        return STALLED if stalls else st.RUNNING
 
     @staticmethod
     @kernel_function

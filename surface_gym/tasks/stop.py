@@ -8,7 +8,7 @@ import numpy as np
 
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import VX, X
-from surface_gym.state import RUNNING, SUCCESS, EnvState
+from surface_gym.state import RUNNING, SUCCESS, EnvState, is_driven, is_slower
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
@@ -183,7 +183,11 @@ class Stop(base.Task):
         error = state.truth[X] - state.goal[POSITION]
         state.metrics[STOP_ERROR] = error
         outcome = base.failure(state)
-        if outcome == base.STALLED:
+        if is_driven(state):  # a parcel at rest may move again, and back
+            rests = outcome == RUNNING and is_slower(state, base.STALL_SPEED)
+            if rests and abs(error) <= SUCCESS_ERROR:
+                outcome = SUCCESS
+        elif outcome == base.STALLED:
             outcome = SUCCESS if abs(error) <= SUCCESS_ERROR else MISSED
         elif outcome == RUNNING and error > SUCCESS_ERROR:
             outcome = OVERSHOT

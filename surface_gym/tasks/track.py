@@ -13,7 +13,15 @@ from surface_gym.lines import BaseLine, Field
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.types import GRAVITY, HALF_LENGTH, OMEGA, THETA, VX, VY, Array, X, Y
-from surface_gym.state import GRAVITY_X, PATH_POINTS, RUNNING, SUCCESS, EnvState, planar_speed
+from surface_gym.state import (
+    GRAVITY_X,
+    PATH_POINTS,
+    RUNNING,
+    SUCCESS,
+    EnvState,
+    is_driven,
+    planar_speed,
+)
 from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures, rising
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
@@ -319,7 +327,8 @@ the path and the asked speed |
             return OFF_PATH
         if state.truth[X] > state.goal[FIRST_X] + (PATH_POINTS - 1) * state.goal[STEP_X]:
             return SUCCESS
-        return STALLED if planar_speed(state.truth) < STALL_SPEED else RUNNING
+        stalls = planar_speed(state.truth) < STALL_SPEED and not is_driven(state)
+        return STALLED if stalls else RUNNING
 
     @staticmethod
     @kernel_function

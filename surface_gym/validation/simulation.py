@@ -140,7 +140,9 @@ def build(
     surface: Surface, parcels: Parcel | Sequence[Parcel], recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
 ) -> MujocoScene:  # fmt: skip
-    """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each support.
+    """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each other element.
+
+    A driven module's sphere has a surface velocity.
 
     The tops of the spheres lie in the plane z = 0, and the direction of gravity represents the
     tilt, as in Section 6.1. Parcels touch each other by belts at the height of their centres of
@@ -275,11 +277,16 @@ def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
     bases: Sequence[str],
 ) -> None:  # fmt: skip
-    """Add a sphere that touches only the bases, hinged along the rotor's axis or fixed."""
+    """Add a sphere that touches only the bases, hinged along an idle rotor's axis or fixed."""
     name = f"{row},{column}"
     place = [surface.x[column], surface.y[row], top - recipe.rotor_radius]
     sphere = {"name": name, "size": [recipe.rotor_radius, 0, 0], "contype": 0, "conaffinity": 0}
-    if surface.rotor[row, column]:
+    if surface.driven[row, column]:
+        assert surface.surface_velocity is not None
+        velocity = [*surface.surface_velocity[row, column], 0.0, 0.0, 0.0, 0.0]
+        spec.worldbody.add_geom(pos=place, surfacevel=velocity, **sphere)
+        friction = surface.mu_max
+    elif surface.rotor[row, column]:
         half_turn = 0.5 * surface.axis[row, column]
         rotor = spec.worldbody.add_body(
             name=name, pos=place, quat=[math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)]
@@ -411,6 +418,8 @@ def reachable(
     gyration = parcel.moment_of_inertia / parcel.mass
     speed = math.hypot(math.hypot(vx, vy) + arm * abs(omega), omega * math.sqrt(gyration))
     downhill = GRAVITY * abs(math.sin(surface.tilt))
+    if surface.surface_velocity is not None:
+        speed += float(np.nan_to_num(np.abs(surface.surface_velocity)).max()) * math.sqrt(2.0)
     path = speed * duration + 0.5 * downhill * duration**2
     outline = parcel.base.outline
     base = float(np.hypot(outline[:, 0], outline[:, 1]).max())

@@ -7,19 +7,18 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.actions import KINDS
-from surface_gym.agents.base import SIDE, ActionMirror, mirrored_orientations
+from surface_gym.agents.base import SIDE, ActionMirror
 from surface_gym.agents.learning.algorithms import DQNConfig
 from surface_gym.agents.learning.sb3 import make_mirrored_envs
 from surface_gym.config import EnvConfig
 from surface_gym.layouts import LINE_Y
-from surface_gym.lines import ORIENTATIONS
 
 
 @pytest.mark.parametrize("actions", KINDS)
 @pytest.mark.parametrize("parcel", ["S", "B"])
 def test_trajectories_are_mirror_images(actions, parcel) -> None:
     config = EnvConfig(actions=actions)
-    mirror = ActionMirror(config.action_kind, config.chosen_orientations)
+    mirror = ActionMirror(config)
     env = sg.SmartSurfaceVectorEnv(2, actions=actions, autoreset_mode="Disabled")
     sides = np.array([1.0, -1.0], dtype=np.float32)
     starts = [{"speed": 1.6, "parcel": parcel, "side": side} for side in (1, -1)]
@@ -43,10 +42,7 @@ def test_trajectories_are_mirror_images(actions, parcel) -> None:
 @pytest.mark.parametrize("actions", KINDS)
 def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
     config = EnvConfig(actions=actions)
-    mirror, space = (
-        ActionMirror(config.action_kind, config.chosen_orientations),
-        config.action_space(),
-    )
+    mirror, space = ActionMirror(config), config.action_space()
     space.seed(0)
     given, right = np.array([space.sample() for _ in range(40)]), np.full(40, -1.0, np.float32)
     image = mirror(given, right)
@@ -56,11 +52,12 @@ def test_a_mirror_image_of_a_mirror_image_is_the_action_itself(actions) -> None:
 
 
 def test_mirror_images_of_orientations() -> None:
-    np.testing.assert_array_equal(mirrored_orientations(ORIENTATIONS), [0, 2, 1, 3])
+    np.testing.assert_array_equal(EnvConfig().images, [0, 2, 1, 3])
     eight = tuple(np.arange(8) * math.pi / 8)
-    np.testing.assert_array_equal(mirrored_orientations(eight), [0, 7, 6, 5, 4, 3, 2, 1])
+    images = EnvConfig(orientations=eight).images
+    np.testing.assert_array_equal(images, [0, 7, 6, 5, 4, 3, 2, 1])
     with pytest.raises(ValueError, match="orientations"):
-        mirrored_orientations((0.0, math.pi / 4))
+        _ = EnvConfig(orientations=(0.0, math.pi / 4)).images
 
 
 def test_a_vec_env_in_the_mirror_knows_the_side_of_each_start() -> None:

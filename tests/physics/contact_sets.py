@@ -52,10 +52,10 @@ def make_contacts(
         (ph.NORMAL, np.zeros(count) if normal is None else normal),
     ):
         ph.table_row(scratch, row, count)[:] = values
-    scratch.marks[ph.ROTOR : ph.ROTOR + count] = rotor
+    scratch.marks[ph.KIND : ph.KIND + count] = rotor
     supports = np.flatnonzero(~rotor)
-    scratch.marks[ph.SUPPORT : ph.SUPPORT + len(supports)] = supports
-    return scratch, ph.Contacts(count, len(supports))
+    scratch.marks[ph.ISOTROPIC : ph.ISOTROPIC + len(supports)] = supports
+    return scratch, ph.Contacts(count, len(supports), len(supports))
 
 
 def make_grid(gravity_x: float = 0.0, gravity_y: float = 0.0) -> ph.Grid:

@@ -36,10 +36,10 @@ def contacts_of(
     x = pose[0] + cosine * com_x - sine * com_y
     y = pose[1] + sine * com_x + cosine * com_y
     scratch = ph.make_scratch()
-    count, supports = find_contacts(surface.grid, parcel.body, x, y, pose[2], scratch)
+    count, _, supports = find_contacts(surface.grid, parcel.body, x, y, pose[2], scratch)
     columns = (ph.table_row(scratch, ph.ARM_X, count) + x - surface.origin[0]) / surface.pitch_x
     rows = (ph.table_row(scratch, ph.ARM_Y, count) + y - surface.origin[1]) / surface.pitch_y
-    assert supports == count - scratch.marks[ph.ROTOR : ph.ROTOR + count].sum()
+    assert supports == count - scratch.marks[ph.KIND : ph.KIND + count].sum()
     return scratch, count, np.column_stack([rows, columns])
 
 
@@ -91,7 +91,7 @@ def test_each_contact_has_its_elements_axis_kind_and_stiffness() -> None:
         (ph.MU_ACROSS, np.where(rotor, SURFACE.mu_min, SURFACE.mu_support)),
     ):
         np.testing.assert_array_equal(ph.table_row(scratch, row, count), expected)
-    np.testing.assert_array_equal(scratch.marks[ph.ROTOR : ph.ROTOR + count], rotor)
+    np.testing.assert_array_equal(scratch.marks[ph.KIND : ph.KIND + count], rotor)
 
 
 def test_a_scratch_follows_a_parcel_whose_axes_turn_once_it_forgets_them() -> None:

@@ -47,6 +47,7 @@ export class TableRun {
       view[k] = k;
     });
     machine.resize("grid.direction", [modules, 2]);
+    machine.resize("grid.drive", [modules, 3]);
     machine.resize("grid.rotor", grid);
     machine.view("grid.rotor").set(this.rotor);
     machine.resize("grid.stiffness", grid);

@@ -96,7 +96,7 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
     env_config = vector_env.config
     others = MirrorVecEnv(
         SurfaceVecEnv(vector_env),
-        ActionMirror(env_config.action_kind, env_config.chosen_orientations),
+        ActionMirror(env_config),
     )
     others.seed(7)
     seen = np.asarray(others.reset())

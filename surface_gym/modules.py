@@ -1,0 +1,241 @@
+"""Kinds of modules: idle rotors, and driven modules whose surface moves.
+
+An idle rotor drags along its axis and rolls across it; its only motor turns the axis. The surface
+of a driven module moves under the parcel, and grips alike in all directions with `mu_max`. Friction
+acts against the slip, which is the base's velocity over that surface.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.layouts import ROLLING
+from surface_gym.physics.types import Array, Integers
+from surface_gym.registry import Registry
+
+QUARTER = math.pi / 2.0
+SAME = 1e-6  # [rad] and [m/s] modes that differ by less are the same
+FASTEST = 10.0  # [m/s] maximum speed of a driven surface
+
+
+class Mode(NamedTuple):
+    """What a module does: one choice of an action, and one row of `ModuleKind.modes`."""
+
+    angle: float  # [rad] axis
+    along: float = 0.0  # [m/s] velocity of the surface along the axis
+    across: float = 0.0  # [m/s] across it
+    driven: float = 0.0  # [-] 1: grips alike in all directions; 0: an idle rotor
+
+
+# Columns of modes.
+ANGLE, ALONG, ACROSS, DRIVEN = range(len(Mode._fields))
+MODULES: "Registry[ModuleKind]" = Registry("modules")
+
+
+@dataclass(frozen=True)
+class ModuleKind(ABC):
+    """A kind of module; every module of a surface is of one kind.
+
+    The last mode is the conveyor's. A module does it until it is commanded, and so do modules
+    outside the zone and stuck ones.
+    """
+
+    acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
+
+    @abstractmethod
+    def modes(self, orientations: tuple[float, ...]) -> Array:
+        """Return the modes (choices + 1, 4): one for each choice of an action, and the conveyor's.
+
+        Args:
+            orientations: [rad] the line's available axis angles.
+        """
+
+    @property
+    def drives(self) -> bool:
+        """Return whether the modules are driven, so that they may move a parcel at rest."""
+        return True
+
+    @property
+    @abstractmethod
+    def motors(self) -> tuple[int, int]:
+        """Return the motors of a module that move its surface, and those that turn its axis."""
+
+    def images(self, orientations: tuple[float, ...]) -> Integers:
+        """Return the index (choices,) of the mirror image in y of each choice.
+
+        Raises:
+            ValueError: a choice has no mirror image.
+        """
+        modes = self.modes(orientations)[:-1]
+        mirrored = _effects(modes * [-1.0, 1.0, -1.0, 1.0])
+        apart = np.abs(_effects(modes) - mirrored[:, np.newaxis]).max(axis=-1)
+        nearest: Integers = apart.argmin(axis=1)
+        if (apart[np.arange(len(modes)), nearest] > SAME).any():
+            raise ValueError(
+                "orientations and modules must hold the mirror image of each choice, "
+                f"got {orientations} and {self!r}"
+            )
+        return nearest
+
+
+def _effects(modes: Array) -> Array:
+    """Return what modes (count, 4) do, (count, 5): axes of idle rotors, and driven velocities.
+
+    Axes have period pi. The axis of a driven module has no effect.
+    """
+    angle, along, across, driven = modes.T
+    cosine, sine = np.cos(angle), np.sin(angle)
+    idle = driven == 0.0
+    return np.column_stack(
+        [
+            np.where(idle, np.cos(2.0 * angle), 0.0),
+            np.where(idle, np.sin(2.0 * angle), 0.0),
+            cosine * along - sine * across,
+            sine * along + cosine * across,
+            driven,
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class IdleRotor(ModuleKind):
+    """The study's module: an idle rotor; its choices are the line's orientations."""
+
+    def modes(self, orientations: tuple[float, ...]) -> Array:
+        return np.array([Mode(angle) for angle in (*orientations, ROLLING)])
+
+    @property
+    def drives(self) -> bool:
+        return False
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 0, 1
+
+
+@dataclass(frozen=True)
+class DrivenModule(ModuleKind):
+    """A module with a driven surface; its choices are a stop (speed 0) and headings with speeds.
+
+    The first choices are the headings at the lowest positive speed, in the given order; the stop
+    comes last. The conveyor runs towards +x at the highest speed.
+
+    Raises:
+        ValueError: a heading or a speed is not allowed.
+    """
+
+    acceleration: float = 10.0  # [m/s^2] by which the surface's velocity changes
+    speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)  # [m/s] in ascending order; 0: a stop
+    headings: tuple[float, ...] = (0.0,)  # [rad] directions of motion, anti-clockwise from +x
+
+    def __post_init__(self) -> None:
+        if self.acceleration != math.inf:
+            checks.positive("acceleration", self.acceleration, 1e-3, 1e6)
+        speeds = checks.array("speeds", self.speeds, (None,))
+        allowed = len(speeds) > 0 and (np.diff(speeds) > 0.0).all()
+        if not (allowed and 0.0 <= speeds[0] <= speeds[-1] <= FASTEST and speeds[-1] > 0.0):
+            raise ValueError(
+                f"speeds must be rising numbers from 0 to {FASTEST:g}, one of them positive, "
+                f"got {self.speeds!r}"
+            )
+        headings = checks.array("headings", self.headings, (None,))
+        checks.angles("headings", headings)
+        if len(headings) == 0:
+            raise ValueError(f"headings must be at least one, got {self.headings!r}")
+        checks.set_fields(self, speeds=tuple(speeds.tolist()), headings=tuple(headings.tolist()))
+
+    @abstractmethod
+    def mode(self, heading: float, speed: float) -> Mode:
+        """Return the mode that moves the surface by a speed [m/s] in a direction [rad]."""
+
+    @cached_property
+    def conveyor(self) -> float:
+        """Speed [m/s] of modules without commands, towards +x."""
+        return self.speeds[-1]
+
+    def modes(self, orientations: tuple[float, ...]) -> Array:
+        del orientations  # the headings are what they may do
+        moving = [
+            self.mode(heading, speed) for speed in self.speeds if speed for heading in self.headings
+        ]
+        stop = [self.mode(0.0, 0.0)] if self.speeds[0] == 0.0 else []
+        return np.array([*moving, *stop, self.mode(0.0, self.conveyor)])
+
+
+@dataclass(frozen=True)
+class SteeredRoller(DrivenModule):
+    """A driven roller whose axis turns, and which moves its surface across it."""
+
+    # [rad] ahead, and 45 and 90 deg to both sides
+    headings: tuple[float, ...] = (0.0, 0.5 * QUARTER, -0.5 * QUARTER, QUARTER, -QUARTER)
+
+    def mode(self, heading: float, speed: float) -> Mode:
+        return Mode(heading + QUARTER, across=-speed, driven=1.0)
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 1, 1
+
+
+@dataclass(frozen=True)
+class OmniModule(DrivenModule):
+    """A module of three omni-wheels, which moves a parcel in any direction without turning."""
+
+    headings: tuple[float, ...] = tuple(
+        way * 0.5 * QUARTER for way in (0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0)
+    )  # [rad] eight directions
+
+    def mode(self, heading: float, speed: float) -> Mode:
+        vx, vy = speed * math.cos(heading), speed * math.sin(heading)
+        return Mode(ROLLING, along=vy, across=-vx, driven=1.0)
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 3, 0
+
+
+@dataclass(frozen=True)
+class Belt(OmniModule):
+    """A short belt or roller that runs along the line only: zones of an ordinary conveyor."""
+
+    headings: tuple[float, ...] = (0.0, 2.0 * QUARTER)  # [rad] ahead and back
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 1, 0
+
+
+@dataclass(frozen=True)
+class PopUp(OmniModule):
+    """A pop-up transfer: rollers run ahead, or belts rise between them and run to one side."""
+
+    speeds: tuple[float, ...] = (1.5,)  # [m/s]
+    headings: tuple[float, ...] = (0.0, QUARTER, -QUARTER)  # [rad] ahead and to both sides
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 2, 0
+
+
+for _name, _module in {
+    "idle": IdleRotor(),
+    "steered": SteeredRoller(),
+    "omni": OmniModule(),
+    "belt": Belt(),
+    "popup": PopUp(),
+}.items():
+    MODULES.register(_name, _module)
+
+
+def find_module(module: Any) -> ModuleKind:
+    """Return a kind of module by name, or the given kind."""
+    if isinstance(module, str):
+        return MODULES.find(module)
+    return checks.instance(
+        "modules", module, ModuleKind, f"one of {', '.join(MODULES)} or a ModuleKind"
+    )

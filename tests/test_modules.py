@@ -1,0 +1,150 @@
+"""Kinds of modules: their modes and mirror images, and environments with driven ones."""
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.modules import (
+    ACROSS,
+    ALONG,
+    ANGLE,
+    DRIVEN,
+    MODULES,
+    Belt,
+    OmniModule,
+    SteeredRoller,
+)
+
+ORIENTATIONS = sg.lines.ORIENTATIONS
+DRIVEN_KINDS = [name for name, module in MODULES.items() if module.drives]
+
+
+def velocities(modes):
+    """Velocities (count, 2) [m/s] of modes' surfaces in x and y."""
+    cosine, sine = np.cos(modes[:, ANGLE]), np.sin(modes[:, ANGLE])
+    along, across = modes[:, ALONG], modes[:, ACROSS]
+    return np.column_stack([cosine * along - sine * across, sine * along + cosine * across])
+
+
+@pytest.mark.parametrize("name", MODULES)
+class TestKinds:
+    def test_without_a_command_they_convey_towards_x(self, name):
+        module = MODULES[name]
+        modes = module.modes(ORIENTATIONS)
+        conveyed = velocities(modes)[-1]
+        assert modes[-1, ANGLE] == pytest.approx(math.pi / 2)
+        assert conveyed == pytest.approx([module.speeds[-1] if module.drives else 0.0, 0.0])
+        assert (modes[:, DRIVEN] == module.drives).all()
+
+    def test_choices_differ_and_have_images(self, name):
+        module = MODULES[name]
+        modes = module.modes(ORIENTATIONS)[:-1]
+        assert len(np.unique(modes.round(6), axis=0)) == len(modes)
+        images = module.images(ORIENTATIONS)
+        np.testing.assert_array_equal(images[images], np.arange(len(modes)))
+        mirrored = velocities(modes) * [1.0, -1.0]
+        np.testing.assert_allclose(velocities(modes)[images], mirrored, atol=1e-12)
+
+    def test_the_vector_environment_is_the_single_one(self, name):
+        options = {"modules": name, "actions": "halves", "info": ("energy",)}
+        vector = gym.make_vec("SmartSurface/Sort-v0", num_envs=3, **options)
+        singles = [gym.make("SmartSurface/Sort-v0", **options) for _ in range(3)]
+        vector.action_space.seed(0)
+        vector.reset(seed=7)
+        for k, single in enumerate(singles):
+            single.reset(seed=7 + k)
+        for _ in range(8):
+            actions = vector.action_space.sample()
+            observations, rewards, ended, _, infos = vector.step(actions)
+            assert not ended.any()
+            for k, single in enumerate(singles):
+                observation, reward, _, _, info = single.step(actions[k])
+                np.testing.assert_array_equal(observation, observations[k])
+                assert (reward, info["drive_work"]) == (rewards[k], infos["drive_work"][k])
+
+
+def test_a_steered_roller_turns_and_ramps():
+    roller = SteeredRoller(acceleration=5.0, speeds=(0.0, 1.0))
+    actuators = sg.Actuators(axis_speed=math.radians(900.0))
+    env = sg.SmartSurfaceEnv("sort", actions="halves", modules=roller, actuators=actuators)
+    env.reset(seed=0, options={"speed": 1.0, "parcel": "S", "side": 1})
+    to_left, choices = 3, env.config.choices
+    env.step(to_left * choices + to_left)
+    batch, (row, column) = env.batch, np.argwhere(env.batch.bodies.obeys[0])[0]
+    axis = batch.surfaces.axis[0, row, column]
+    # From 90 deg towards 180 deg at 900 deg/s for 40 ms.
+    assert math.degrees(batch.surfaces.angle[0, row, column]) == pytest.approx(126.0)
+    env.step((choices - 1) * choices + choices - 1)  # a stop
+    assert np.hypot(*batch.surfaces.drive[0, axis, :2]) == pytest.approx(1.0 - 5.0 * 0.04)
+
+
+@pytest.mark.parametrize("name", ["steered", "omni", "popup"])
+def test_a_parcel_at_rest_is_sorted(name):
+    env = gym.make("SmartSurface/Sort-v0", actions="halves", modules=name)
+    config = env.unwrapped.config
+    way = velocities(config.modes[:-1])
+    left = int(np.argmax(way[:, 1] - np.abs(way[:, 0])))
+    for side, choice in ((1, left), (-1, int(config.images[left]))):
+        env.reset(options={"speed": 0.0, "side": side, "parcel": "S"})
+        ended = False
+        while not ended:
+            *_, terminated, truncated, info = env.step(choice * config.choices + choice)
+            ended = terminated or truncated
+        assert (info["outcome"], terminated) == ("success", True)
+
+
+def test_a_belt_brings_a_parcel_back_to_the_asked_place():
+    env = sg.SmartSurfaceEnv("stop", actions="halves", modules=Belt(speeds=(0.0, 0.05, 0.5)))
+    env.reset(options={"speed": 1.0, "parcel": "S", "position": 1.0})
+    ended, stop = False, env.config.choices - 1
+    for _ in range(150):
+        error = env.batch.parcels.metrics[0, 0]
+        ahead = error < 0.0
+        choice = (0 if ahead else 1) + (2 if abs(error) > 0.1 else 0)
+        choice = stop if abs(error) < 0.002 else choice
+        *_, ended, _, info = env.step(choice * env.config.choices + choice)
+        if ended:
+            break
+    assert info["outcome"] == "success"
+
+
+def test_energies_balance():
+    env = sg.SmartSurfaceEnv("sort", modules=OmniModule(), info=("energy",))
+    env.action_space.seed(1)
+    for seed in range(5):
+        env.reset(seed=seed)
+        before, ended = kinetic(env), False
+        while not ended:
+            *_, terminated, truncated, info = env.step(env.action_space.sample())
+            ended = terminated or truncated
+        gained = info["drive_work"] - info["friction_heat"]
+        assert kinetic(env) - before == pytest.approx(gained, abs=1e-9 * info["friction_heat"])
+
+
+def kinetic(env):
+    """Kinetic energy [J] of the parcel."""
+    state, parcel = env.batch.parcels.state[0], env.batch.parcel(0)
+    vx, vy, omega = state[3:6]
+    return 0.5 * parcel.mass * (vx**2 + vy**2 + parcel.body.gyration * omega**2)
+
+
+def test_bad_modules_raise():
+    for arguments, message in (
+        ({"modules": "wheels"}, "modules must be one of 'idle', .*, 'popup', got 'wheels'"),
+        ({"modules": 3}, "modules must be one of idle, .* or a ModuleKind"),
+        ({"modules": "omni", "orientations": "any"}, "orientations must not be given beside"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            sg.SmartSurfaceEnv("sort", **arguments)
+    for arguments, message in (
+        ({"speeds": (1.0, 0.5)}, "speeds must be rising numbers"),
+        ({"speeds": (0.0,)}, "one of them positive"),
+        ({"speeds": ()}, "speeds must be rising numbers"),
+        ({"headings": ()}, "headings must be at least one"),
+        ({"acceleration": -1.0}, "acceleration must be"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            SteeredRoller(**arguments)
