@@ -112,6 +112,16 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
     return int(apart.argmin())
 
 
+def find_conveyor(config: EnvConfig) -> int:
+    """Return the choice by which a module does what it does without a command."""
+    if not config.module_kind.drives:
+        return find_orientation(config, 0.5 * math.pi)
+    *choices, conveyor = config.modes.tolist()
+    if conveyor not in choices:
+        raise ValueError(f"modules must have a choice that conveys, got {config.modules!r}")
+    return choices.index(conveyor)
+
+
 @dataclass(frozen=True)
 class Axes:
     """Choices by their effect on a parcel that moves along the line."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.config import EnvConfig
+from surface_gym.state import ENERGIES
 
 from .base import Booleans, Controller, Numbers
 
@@ -21,7 +22,8 @@ class Episodes:
     success: Booleans  # (starts,)
     outcome: tuple[str, ...]  # (starts,) outcome of the episode
     time: Numbers  # (starts,) [s] duration of the episode
-    metrics: dict[str, Numbers]  # metrics of the task, each (starts,)
+    # metrics of the task, and energies if asked for, each (starts,)
+    metrics: dict[str, Numbers]
     pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true poses; NaN after the end
     velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
     decision_times: Numbers  # [s] time of each decision, or mean time of a start's decisions
@@ -56,7 +58,7 @@ def run_episodes(
         **config.arguments(),
     )
     observation, info = env.reset(seed=seed, options=list(starts))
-    metrics = config.task.metrics
+    metrics = (*config.task.metrics, *(ENERGIES if config.meters else ()))
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
         for key in ("is_success", "outcome", "time", "velocity", *metrics)

@@ -177,6 +177,7 @@ def _cropped(scene: Scene, rows: slice, columns: slice) -> Scene:
         scene,
         axis=scene.axis[rows, columns],
         rotor=scene.rotor[rows, columns],
+        drive=None if scene.drive is None else scene.drive[rows, columns],
         origin=tuple((np.array(scene.origin) + corner).tolist()),
         zone=tuple(spans),
     )
@@ -354,6 +355,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "robustness.png": FromCommand(("evaluate.py", "--robustness"), "robustness.png"),
     "flow-capacity.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-capacity.png"),
     "design-flow.png": _design("flow", *LINE),
+    "modules.png": FromCommand(("evaluate.py", "--modules"), "modules.png"),
 }
 
 

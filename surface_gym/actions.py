@@ -17,7 +17,7 @@ from gymnasium import spaces
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import inlined
 from surface_gym.layouts import ROLLING
-from surface_gym.modules import ACROSS, ALONG, ANGLE
+from surface_gym.modules import ACROSS, ALONG, ANGLE, DRIVEN
 from surface_gym.physics.contacts import bounded
 from surface_gym.physics.step import axis_direction
 from surface_gym.physics.types import Array, Integers, X, Y
@@ -203,6 +203,9 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
                 surfaces.direction[i, axis, 0] = cosine
                 surfaces.direction[i, axis, 1] = sine
             drive = surfaces.drive[i, axis]
+            if drive[st.DRIVEN] != mode[DRIVEN]:  # it rolled as an idle rotor
+                changed = True
+                drive[st.DRIVEN] = mode[DRIVEN]
             along, across = mode[ALONG] - drive[st.ALONG], mode[ACROSS] - drive[st.ACROSS]
             if along != 0.0 or across != 0.0:
                 changed = True

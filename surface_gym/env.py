@@ -217,6 +217,23 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     With `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
+    ## Driven modules
+
+    `modules` is the kind of all modules. "idle" (default) are the rotors described above. All other
+    kinds have a surface that moves, and that grips a parcel alike in all directions (mu 0.5):
+
+    | `modules` | its surface moves |
+    | --- | --- |
+    | "belt" | ahead or back |
+    | "popup" | ahead, or to one side |
+    | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
+    | "omni" | in eight directions: three omni-wheels |
+
+    A choice is then a direction and a speed, or a stop; `env.unwrapped.config.modes` lists them.
+    Kinds with other speeds and directions are made with the classes of `surface_gym.modules`, e.g.
+    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Modules without a command convey towards +x. Driven
+    modules can move a parcel at rest, so no episode ends as "stalled".
+
     ## Observation
 
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
@@ -235,7 +252,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
     `reward_` and its name, and the task's own metrics. On request, by `info=("axes",
     "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and the normal force
-    [N] of the parcel on each.
+    [N] of the parcel on each. `info=("energy",)` adds sums since the start: `drive_work`,
+    `friction_heat` and `drawn_energy` [J], the work of all drives that do not brake, and the
+    largest acceleration of the parcel, `peak_acceleration` [m/s^2].
 
     ## End
 

@@ -40,6 +40,11 @@ Its `terms` end in `SURFACE_TERMS`. Its Python part uses a `Stream` with arrival
 `Spread`, `Poisson`, `Schedule` or `Trace`; `Exits` of `Exit`; and `Inlets` of `Inlet`. `flow_line`
 and `slope_line` make its surface.
 
+A kind of module is a frozen dataclass that inherits from `DrivenModule`, or from `ModuleKind`. It
+returns the `Mode` of each choice, and acts by `modules=` of an environment; `MODULES` gives it a
+name. `is_driven` says in a
+task's functions whether a parcel at rest may move again.
+
 `register` gives a task a name.
 """
 
@@ -66,6 +71,7 @@ from surface_gym.flow.state import (
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import slope_line
 from surface_gym.lines import BaseLine, Field, Line, Pattern
+from surface_gym.modules import MODULES, DrivenModule, Mode, ModuleKind
 from surface_gym.physics.types import (
     COM_HEIGHT,
     COM_X,
@@ -93,6 +99,7 @@ from surface_gym.state import (
     RUNNING,
     SUCCESS,
     EnvState,
+    is_driven,
     is_slower,
     planar_speed,
     reach_along,
@@ -108,12 +115,12 @@ from surface_gym.tasks.start import Draw, Parcels, Start, between
 __all__ = [
     "BETWEEN", "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "DEPARTED_CORRECT", "DEPARTED_WRONG",
     "EXIT", "FIRST", "FIRST_COLUMN", "FIRST_ROW", "GOALS", "GYRATION", "HALF_LENGTH", "INLET",
-    "LAST", "MASS", "OMEGA", "ORDER", "OWN_MEMORY", "RADIUS", "ROWS", "RUNNING",
-    "SIDE", "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY",
-    "Array", "BaseLine", "Draw", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group",
-    "Inlet", "Inlets", "Line", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor", "Singles",
-    "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task", "Trace", "X", "Y",
-    "between", "columns", "entry", "failures", "flow_line", "is_slower", "kernel_function",
-    "planar_speed", "reach_along", "read_truth", "register", "show", "show_bent", "show_within",
-    "slope_line", "zone_end", "zone_start",
+    "LAST", "MASS", "MODULES", "OMEGA", "ORDER", "OWN_MEMORY", "RADIUS", "ROWS", "RUNNING", "SIDE",
+    "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY", "Array", "BaseLine", "Draw",
+    "DrivenModule", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group", "Inlet",
+    "Inlets", "Line", "Mode", "ModuleKind", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor",
+    "Singles", "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task", "Trace",
+    "X", "Y", "between", "columns", "entry", "failures", "flow_line", "is_driven", "is_slower",
+    "kernel_function", "planar_speed", "reach_along", "read_truth", "register", "show", "show_bent",
+    "show_within", "slope_line", "zone_end", "zone_start",
 ]  # fmt: skip

@@ -8,7 +8,6 @@ acts against the slip, which is the base's velocity over that surface.
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,18 +87,18 @@ def _effects(modes: Array) -> Array:
 
     Axes have period pi. The axis of a driven module has no effect.
     """
-    angle, along, across, driven = modes.T
-    cosine, sine = np.cos(angle), np.sin(angle)
-    idle = driven == 0.0
+    angle, driven = modes[:, ANGLE], modes[:, DRIVEN]
+    axis = np.stack([np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=1)
     return np.column_stack(
-        [
-            np.where(idle, np.cos(2.0 * angle), 0.0),
-            np.where(idle, np.sin(2.0 * angle), 0.0),
-            cosine * along - sine * across,
-            sine * along + cosine * across,
-            driven,
-        ]
+        [(driven == 0.0)[:, np.newaxis] * axis, surface_velocities(modes), driven]
     )
+
+
+def surface_velocities(modes: Array) -> Array:
+    """Return the velocities (count, 2) [m/s] in x and y of surfaces by modes (count, 4)."""
+    angle, along, across = modes[:, ANGLE], modes[:, ALONG], modes[:, ACROSS]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ class DrivenModule(ModuleKind):
     """A module with a driven surface; its choices are a stop (speed 0) and headings with speeds.
 
     The first choices are the headings at the lowest positive speed, in the given order; the stop
-    comes last. The conveyor runs towards +x at the highest speed.
+    comes last.
 
     Raises:
         ValueError: a heading or a speed is not allowed.
@@ -132,6 +131,8 @@ class DrivenModule(ModuleKind):
     acceleration: float = 10.0  # [m/s^2] by which the surface's velocity changes
     speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)  # [m/s] in ascending order; 0: a stop
     headings: tuple[float, ...] = (0.0,)  # [rad] directions of motion, anti-clockwise from +x
+    conveyor: float | None = None  # [m/s] of modules without commands; None: the highest speed
+    idle_outside: bool = False  # whether modules without commands are idle rotors that roll
 
     def __post_init__(self) -> None:
         if self.acceleration != math.inf:
@@ -143,6 +144,8 @@ class DrivenModule(ModuleKind):
                 f"speeds must be rising numbers from 0 to {FASTEST:g}, one of them positive, "
                 f"got {self.speeds!r}"
             )
+        if self.conveyor is not None:
+            checks.within("conveyor", self.conveyor, 0.0, FASTEST)
         headings = checks.array("headings", self.headings, (None,))
         checks.angles("headings", headings)
         if len(headings) == 0:
@@ -153,18 +156,15 @@ class DrivenModule(ModuleKind):
     def mode(self, heading: float, speed: float) -> Mode:
         """Return the mode that moves the surface by a speed [m/s] in a direction [rad]."""
 
-    @cached_property
-    def conveyor(self) -> float:
-        """Speed [m/s] of modules without commands, towards +x."""
-        return self.speeds[-1]
-
     def modes(self, orientations: tuple[float, ...]) -> Array:
         del orientations  # the headings are what they may do
         moving = [
             self.mode(heading, speed) for speed in self.speeds if speed for heading in self.headings
         ]
+        speed = self.speeds[-1] if self.conveyor is None else self.conveyor
+        conveyor = Mode(ROLLING) if self.idle_outside else self.mode(0.0, speed)
         stop = [self.mode(0.0, 0.0)] if self.speeds[0] == 0.0 else []
-        return np.array([*moving, *stop, self.mode(0.0, self.conveyor)])
+        return np.array([*moving, *stop, conveyor])
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,7 @@ class _ParcelHistory:
         steepness = downhill / float(np.hypot(downhill, normal))
         return Scene(
             axis=batch.axes(i),
+            drive=batch.surface_velocity(i),
             rotor=view.rotor,
             parcels=(_parcel(view, trail=np.array(self._trail).reshape(-1, 2)),),
             goal=task.goal(view),
@@ -188,6 +189,7 @@ class _StreamHistory:
         departed = tuple(each.at(self.clock) for each in self._departed)
         return Scene(
             axis=batch.axes(i),
+            drive=batch.surface_velocity(i),
             rotor=config.site.rotor,
             parcels=departed + tuple(self._parcel(slot) for slot in slots.tolist()),
             traffic=Traffic(

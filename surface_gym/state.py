@@ -20,8 +20,9 @@ CONDITION_COLUMNS = 6
 GRAVITY_COLUMNS = slice(GRAVITY_X, GRAVITY_NORMAL + 1)
 # Columns of `SurfaceState.drive`.
 ALONG, ACROSS, DRIVEN = range(3)
-# Columns of `ParcelState.energy`.
-WORK, HEAT = range(2)
+# Columns of `ParcelState.energy`, and their names in `info`.
+WORK, HEAT, DRAWN, PEAK = range(4)
+ENERGIES = ("drive_work", "friction_heat", "drawn_energy", "peak_acceleration")
 # Columns of `BodyTable.zone`.
 FIRST_ROW, ROWS, FIRST_COLUMN, COLUMNS = range(4)
 
@@ -43,8 +44,8 @@ class SurfaceState(NamedTuple):
 
     axis: Places  # (surfaces, rows, columns) index of each rotor's axis among the directions
     direction: Array  # (surfaces or 1, directions, 2) cosine and sine of an axis
-    # (surfaces or 1, directions, 3) velocity [m/s] of a module's surface along its axis and across
-    # it, and 1 for driven modules
+    # (surfaces or 1, directions + 1, 3) velocity [m/s] of a module's surface along its axis and
+    # across it, and 1 for driven modules; the last row: 1 if any module may be driven
     drive: Array
     angle: Array  # (surfaces, rows, columns) [rad] angle of each axis, if axes take time to turn
     # (surfaces, rows, columns) [rad] target angle of each axis; with drives, the chosen mode
@@ -84,7 +85,9 @@ class ParcelState(NamedTuple):
     reward: Array  # (rows,) sum of the terms
     outcome: Integers  # (rows,) index into the common outcomes and the task's failures
     fault: Integers  # (rows,)
-    energy: Array  # (rows, 2 or 0) [J] work of the drives, and heat of friction; if asked for
+    # (rows, 4 or 0), if asked for: [J] work of drives, heat of friction, and energy drawn by drives
+    # that give nothing back; [m/s^2] largest acceleration
+    energy: Array
 
 
 class BodyTable(NamedTuple):
@@ -303,7 +306,7 @@ def planar_speed(motion: Array) -> float:
 @inlined
 def is_driven(state: EnvState) -> bool:
     """Return whether the modules are driven, so that a parcel at rest may move again."""
-    return bool(state.drive[0, DRIVEN] > 0.0)
+    return bool(state.drive[state.drive.shape[0] - 1, DRIVEN] > 0.0)
 
 
 @inlined
@@ -325,3 +328,17 @@ def axis_angles(surfaces: SurfaceState, which: slice = ALL) -> Array:
         return np.asarray(angles[0, axis])
     places = axis.reshape(len(angles), -1)
     return np.take_along_axis(angles, places, axis=1).reshape(axis.shape)
+
+
+def surface_velocities(surfaces: SurfaceState, which: slice = ALL) -> Array:
+    """Return velocities (surfaces, rows, columns, 2) [m/s] of driven surfaces; NaN: idle ones."""
+    axis = surfaces.axis[which]
+    shared = len(surfaces.direction) == 1
+    count, places = len(axis), axis.reshape(len(axis), -1, 1)
+    rows = np.zeros(count, dtype=np.int64) if shared else np.arange(len(surfaces.axis))[which]
+    direction, drive = surfaces.direction[rows], surfaces.drive[rows]
+    cosine, sine = np.moveaxis(np.take_along_axis(direction, places, axis=1), -1, 0)
+    along, across, driven = np.moveaxis(np.take_along_axis(drive, places, axis=1), -1, 0)
+    velocity = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=-1)
+    velocity[driven == 0.0] = np.nan
+    return velocity.reshape(*axis.shape, 2)

@@ -69,11 +69,15 @@ class EvaluateConfig:
     """Study robustness instead: success of rules and agents if one factor differs from training,
     and by parcel shape in the lab; for streams, agent and scheduler on lines without training.
     """
+    modules: bool = False
+    """Compare kinds of modules instead: idle rotors beside driven modules."""
     starts: int = 240
     """Robustness study: starts at each level of each factor."""
 
     def __post_init__(self) -> None:
         checks.integer("starts", self.starts, least=1)
+        if self.robustness and self.modules:
+            raise ValueError("modules must not be given beside robustness, got both")
         if self.robustness and self.run is not None:
             raise ValueError(f"run must be None where robustness is swept, got {self.run}")
         for name, given in (("tasks", self.tasks), ("exits", self.exits)):
@@ -101,23 +105,29 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
 
         evaluate_run(config.run, config.task, workers, console)
         return
+    from .drives import drive_jobs, write_tables
     from .report import write_report, write_sweep
     from .results import FILE
     from .runner import compute, show_progress
 
     selection = make_selection(config)
-    jobs = selection.sweep_jobs() if config.robustness else selection.jobs()
+    if config.modules:
+        jobs = drive_jobs(config.tasks, selection.extent)
+    else:
+        jobs = selection.sweep_jobs() if config.robustness else selection.jobs()
     _prepare(config, jobs)
     note = QUICK_NOTE if config.quick else ""
     title = "sweeping" if config.robustness else "comparing"
     with show_progress(console, title, len(jobs)) as advance:
         table = compute(jobs, workers, config.folder / FILE, advance)
         show = partial(advance, len(jobs), len(jobs))
-        if config.robustness:
+        if config.modules:
+            write_tables(config.tasks, table, config.folder, console, note)
+        elif config.robustness:
             write_sweep(selection, table, config.folder, console, note)
         else:
             write_report(selection, table, config.folder, console, show, note)
-    page = "" if config.robustness else f"; open {config.folder / 'report.html'}"
+    page = "" if config.robustness or config.modules else f"; open {config.folder / 'report.html'}"
     console.print(f"everything is in {config.folder}{page}")
 
 

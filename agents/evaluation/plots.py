@@ -43,7 +43,7 @@ def choose_colours(names: Iterable[str]) -> dict[str, str]:
     return dict(zip(names, cycle(PALETTE), strict=False))
 
 
-def _save(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
+def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None = None) -> None:
     """Write a figure with a legend on its right; `legend` selects the panel of its lines."""
     for panel in panels:
         panel.spines[["top", "right"]].set_visible(False)
@@ -72,7 +72,7 @@ def draw_success(task: str, results: Results, file: Path) -> None:
             panel.errorbar(x, sample.rate, errors, color=INK, elinewidth=0.8)
     panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
-    _save(figure, file, panel)
+    save_figure(figure, file, panel)
 
 
 def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> None:
@@ -95,7 +95,7 @@ def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> No
     panel.set(
         xscale="log", xlim=(low, high), ylim=(0.0, 1.0), xlabel=error.label, ylabel="of starts"
     )
-    _save(figure, file, panel)
+    save_figure(figure, file, panel)
 
 
 def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None:
@@ -117,7 +117,7 @@ def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None
         panel.set(title=f"{parcel}-box", xlabel="entry speed [m/s]")
         panel.grid(color=PALE)
     panels[0].set(ylabel="time to sort [s]", ylim=(0.0, 3.0))
-    _save(figure, file, *panels, legend=panels[0])
+    save_figure(figure, file, *panels, legend=panels[0])
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:
@@ -203,7 +203,7 @@ def draw_capacities(found: Capacities, file: Path) -> None:
                 )  # fmt: skip
     panel.set_xticks(range(len(found.offers)), found.offers)
     panel.set(ylabel="capacity [parcels/h]")
-    _save(figure, file, panel)
+    save_figure(figure, file, panel)
 
 
 # The figure of robustness has one column per task and one line per method. Factors are rows, so

@@ -22,9 +22,10 @@ from surface_gym import checks
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.flow.task import COLUMN
+from surface_gym.modules import surface_velocities
 from surface_gym.sensors import Exact
 
-from ..base import Axes, Booleans, Integers, Numbers, Singles, axes_apart, find_axes
+from ..base import Booleans, Integers, Numbers, Singles, axes_apart, find_conveyor
 from .leading import Way, lead
 from .trajectories import (
     DT,
@@ -103,7 +104,7 @@ class Lead:
         checks.one_of("actions", config.actions, ("parcels",) if groups is None else ("modules",))
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
-        self.axes: Axes = find_axes(config)
+        self.roll = find_conveyor(config)
         self.groups = groups
         self.kinds = list_asked(config)
         line = config.chosen_line
@@ -115,8 +116,9 @@ class Lead:
         # [m] x of the origin of a row's rear position
         self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
         turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] quarter turn of an axis
+        turn += self._ramp_time(config)
         self.ahead = config.control_period + turn  # [s] time between turning a group and its use
-        self._angles = np.array(config.chosen_orientations)
+        self._config = config
         if groups is not None:
             # The supports after the last rotors have no actuators.
             rotors = np.nonzero(config.site.rotor)[1]
@@ -138,7 +140,7 @@ class Lead:
         num_envs, parcels = booked.shape
         way = self.describe(maneuvers)
         shape = (num_envs, len(way.spans))
-        stands = np.full(shape, self.axes.roll) if before is None else before.copy()
+        stands = np.full(shape, self.roll) if before is None else before.copy()
         size = 2 * parcels if self.groups is None else self._rows * self._columns
         actions = np.empty((num_envs, size), dtype=np.int64)
         lead(np.ascontiguousarray(tables), way, booked, stands, actions)
@@ -151,7 +153,7 @@ class Lead:
         if self.groups is not None:
             first, last, spans = self.first_x, self.last_x, self.spans
         return Way(
-            roll=self.axes.roll, kind=np.ascontiguousarray(maneuvers.kind),
+            roll=self.roll, kind=np.ascontiguousarray(maneuvers.kind),
             place=np.ascontiguousarray(maneuvers.place),
             choice=np.ascontiguousarray(maneuvers.choice),
             turned=np.ascontiguousarray(maneuvers.groups), origin=self.origin, first=first,
@@ -165,7 +167,7 @@ class Lead:
             leaves = config.exits.exits[config.exits.place(name)]
             length = float(np.ptp(parcel.base.outline[:, 0]))
             if leaves.side == 0:
-                found.append((kind, np.inf, self.axes.roll, NO_GROUP, NO_GROUP))
+                found.append((kind, np.inf, self.roll, NO_GROUP, NO_GROUP))
                 continue
             low = max(self.zone_x - length, leaves.first - UPSTREAM)
             high = min(leaves.last, config.rotors_end) - length
@@ -197,9 +199,25 @@ class Lead:
             for last in sorted({group, min(group + 1, count - 1), count - 1})
         ]
 
+    @staticmethod
+    def _ramp_time(config: EnvConfig) -> float:
+        """Return the time [s] of a driven module from the conveyor's velocity to another one."""
+        velocity = surface_velocities(config.modes)
+        change = np.hypot(*(velocity - velocity[-1]).T).max()
+        return float(change) / config.module_kind.acceleration
+
     def _choices_towards(self, side: int) -> list[int]:
-        """List the orientations that lead to a side and have available mirror images."""
-        angles = (self._angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+        """List the choices that lead to a side and have available mirror images.
+
+        Driven modules run at their highest speed.
+        """
+        config = self._config
+        if config.module_kind.drives:
+            aside = side * surface_velocities(config.modes[:-1])
+            speed = np.hypot(*aside.T)
+            return np.flatnonzero((aside[:, 1] > 1e-6) & (speed > speed.max() - 1e-6)).tolist()
+        angles = np.array(config.chosen_orientations)
+        angles = (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         leads = (-side * angles > 1e-6) & (np.abs(angles) < 0.5 * np.pi - 1e-6)
         apart: Numbers = axes_apart(-angles[:, np.newaxis], angles).min(axis=1)
         return [int(k) for k in np.nonzero(leads & (apart < 1e-6))[0]]
@@ -355,7 +373,7 @@ def _raise_gaps(
 ) -> None:
     """Raise gaps until parcels keep their clearance and their groups are free."""
     followed = [_choices(lead, maneuvers, run) for run in runs]
-    state = np.stack([np.full(len(gaps), lead.axes.roll), maneuvers.choice], axis=1)
+    state = np.stack([np.full(len(gaps), lead.roll), maneuvers.choice], axis=1)
     needs = [_occupied(lead, maneuvers, run) for run in runs] if lead.groups is not None else []
     late = slack * lead.ahead
     for i, ahead in enumerate(followed):
@@ -378,7 +396,7 @@ def _choices(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> TimedRuns:
     """Add the orientations of modules under each parcel to runs."""
     outline, pose = run.outline, run.pose
     turns = find_rears(run) > (maneuvers.place + lead.origin[maneuvers.kind])[:, np.newaxis]
-    choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.axes.roll)
+    choice = np.where(turns, maneuvers.choice[:, np.newaxis], lead.roll)
     reach = np.hypot(outline[..., 0], outline[..., 1]).max(axis=1)
     return TimedRuns(pose, run.moments, outline, reach, choice)
 

@@ -92,7 +92,7 @@ class Scheduler(BatchController):
             due=np.full(num_envs, np.nan),
             pending=np.zeros(num_envs, dtype=np.bool_),
             rows=np.full((num_envs, self._parcels), NOBODY),
-            stands=np.full((num_envs, groups), self.library.lead.axes.roll),
+            stands=np.full((num_envs, groups), self.library.lead.roll),
         )
 
     def _predict(
@@ -127,7 +127,7 @@ class Scheduler(BatchController):
 
     def _rest(self, num_envs: int) -> Integers:
         """Make the initial actions (num_envs, size)."""
-        return np.full((num_envs, self._size), self.library.lead.axes.roll)
+        return np.full((num_envs, self._size), self.library.lead.roll)
 
 
 def make_scheduler(

@@ -178,7 +178,7 @@ def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
     if kind.choices > 0 and not turning:
         axis = np.full(grid, kind.choices, dtype=np.int32)
         direction = axis_directions(modes[:, ANGLE])[np.newaxis]
-        drive = modes[np.newaxis, :, ALONG:].copy()
+        drive = modes[np.newaxis, :, ALONG:]
     else:
         own = np.arange(line.rows * line.columns, dtype=np.int32).reshape(grid[1:])
         axis = np.tile(own, (count, 1, 1))
@@ -187,10 +187,12 @@ def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
         drive = np.tile(
             modes[-1:, ALONG:], (count if config.module_kind.drives else 1, own.size, 1)
         )
+    flag = np.zeros((len(drive), 1, 3))
+    flag[..., st.DRIVEN] = config.module_kind.drives
     return st.SurfaceState(
         axis=axis,
         direction=direction,
-        drive=drive,
+        drive=np.concatenate([drive, flag], axis=1),
         angle=np.zeros(grid if turning else (count, 1, 1)),
         target=np.zeros(grid if turning else (count, 1, 1)),
         stiffness=np.ones((count if config.randomisation.stiffness > 0.0 else 1, *grid[1:])),
@@ -223,5 +225,5 @@ def _make_parcels(config: EnvConfig, rows: int) -> st.ParcelState:
         reward=np.zeros(rows),
         outcome=np.zeros(rows, dtype=np.int64),
         fault=np.zeros(rows, dtype=np.int64),
-        energy=np.zeros((rows, 2 if config.meters else 0)),
+        energy=np.zeros((rows, len(st.ENERGIES) if config.meters else 0)),
     )

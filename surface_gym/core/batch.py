@@ -313,6 +313,13 @@ class BaseBatch(ABC):
         """(rows, columns) [rad] axis angles of an environment."""
         return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
 
+    def surface_velocity(self, env_index: int) -> Array | None:
+        """(rows, columns, 2) [m/s] velocities of driven surfaces, NaN: idle; None: all are idle."""
+        if not self.config.module_kind.drives:
+            return None
+        which = slice(env_index, env_index + 1)
+        return st.surface_velocities(self.surfaces, which)[0]
+
     def view(self, env_index: int, row: int = 0) -> EnvState:
         """Return the `EnvState` of a parcel between two control periods."""
         place = env_index * self.rows + row
@@ -521,11 +528,11 @@ class Batch(BaseBatch):
         """Return the requested infos by name.
 
         They are axis angles [rad] and the parcel's normal force [N] on each element, both
-        (num_envs, rows, columns), and energies [J] since the start (num_envs,).
+        (num_envs, rows, columns), and `ENERGIES` since the start (num_envs,).
         """
-        found = {}
+        found: Infos = {}
         if self.config.meters:
-            found["drive_work"], found["friction_heat"] = self.parcels.energy.T.copy()
+            found |= dict(zip(st.ENERGIES, self.parcels.energy.T.copy(), strict=True))
         if "axes" in self.config.info:
             found["axes"] = st.axis_angles(self.surfaces)
         if "normal_forces" in self.config.info:

@@ -167,18 +167,19 @@ def add_energy(
     parcels: ParcelState,
     i: int,
     mass: float,
+    dt: float,
     scratch: Scratch,
     contacts: Contacts,
     vx: float,
     vy: float,
     omega: float,
 ) -> None:
-    """Add the work of the drives and the heat of friction of a step to a row of `parcels`.
+    """Add a step of length `dt` to the energies in a row of `parcels`.
 
     `vx`, `vy` and `omega` are the velocity before the step.
     """
     after = parcels.state[i]
-    work, heat = friction_work(
+    work, heat, drawn = friction_work(
         scratch,
         contacts,
         0.5 * (vx + after[VX]),
@@ -187,6 +188,9 @@ def add_energy(
     )
     parcels.energy[i, st.WORK] += mass * work
     parcels.energy[i, st.HEAT] += mass * heat
+    parcels.energy[i, st.DRAWN] += mass * drawn
+    rate = math.sqrt((after[VX] - vx) ** 2 + (after[VY] - vy) ** 2) / dt
+    parcels.energy[i, st.PEAK] = max(parcels.energy[i, st.PEAK], rate)
 
 
 def _running(functions: KernelFunctions) -> Any:
@@ -226,7 +230,7 @@ def _running(functions: KernelFunctions) -> Any:
             report, contacts = step_implicit(grid, body, state.com, scratch, dt)
             on_surface = report < OFF_SURFACE
             if meters and on_surface:
-                add_energy(parcels, i, state.body[MASS], scratch, contacts, vx, vy, omega)
+                add_energy(parcels, i, state.body[MASS], dt, scratch, contacts, vx, vy, omega)
             parcels.on_surface[i] = on_surface
             if on_surface:
                 parcels.clock[i] += dt

@@ -211,9 +211,11 @@ class StreamBatch(BaseBatch):
         }
 
     def _energies(self) -> Infos:
-        """Return the energies [J] of all parcels since the start, (num_envs,)."""
-        sums = self.parcels.energy.reshape(self.num_envs, self.rows, 2).sum(axis=1)
-        return {"drive_work": sums[:, st.WORK].copy(), "friction_heat": sums[:, st.HEAT].copy()}
+        """Return `ENERGIES` of all parcels since the start, each (num_envs,)."""
+        each = self.parcels.energy.reshape(self.num_envs, self.rows, -1)
+        found = each.sum(axis=1)
+        found[:, st.PEAK] = each[:, :, st.PEAK].max(axis=1)
+        return dict(zip(st.ENERGIES, found.T.copy(), strict=True))
 
     def info(self, env_index: int) -> dict[str, Any]:
         if self.config.info:

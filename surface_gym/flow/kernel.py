@@ -131,7 +131,7 @@ def note_touches(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 @inlined
 def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
-    """Add the work of drives and the heat of friction of a step to the rows of its parcels.
+    """Add a step to the energies in the rows of its parcels.
 
     For parcels that pushed each other, friction after the touch stands for the whole step.
     """
@@ -147,7 +147,7 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
         contacts = ph.Contacts(scratch.floor[slot], marks[ph.ISOTROPICS], marks[ph.SUPPORTS])
         under = Scratch(scratch.tables[slot], marks)
         velocity = before[ph.VX], before[ph.VY], before[ph.OMEGA]
-        add_energy(parcels, row, mass, under, contacts, *velocity)
+        add_energy(parcels, row, mass, dt, under, contacts, *velocity)
 
 
 # What is built below is kept, so that kernels with some of the same functions share its code.

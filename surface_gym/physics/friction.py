@@ -365,23 +365,26 @@ def implicit_velocity(
 @inlined
 def friction_work(
     scratch: Scratch, contacts: Contacts, vx: float, vy: float, omega: float
-) -> tuple[float, float]:
-    """Return the work of the drives and the heat of friction in the last step, per mass [J/kg].
+) -> tuple[float, float, float]:
+    """Return work of drives, heat of friction and drawn energy of the last step, per mass [J/kg].
 
-    Work and heat differ by the change of kinetic energy through friction.
+    Work and heat differ by the change of kinetic energy through friction. The drawn energy is the
+    positive work of modules, since a braking motor gives nothing back.
 
     Args:
         scratch: holds the impulses of friction of the last `friction_gradient`.
         vx, vy, omega: mean velocity of the centre of mass in the step.
     """
     table = scratch.table
-    work = heat = 0.0
+    work = heat = drawn = 0.0
     for i in range(contacts.total):
         ax, ay = table[ph.AXIS_X + i], table[ph.AXIS_Y + i]
         wx = ax * table[ph.DRIVE_ALONG + i] - ay * table[ph.DRIVE_ACROSS + i]
         wy = ay * table[ph.DRIVE_ALONG + i] + ax * table[ph.DRIVE_ACROSS + i]
         ux = vx - omega * table[ph.ARM_Y + i] - wx
         uy = vy + omega * table[ph.ARM_X + i] - wy
-        work -= table[ph.FORCE_X + i] * wx + table[ph.FORCE_Y + i] * wy
+        own = -(table[ph.FORCE_X + i] * wx + table[ph.FORCE_Y + i] * wy)
+        work += own
+        drawn += max(0.0, own)
         heat += table[ph.FORCE_X + i] * ux + table[ph.FORCE_Y + i] * uy
-    return work, heat
+    return work, heat, drawn

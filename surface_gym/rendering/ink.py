@@ -21,6 +21,7 @@ PAPER: Colour = (255, 255, 255)
 PLATE: Colour = (244, 245, 246)  # the surface's supports
 PLATE_EDGE: Colour = (203, 208, 214)
 SUPPORT: Colour = (216, 220, 225)
+DRIVEN: Colour = (66, 84, 108)  # driven modules
 ZONE: Colour = (255, 255, 255)
 ZONE_EDGE: Colour = (112, 122, 136)
 INK: Colour = (33, 39, 48)

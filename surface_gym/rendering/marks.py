@@ -185,12 +185,16 @@ _FAINT = 0.75  # share of the paper in an inlet
 _PALEST, _DARKEST = 0.86, 0.45  # shares of the plate in an exit, inside and outside
 
 
+SPEED_LEVELS, FAST = 4, 2.0  # lengths of an arrow, and the speed [m/s] of the longest
+
+
 class ModuleSprites:
-    """Cached pictures of a module by angle: a disc with a bar along its axis."""
+    """Cached pictures of a module: a disc with a bar along its axis; if driven, with an arrow."""
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
         self._sprites: dict[tuple[int, bool], pygame.Surface] = {}
+        self._arrows: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
         """Return the picture of a module whose axis is at `step` of `ANGLES` in half a turn."""
@@ -198,6 +202,42 @@ class ModuleSprites:
         if key not in self._sprites:
             self._sprites[key] = self._painted(math.pi * step / ANGLES, pale)
         return self._sprites[key]
+
+    def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
+        """Return the picture of a driven module.
+
+        Args:
+            step: direction of its surface, of `ANGLES` in half a turn.
+            level: speed, from 0 (a stop) to `SPEED_LEVELS`.
+            pale: whether it does not obey.
+        """
+        key = (step, level, pale)
+        if key not in self._arrows:
+            self._arrows[key] = self._painted_arrow(math.pi * step / ANGLES, level, pale)
+        return self._arrows[key]
+
+    def _painted_arrow(self, angle: float, level: int, pale: bool) -> pygame.Surface:
+        colour, line = ink.DRIVEN, ink.PAPER
+        if pale:
+            colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
+        picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
+        picture.fill((*colour, 0))
+        half = 0.5 * self.cell
+        centre = np.array([half, half])
+        ink.disc(picture, centre, 0.86 * half, colour)
+        if level == 0:
+            ink.disc(picture, centre, 0.2 * half, line)
+            return picture
+        way = np.array([math.cos(angle), -math.sin(angle)])
+        side = np.array([-way[1], way[0]])
+        reach = half * (0.3 + 0.38 * level / SPEED_LEVELS)
+        width = max(0.2 * half, 1.0)
+        tip, tail = centre + reach * way, centre - reach * way
+        back = tip - 0.36 * half * way
+        ink.line(picture, np.array([tail, tip]), width, line)
+        barbs = [back + 0.34 * half * side, tip, back - 0.34 * half * side]
+        ink.line(picture, np.array(barbs), width, line)
+        return picture
 
     def _painted(self, angle: float, pale: bool) -> pygame.Surface:
         colour, bar = ink.axis_colour(angle), ink.PAPER
@@ -260,6 +300,13 @@ def draw_modules(
     top = layout.top + layout.height * (layout.rows - 1 - row) + (layout.height - layout.cell) // 2
     looks = zip(steps.tolist(), pale.tolist(), strict=True)
     pictures = [sprites.sprite(step, is_pale) for step, is_pale in looks]
+    if scene.drive is not None:
+        vx, vy = scene.drive[row, column].T
+        speed = np.hypot(vx, vy)
+        turned = np.rint(np.arctan2(vy, vx) * (ANGLES / math.pi))
+        levels = np.ceil(SPEED_LEVELS * np.minimum(1.0, speed / FAST))
+        for k in np.flatnonzero(~np.isnan(vx)).tolist():
+            pictures[k] = sprites.arrow(int(turned[k]), int(levels[k]), bool(pale[k]))
     corners = zip(left.tolist(), top.tolist(), strict=True)
     canvas.fblits(list(zip(pictures, corners, strict=True)))
 

@@ -80,7 +80,7 @@ class Strips:
         self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
     ) -> None:
         """Write the legend of colours below an area, with exits up to `end` [px]."""
-        x = self._write_axes(canvas, area, any(scene.zone is not None for scene in scenes))
+        x = self._write_axes(canvas, area, scenes)
         if any(scene.goal is not None for scene in scenes):
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
         if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
@@ -115,8 +115,31 @@ class Strips:
         starts = [first + sum(slots[:k]) + gap * k for k in range(len(slots))]
         return starts, [max(1, slot) for slot in slots]
 
-    def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, zone: bool) -> int:
-        """Write the legend of axis colours and of the zone; return the x of its end."""
+    def _write_axes(
+        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene]
+    ) -> int:
+        """Write the legend of modules and of the zone; return the x of its end."""
+        if all(scene.drive is not None for scene in scenes):
+            x = self._write_drives(canvas, area)
+        else:
+            x = self._write_angles(canvas, area)
+        if any(scene.zone is not None for scene in scenes):
+            x = self._write_zone(canvas, area, x)
+        return x
+
+    def _write_drives(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
+        """Write the legend of driven modules; return the x of its end."""
+        middle, gap, icons = self._middle_below(area), self._gap, self._icons
+        x = area.left
+        for name, level in (("surface moves", marks.SPEED_LEVELS), ("stands", 0)):
+            drawn = icons.arrow(0, level, pale=False).get_rect(midleft=(x, middle))
+            canvas.blit(icons.arrow(0, level, pale=False), drawn)
+            after = (drawn.right + gap // 2, middle)
+            x = ink.write(canvas, name, self.small, ink.INK, midleft=after).right + gap
+        return x - gap
+
+    def _write_angles(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
+        """Write the legend of axis colours; return the x of its end."""
         middle, gap, icons = self._middle_below(area), self._gap, self._icons
         place = (area.left, middle)
         x = ink.write(canvas, "rotor axis", self.small, ink.FAINT_INK, midleft=place).right
@@ -126,14 +149,17 @@ class Strips:
             canvas.blit(icon, drawn)
             after = (drawn.right + gap // 2, middle)
             x = ink.write(canvas, name, self.small, ink.INK, midleft=after).right
-        if zone:
-            swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
-            swatch.midleft = (x + 2 * gap, middle)
-            pygame.draw.rect(canvas, ink.ZONE, swatch)
-            pygame.draw.rect(canvas, ink.ZONE_EDGE, swatch, 1)
-            after = (swatch.right + gap // 2, middle)
-            x = ink.write(canvas, "zone", self.small, ink.INK, midleft=after).right
         return x
+
+    def _write_zone(self, canvas: pygame.Surface, area: pygame.Rect, x: int) -> int:
+        """Write the legend of the zone after an x; return the x of its end."""
+        middle, gap, icons = self._middle_below(area), self._gap, self._icons
+        swatch = pygame.Rect(0, 0, round(1.2 * icons.cell), round(0.7 * icons.cell))
+        swatch.midleft = (x + 2 * gap, middle)
+        pygame.draw.rect(canvas, ink.ZONE, swatch)
+        pygame.draw.rect(canvas, ink.ZONE_EDGE, swatch, 1)
+        after = (swatch.right + gap // 2, middle)
+        return ink.write(canvas, "zone", self.small, ink.INK, midleft=after).right
 
     def _write_stroke(
         self, canvas: pygame.Surface, area: pygame.Rect, name: str, colour: ink.Colour, x: int

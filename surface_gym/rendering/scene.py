@@ -225,6 +225,8 @@ class Scene:
     tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
     title: str = ""
     readings: tuple[tuple[str, str], ...] = ()  # label and text of each displayed number
+    # (rows, columns, 2) [m/s] velocities of driven surfaces; NaN: idle; None: all are idle
+    drive: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         axis, rotor = checks.array("axis", self.axis, (None, None)), np.array(self.rotor)
@@ -235,6 +237,9 @@ class Scene:
         if rotor.shape != axis.shape:
             raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
         rotor.setflags(write=False)
+        if self.drive is not None and np.shape(self.drive) != (*axis.shape, 2):
+            wanted = (*axis.shape, 2)
+            raise ValueError(f"drive must have the shape {wanted}, got {np.shape(self.drive)}")
         checks.set_fields(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
         checks.set_fields(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
         checks.settle(self, tilt=checks.number, tilt_direction=checks.angle)

@@ -59,6 +59,7 @@ class LineObservation:
     """Decoded observations of parcels on a line; arrays (num_envs,)."""
 
     into_zone: Numbers  # [m] x of the base's centre past the zone's first edge
+    to_end: Numbers  # [m] from the base's rear to the zone's end; NaN if not observed
     offset: Numbers  # [m] y of the base's centre from the line's middle
     theta: Numbers  # [rad]
     vx: Numbers  # [m/s]
@@ -98,6 +99,7 @@ def decode_line(seen: ObservationTable) -> LineObservation:
     ratio = seen.get("asked ratio")
     return LineObservation(
         into_zone=into_zone,
+        to_end=seen.get("rear to go", math.nan),
         offset=mirror * seen["lateral offset"],
         theta=theta,
         vx=seen["forward speed"],

@@ -25,6 +25,7 @@ CASES: dict[str, dict[str, Any]] = {
     "axes that turn": {
         "task": "sort", "actions": "quadrants", "actuators": Actuators(axis_speed=8.0),
     },
+    "driven modules": {"task": "sort", "actions": "halves", "modules": "steered"},
 }  # fmt: skip
 # Short lines with more parcels than can pass: some touch.
 DENSE_STREAM: dict[str, Any] = {

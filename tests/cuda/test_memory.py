@@ -62,7 +62,7 @@ def test_rows_follow_one_another(capacity):
     assert layout["TABLE_SIZE"] == layout["KINKS"] + 4 * capacity
     counts = [layout[name] - layout["COUNTS"] for name in ("SPANS", "ISOTROPICS", "SUPPORTS")]
     assert counts == [0, 1, 2]
-    assert layout["MARKS_SIZE"] == layout["COUNTS"] + 2
+    assert layout["MARKS_SIZE"] == layout["COUNTS"] + 3
 
 
 def test_every_size_is_among_the_layout_s_and_the_tasks_boxes_need_little():

@@ -107,3 +107,31 @@ def test_what_is_not_allowed_is_refused():
     ):
         with pytest.raises(ValueError, match=message):
             validation.simulate(sg.layouts.sorting(), BOX, **({"pose": START} | change))
+
+
+def test_driven_modules_agree_with_surface_velocities():
+    """Belts of random speed and direction, some of them idle, beside MuJoCo's static geoms whose
+    surfaces move.
+    """
+    rng = np.random.default_rng(1)
+    light, shape, away = validation.Recipe().lighter_rotors(1000.0), (20, 40), []
+    for _ in range(6):
+        rotor = rng.random(shape) < 0.9
+        speed, way = rng.uniform(0.2, 1.2, 10), rng.uniform(-0.8, 0.8, 10)
+        belts = np.repeat(speed[:, np.newaxis] * np.column_stack([np.cos(way), np.sin(way)]), 4, 0)
+        velocity = np.tile(belts, (shape[0], 1, 1))
+        velocity[~rotor | (rng.random(shape) < 0.3)] = math.nan
+        axis = rng.choice(np.radians([0.0, 45.0, -45.0, 90.0]), shape)
+        surface = sg.Surface(axis, rotor, surface_velocity=velocity)
+        parcel = sg.Parcel(sg.Rectangle(*rng.uniform(0.25, 0.4, 2)), com_height=0.05)
+        start = (0.6, 1.0, rng.uniform(-3.0, 3.0)), (rng.uniform(0.0, 1.5), 0.0, 0.5), 0.5
+        ours, theirs = (
+            run.pose[-1]
+            for run in (
+                validation.simulate(surface, parcel, *start, light),
+                sg.simulate(surface, parcel, *start, 1e-3),
+            )
+        )
+        away.append([1e3 * math.dist(ours[:2], theirs[:2]), math.degrees(abs(ours[2] - theirs[2]))])
+    assert (np.median(away, axis=0) < 1.0).all()  # [mm, deg]
+    assert (np.max(away, axis=0) < [4.0, 1.5]).all()

@@ -16,6 +16,17 @@ PERIODS = 120  # in which parcels of Sort have left, and others come
 ARGUMENTS: dict[str, dict[str, Any]] = {"slow": {"preset": "lab", "actions": "halves"}}
 
 
+@pytest.mark.parametrize("kind", ["omni", "steered"])
+def test_driven_modules_are_equal_too(kind, modules):
+    config = EnvConfig("sort", modules=kind, actions="halves")
+    twins = Twins(config, 2, file=modules / "sort-driven.wasm")
+    twins.begin()
+    assert not twins.differences()
+    for _ in range(30):
+        assert twins.step(twins.sample()) == 0
+        assert not twins.differences()
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_episodes_are_equal_from_their_starts_to_their_ends(task, modules):
     config = EnvConfig(task, **ARGUMENTS.get(task, {}))

@@ -155,7 +155,7 @@ def test_actions_are_mirrored_as_on_the_cpu(actions) -> None:
     shape = (300, *env_config.action_space().shape)
     given = rng.integers(len(env_config.chosen_orientations), size=shape)
     side = rng.integers(-1, 2, size=300).astype(np.float32)
-    expected = ActionMirror(env_config.action_kind, env_config.chosen_orientations)(given, side)
+    expected = ActionMirror(env_config)(given, side)
     mirror = cuda.TensorMirror(env_config, torch.device("cpu"))
     found = mirror(torch.from_numpy(given), torch.from_numpy(side))
     np.testing.assert_array_equal(found.numpy(), expected)

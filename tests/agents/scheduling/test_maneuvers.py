@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surface_gym.agents.base import find_orientation
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, Lead, Library, make_library
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Steady
@@ -141,13 +142,14 @@ class TestGroups:
             table[0, 0, 13] = past / 0.5
             return lead.choose(table, tried, booked, stands)
 
+        left_axis = find_orientation(config, -0.25 * np.pi)
         before, stands = at(-1.0, None)
-        assert (before == lead.axes.roll).all()
+        assert (before == lead.roll).all()
         action, stands = at(0.1, stands)
-        assert stands[0].tolist() == [lead.axes.left, lead.axes.roll, lead.axes.roll]
+        assert stands[0].tolist() == [left_axis, lead.roll, lead.roll]
         grid = action.reshape(4, -1)
-        assert (grid[:, :5] == lead.axes.left).all()
-        assert (grid[:, 5:] == lead.axes.roll).all()
+        assert (grid[:, :5] == left_axis).all()
+        assert (grid[:, 5:] == lead.roll).all()
         # It has gone: the group stays as it is, and no axis turns for nothing.
         booked[0, 0] = -1
         _, after = at(0.4, stands)

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from surface_gym.agents.base import find_orientation
 from surface_gym.agents.scheduling import scheduler as module
 from surface_gym.agents.scheduling.bounds import clairvoyant_bound, entrance_bound
 from surface_gym.agents.scheduling.leading import make_workspace, search
@@ -154,7 +155,7 @@ class TestMemory:
         table[0, 3, COLUMN.present.place] = 1.0
         table[0, 3, [3, 13, 14]] = 0.5, 3.0, 1.0
         action, _ = controller.predict(table, None)
-        assert action[0, 6] == controller.library.lead.axes.left
+        assert action[0, 6] == find_orientation(config, -0.25 * np.pi)
 
 
 class TestTrial:

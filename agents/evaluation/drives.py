@@ -1,0 +1,321 @@
+"""The comparison of kinds of modules: idle rotors beside driven modules, each with its best method.
+
+Idle rotors act with the shipped agents and rules of a task, and the best of them is shown. Driven
+modules act with `AimRule` for one parcel, and with the scheduler for streams.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.benchmarks import GROUPS, SIX
+from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, find_module
+from surface_gym.randomisation import Actuators
+from surface_gym.state import ENERGIES
+from surface_gym.tasks.benchmark import Offer
+
+from ..base import Controller
+from ..library import QUEUE, task_label
+from ..rollout import Episodes, run_episodes
+from ..rules.aiming import AIMS, AimRule
+from ..scheduling.scheduler import make_scheduler
+from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
+from .plots import choose_colours, save_figure
+from .results import Results, Sample
+from .scenario import (
+    SEED,
+    STARTS,
+    WHOLE,
+    Extent,
+    Row,
+    Scenario,
+    ScenarioJob,
+    StartScenario,
+    choose_starts,
+    make_jobs,
+)
+from .stream_scenario import UNSEEN, StreamScenario, is_sustained, measure_stream, play_stream
+from .tables import Table, number, tabulate, write_markdown
+from .views import column_value, format_value
+
+TITLE = "# Kinds of modules\n\nIdle rotors beside driven modules.\n\n"
+IDLE = "idle rotors"
+# Modules obey at once, or in time.
+IN_TIME = Preset(
+    "in time",
+    "in time",
+    "Axes turn by 90 deg in 50 ms, and driven surfaces change their speed by 10 m/s^2.",
+    actuators=Actuators(axis_speed=0.5 * math.pi / 0.05),
+)
+DRIVE_PRESETS = {"exact": PRESETS["exact"], IN_TIME.name: IN_TIME}
+ACCELERATION = {"exact": math.inf, IN_TIME.name: 10.0}  # [m/s^2] of driven surfaces
+LEAST_CORRECT = 0.999  # [-] required share of correct deliveries for a sustained rate
+REPLICATIONS = 12  # streams at each rate
+DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
+GENTLE, STEEP = math.radians(10.0), math.radians(30.0)  # [rad] headings aside
+RISE = 0.05  # [s] until the belts of a pop-up have risen
+
+Make = Callable[..., ModuleKind]
+
+
+def _for_stream(kind: Make, heading: float, speed: float, acceleration: float) -> ModuleKind:
+    """Return driven modules that keep a stream's speed [m/s] along the line, also aside."""
+    speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
+    return kind(acceleration, speeds, headings, conveyor=speed)
+
+
+def _pop_up(speed: float, acceleration: float) -> ModuleKind:
+    """Return pop-ups for a stream; their belts run already as they rise."""
+    fast = DIAGONAL * speed
+    if acceleration != math.inf:
+        acceleration = math.hypot(speed, fast) / RISE
+    return PopUp(acceleration, (speed, fast), conveyor=speed)
+
+
+STREAM_KINDS: dict[str, Callable[..., ModuleKind]] = {
+    "pop-up": _pop_up,
+    "steered rollers, 10 deg": partial(_for_stream, SteeredRoller, GENTLE),
+    "steered rollers, 30 deg": partial(_for_stream, SteeredRoller, STEEP),
+    "omni-wheels, 10 deg": partial(_for_stream, OmniModule, GENTLE),
+}
+
+
+def kind_methods(task: str) -> list[Method]:
+    """List the methods of a task: of idle rotors first, then one for each kind of driven modules.
+
+    An argument `modules` is a function that makes the modules; see `_suited`.
+    """
+    given: dict[str, Any] = {"info": ("energy",)}
+    if is_on_streams(task):
+        given |= {"actions": "parcels", "gate": True, "queue": QUEUE}
+        idle = Method(IDLE, task, _schedule, given | {"orientations": SIX})
+        driven = (
+            Method(kind, task, _schedule, given | {"modules": make})
+            for kind, make in STREAM_KINDS.items()
+        )
+        return [idle, *driven]
+    known = [each for each in (*rules(task), *shipped(task)) if each.most is None]
+    return [
+        *(
+            replace(
+                each, name=f"{IDLE}, {each.name}", arguments=each.arguments | given, presets=None
+            )
+            for each in known
+        ),
+        *(
+            Method(kind, task, _aim, given | {"actions": "halves", "modules": make})
+            for kind, make in AIMS[task].kinds.items()
+        ),
+    ]  # fmt: skip
+
+
+def _aim(config: EnvConfig, _seed: int) -> Controller:
+    return AimRule(config)
+
+
+def _schedule(config: EnvConfig, _seed: int) -> Controller | None:
+    return make_scheduler(config)
+
+
+def _suited(method: Method, **given: Any) -> Method:
+    """Return a method with modules of an acceleration, and for a stream of a speed."""
+    make = method.arguments.get("modules")
+    if make is None:
+        return method
+    return replace(method, arguments=method.arguments | {"modules": make(**given)})
+
+
+@dataclass(frozen=True)
+class DriveStarts(StartScenario):
+    """The starts of a task, with modules that obey at once or in time."""
+
+    def run(
+        self, method: Method, seed: int
+    ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
+        benchmark = start_benchmark(self.task)
+        starts = choose_starts(benchmark, self.count(method), PRESETS["exact"])
+        method = _suited(method, acceleration=ACCELERATION[self.preset])
+        config = method.config(benchmark.task, DRIVE_PRESETS[self.preset])
+        return run_episodes(method.controller(config, seed), config, starts, SEED), config, starts
+
+
+@dataclass(frozen=True)
+class DriveScenario(StreamScenario):
+    """A stream at its highest sustained rate, whose driven modules suit its speed."""
+
+    def config(self, method: Method, rate: float | None = None) -> EnvConfig:
+        acceleration, speed = ACCELERATION[self.preset], self.offer.task.stream.speeds
+        method = _suited(method, acceleration=acceleration, speed=speed)
+        given = method.arguments | {"actuators": DRIVE_PRESETS[self.preset].actuators}
+        alone = replace(self, preset=UNSEEN)  # without a preset of its own
+        return StreamScenario.config(alone, replace(method, arguments=given), rate)
+
+    def episodes(self, method: Method) -> int:
+        return min(REPLICATIONS, super().episodes(method))
+
+    def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
+        config, warm_up = self.config(method, rate), self.benchmark.warm_up
+        batch = play_stream(config, controller, self.episodes(method), warm_up, LEAST_CORRECT)
+        if batch is None:
+            return None
+        infos = batch.infos()
+        rows = [
+            {**row, **{name: float(infos[name][k]) for name in ENERGIES}}
+            for k, row in enumerate(measure_stream(batch, warm_up))
+        ]
+        return rows if is_sustained(rows, LEAST_CORRECT) else None
+
+
+def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
+    """List the jobs of the comparison of kinds of modules, for the tasks that take part."""
+    jobs: list[ScenarioJob] = []
+    for task in tasks:
+        scenarios: list[Scenario] = []
+        if is_on_streams(task):
+            offers = [each for each in stream_benchmark(task).offers if _is_compared(each)]
+            scenarios = [
+                DriveScenario(task, preset, extent, each.scenario)
+                for each in offers[: extent.offers]
+                for preset in DRIVE_PRESETS
+            ]
+        elif task in AIMS:
+            scenarios = [DriveStarts(task, preset, extent) for preset in DRIVE_PRESETS]
+        if scenarios:
+            jobs += make_jobs(scenarios, kind_methods(task))
+    return jobs
+
+
+def _is_compared(offer: Offer) -> bool:
+    """Return whether an offer is a search for the capacity with a mix of parcels."""
+    task = offer.task
+    return not offer.rates and offer.group == GROUPS[0] and len(task.stream.kinds) > 1
+
+
+def drive_tables(task: str, results: Results) -> list[Table]:
+    """Make the table of kinds of modules for a task; none without results."""
+    rows = _stream_rows(task, results) if is_on_streams(task) else _start_rows(task, results)
+    caption = (
+        "Each kind with its best method here. In time: " + IN_TIME.meaning[0].lower()
+        + IN_TIME.meaning[1:-1] + "; otherwise at once. Energy is what drives draw; a braking "
+        "drive gives nothing back. Acceleration: the largest of a parcel, mean."
+    )  # fmt: skip
+    if is_on_streams(task):
+        caption += " Rates are the highest sustained ones with 99.9 % right deliveries."
+    return tabulate(f"{task_label(task)}, kinds of modules", caption, rows, keys=2)
+
+
+def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
+    methods = {each.name: each for each in kind_methods(task)}
+    rows = []
+    for preset in DRIVE_PRESETS:
+        ran = results.at(task, STARTS, preset)
+        idle = [name for name in ran if name.startswith(IDLE)]
+        if not idle:
+            continue
+        error = start_benchmark(task).error
+        metric = "time" if error is None else error.metric
+        best = max(idle, key=lambda name: _worth(ran[name], metric))
+        for name in (best, *(each for each in ran if each not in idle)):
+            sample = ran[name]
+            row = {"modules": name, "obey": _obey(preset), **_hardware(methods[name])}
+            row["success"] = number(sample.rate, ".3f")
+            row["time [s]"] = number(float(sample.time[sample.success].mean()), ".2f")
+            for column in start_benchmark(task).columns:
+                if not column.every_start:
+                    value = column_value(column, sample, ran[idle[0]])
+                    row[column.label] = format_value(column, value)
+            rows.append(row | _energies(sample, sample.success.size))
+    return rows
+
+
+def _obey(preset: str) -> str:
+    return IN_TIME.name if preset == IN_TIME.name else "at once"
+
+
+def _hardware(method: Method) -> dict[str, str]:
+    """Return the motors of a module of a method's kind."""
+    module = _suited(method, acceleration=math.inf).arguments.get("modules", "idle")
+    drives, axes = find_module(module).motors
+    return {"drives and axes": f"{drives} + {axes}"}
+
+
+def _energies(sample: Sample, parcels: float) -> dict[str, str]:
+    drawn = float(sample.values("drawn_energy").sum()) / parcels if parcels else math.nan
+    peak = float(sample.values("peak_acceleration").mean())
+    return {"energy [J]": number(drawn, ".1f"), "acceleration [m/s^2]": number(peak, ".1f")}
+
+
+def _worth(sample: Sample, metric: str) -> tuple[float, float]:
+    """Return how good a method is: by its successes, then by a metric of them."""
+    values = sample.metric(metric)[sample.success]
+    return round(sample.rate, 2), -float(np.median(values)) if values.size else -math.inf
+
+
+def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
+    rows = []
+    for (_, scenario, preset, name), sample in results.among(task):
+        correct, counted = sample.values("correct"), sample.values("counted")
+        rate = float((HOUR * correct / counted).mean())
+        rows.append(
+            {
+                "stream": scenario, "modules": name, "obey": _obey(preset),
+                "right [1/h]": number(rate, ".0f"),
+                "of the entry's limit": number(rate / sample.constant("bound"), ".0%"),
+                **_energies(sample, float(sample.values("sorted").sum())),
+            }
+        )  # fmt: skip
+    return sorted(rows, key=lambda row: (row["stream"], row["obey"]))
+
+
+def write_tables(
+    tasks: Sequence[str], table: pd.DataFrame, folder: Path, console: Console, note: str = ""
+) -> None:
+    """Write the tables of kinds of modules to a folder, and print them."""
+    results = Results(table)
+    tables = [each for task in tasks for each in drive_tables(task, results)]
+    if any(is_on_streams(task) and drive_tables(task, results) for task in tasks):
+        _draw_streams(results, folder / "modules.png")
+    write_markdown(tables, folder / "modules.md", TITLE + (f"{note}\n\n" if note else ""))
+    for each in tables:
+        each.show(console)
+    if note:
+        console.print(note)
+
+
+def _draw_streams(results: Results, file: Path) -> None:
+    """Draw throughput and energy of each kind on the streams, at once and in time."""
+    figure = Figure(figsize=(10.0, 6.4), layout="constrained")
+    panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
+    for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
+        rows = [
+            (key[0], key[1], key[3], sample)
+            for key, sample in results.samples.items()
+            if key[2] == preset and is_on_streams(key[0])
+        ]
+        names = list(dict.fromkeys(name for *_, name, _ in rows))
+        offers = list(dict.fromkeys(scenario for _, scenario, *_ in rows))
+        colours, width = choose_colours(names), 0.84 / max(1, len(names))
+        for _, scenario, name, sample in rows:
+            x = offers.index(scenario) + (names.index(name) - 0.5 * (len(names) - 1)) * width
+            label = name if scenario == offers[0] else None
+            rate = HOUR * sample.values("correct") / sample.values("counted")
+            total = float(sample.values("sorted").sum())
+            energy = float(sample.values("drawn_energy").sum()) / total if total else math.nan
+            column[0].bar(x, float(rate.mean()), 0.92 * width, color=colours[name], label=label)
+            column[1].bar(x, energy, 0.92 * width, color=colours[name])
+        column[0].set_title("obey at once" if preset != IN_TIME.name else "obey in time")
+        column[1].set_xticks(range(len(offers)), [each.split(", ")[1] for each in offers])
+        column[1].set_xlabel("speed of the stream")
+    panels[0, 0].set_ylabel("right deliveries per hour")
+    panels[1, 0].set_ylabel("energy of the drives [J a parcel]")
+    save_figure(figure, file, *panels.ravel(), legend=panels[0, 0])

@@ -1,0 +1,32 @@
+"""A kind of module of your own: driven rollers that swivel by 20 deg to both sides.
+
+>>> import gymnasium as gym, surface_gym
+>>> env = gym.make("SmartSurface/Sort-v0", actions="halves", modules="swivel")
+>>> env.action_space  # ahead, left and right at 1.5 m/s, for both halves
+Discrete(9)
+"""
+
+import math
+from dataclasses import dataclass
+
+from surface_gym.extend import MODULES, DrivenModule, Mode
+
+AHEAD, LEFT, RIGHT = 0.0, math.radians(20.0), math.radians(-20.0)
+
+
+@dataclass(frozen=True)
+class Swivel(DrivenModule):
+    """A roller that runs at one speed, and whose axis turns a little."""
+
+    speeds: tuple[float, ...] = (1.5,)  # [m/s]
+    headings: tuple[float, ...] = (AHEAD, LEFT, RIGHT)  # [rad]
+
+    def mode(self, heading: float, speed: float) -> Mode:
+        return Mode(heading + 0.5 * math.pi, across=-speed, driven=1.0)
+
+    @property
+    def motors(self) -> tuple[int, int]:
+        return 1, 1
+
+
+MODULES.register("swivel", Swivel(), replace=True)
