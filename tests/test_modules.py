@@ -5,6 +5,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import surface_gym as sg
 from surface_gym.modules import (
@@ -16,6 +17,7 @@ from surface_gym.modules import (
     SteeredRoller,
     surface_velocities,
 )
+from surface_gym.registration import TASKS
 
 ORIENTATIONS = sg.lines.ORIENTATIONS
 DRIVEN_KINDS = [name for name, module in MODULES.items() if module.drives]
@@ -56,6 +58,21 @@ class TestKinds:
                 observation, reward, _, _, _ = single.step(actions[k])
                 np.testing.assert_array_equal(observation, observations[k])
                 assert reward == rewards[k]
+
+
+@pytest.mark.parametrize("name", DRIVEN_KINDS)
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasiums_checker_has_nothing_to_say(task, name):
+    actions = "parcels" if TASKS[task].is_stream else "halves"
+    more = {"duration": 2.0} if TASKS[task].is_stream else {}
+    env = sg.SmartSurfaceEnv(task, actions=actions, modules=name, **more)
+    check_env(env, skip_render_check=True)
+    env.reset(seed=1)
+    for _ in range(25):
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        assert info["outcome"] != "stalled"
+        if terminated or truncated:
+            break
 
 
 def test_a_steered_roller_turns_and_ramps():
