@@ -32,12 +32,12 @@ MOST_PAIRS = 3000  # pairs of choices to predict; with more, both halves do the 
 SLOPE = 0.8  # [-] share of full braking on which the wanted speed near a place is based
 CREEP = 4.0  # [1/s] wanted speed per distance from a place, where it is less
 AHEAD = 0.02  # [s] time until a choice acts
-NEAR_ENOUGH = 0.002  # [m] distance from a place at which a parcel should rest
+NEAR_ENOUGH = 0.001  # [m] distance from a place at which a parcel should rest
 BRISK = 1.0  # [m/s] least speed on the way to a zone's end
 TO_MIDDLE = 2.0  # [1/s] wanted lateral speed per offset
 TO_PATH = 8.0  # [1/s] wanted speed across a path per distance from it
-STRAIGHTENING = 4.0  # [1/s] wanted turning speed per angle
-FASTEST_TURN = 2.5  # [rad/s] maximum wanted turning speed
+STRAIGHTENING = 6.0  # [1/s] wanted turning speed per angle
+FASTEST_TURN = 1.5  # [rad/s] maximum wanted turning speed
 ONWARD = 0.8  # [m/s] wanted speed of a parcel that turns
 # Tuned on other starts than the reported ones.
 
@@ -120,7 +120,7 @@ def _of_speeds(kind: Make, *speeds: float, **more: Any) -> Make:
     return partial(kind, speeds=speeds, **more)
 
 
-FINE = (0.0, *(round(0.01 * k, 2) for k in range(1, 61)), *(0.64 + 0.04 * k for k in range(52)))
+FINE = (0.0, *(0.01 * k for k in range(1, 61)), *(0.02 * k for k in range(31, 136)))  # [m/s]
 SPEEDS = tuple(round(0.1 * k, 1) for k in range(1, 16))  # [m/s] of modules along a path
 HEADINGS = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] the same
 CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 2.0)  # [m/s] of modules that bring it to a place
@@ -145,7 +145,7 @@ AIMS: dict[str, Aim] = {
         aim_at_place,
         {
             BELTS: _of_speeds(Belt, *CREEPING),
-            STEERED: _of_speeds(SteeredRoller, *CREEPING),
+            STEERED: _of_speeds(SteeredRoller, *CREEPING, headings=(0.0, math.pi)),
             OMNI: _of_speeds(OmniModule, *CREEPING),
         },
         alike=True,
