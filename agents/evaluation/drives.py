@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.config import PRESETS, QUARTER_TURN, EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
 from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, find_module
@@ -55,7 +55,7 @@ IN_TIME = Preset(
     "in time",
     "in time",
     "Axes turn by 90 deg in 50 ms, and driven surfaces change their speed by 10 m/s^2.",
-    actuators=Actuators(axis_speed=0.5 * math.pi / 0.05),
+    actuators=Actuators(axis_speed=0.5 * math.pi / QUARTER_TURN),
 )
 DRIVE_PRESETS = {"exact": PRESETS["exact"], IN_TIME.name: IN_TIME}
 ACCELERATION = {"exact": math.inf, IN_TIME.name: 10.0}  # [m/s^2] of driven surfaces
@@ -63,7 +63,7 @@ LEAST_CORRECT = 0.999  # [-] required share of correct deliveries for a sustaine
 REPLICATIONS = 12  # streams at each rate
 DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
 GENTLE, STEEP = math.radians(10.0), math.radians(30.0)  # [rad] headings aside
-RISE = 0.05  # [s] until the belts of a pop-up have risen
+RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
 
 Make = Callable[..., ModuleKind]
 

@@ -25,7 +25,7 @@ from surface_gym.flow.task import COLUMN
 from surface_gym.modules import surface_velocities
 from surface_gym.sensors import Exact
 
-from ..base import Booleans, Integers, Numbers, Singles, axes_apart, find_conveyor
+from ..base import Booleans, Integers, Numbers, Singles, axes_apart, find_axes, find_conveyor
 from .leading import Way, lead
 from .trajectories import (
     DT,
@@ -105,6 +105,8 @@ class Lead:
         if config.action_kind.continuous:
             raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
         self.roll = find_conveyor(config)
+        if not config.module_kind.drives:
+            find_axes(config)  # raises an error unless axes lead to both sides
         self.groups = groups
         self.kinds = list_asked(config)
         line = config.chosen_line

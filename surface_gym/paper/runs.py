@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surface_gym import layouts
 from surface_gym.compiler.jit import compiled
 from surface_gym.physics.references import find_contacts
-from surface_gym.physics.types import ARM_X, ROTOR, Array, Body, Grid, Scratch, make_scratch
+from surface_gym.physics.types import ARM_X, KIND, SUPPORT, Array, Body, Grid, Scratch, make_scratch
 from surface_gym.simulation import expect_tipping, simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -239,7 +239,7 @@ def _find_columns(
         columns[k, 1] = NONE
         contacts = find_contacts(grid, body, pose[k, 0], pose[k, 1], pose[k, 2], scratch)
         for i in range(contacts.total):
-            if scratch.marks[ROTOR + i]:
+            if scratch.marks[KIND + i] != SUPPORT:
                 column = round((pose[k, 0] + scratch.table[ARM_X + i] - grid.x0) / grid.pitch_x)
                 if columns[k, 0] == NONE or column < columns[k, 0]:
                     columns[k, 0] = column
