@@ -240,7 +240,7 @@ def offer_tables(task: str, results: Results) -> list[Table]:
                 row["correct per hour"] = bold(rate) if name == ahead else rate
                 row["correct"] = f"{100.0 * sample.share_correct:.2f} %"
                 row |= {c.label: format_value(c, c.value(sample, sample)) for c in columns}
-                rows.append(row | {"jams": f"{sample.jams:.1f}", "bound": bound})
+                rows.append(row | {"jams": f"{sample.jams:.1f}", "full belt": bound})
     return tabulate(f"{task_label(task)} on streams", _describe(benchmark, shown), rows, keys=3)
 
 
@@ -267,8 +267,9 @@ def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
         "Correct deliveries per hour have Student's 95 % interval; agents have the mean over their "
         "seeds. Bold marks results that are significantly best (95 % confidence, paired). "
         f"{'; '.join(f'{each.label}: {each.meaning}' for each in benchmark.columns)}; jams: "
-        f"streams in which nothing moved, or nothing left in the last {QUIET:g} s; bound: a rate "
-        f"that no controller exceeds.{planner}"
+        f"streams in which nothing moved, or nothing left in the last {QUIET:g} s; full belt: "
+        "the rate at which the take-away is full, if all departures are correct and each kind of "
+        f"parcel departs in its share.{planner}"
     )
 
 

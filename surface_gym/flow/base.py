@@ -300,7 +300,7 @@ class StreamTask(Task):
         return default_stream_benchmark(self)
 
     def rate_bound(self, config: Any) -> float:
-        """Compute an upper bound of the rate [parcels/h] for any controller; NaN: unknown."""
+        """Compute a limit of the rate [parcels/h] for comparisons; NaN: unknown."""
         del config
         return math.nan
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import base as flow, state as fs
-from surface_gym.flow.arrivals import HOUR, Poisson
+from surface_gym.flow.arrivals import HOUR, Poisson, Trace
 from surface_gym.flow.base import FAR, SURFACE_TERMS, StreamTask, both_ways
 from surface_gym.flow.exits import PITCH, RUN_OUT
 from surface_gym.flow.stream import Stream
@@ -403,11 +403,16 @@ class TakeAwayTask(StreamTask):
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
         Every parcel has its smallest extent along the take-away. No controller delivers more
-        parcels correctly.
+        parcels, if all depart correctly and each kind in its share of the stream. A controller that
+        keeps large parcels back, or wastes some, could deliver more correctly.
         """
-        odds = np.array([each for _, each in self.stream.parcels])
-        extent = np.array([narrowest(parcel) for parcel, _ in self.stream.parcels])
-        mean = float((odds * extent).sum() / odds.sum())
+        arrivals = self.stream.arrivals
+        if isinstance(arrivals, Trace):
+            mean = float(np.mean([narrowest(each.parcel) for each in arrivals.arrivals]))
+        else:
+            odds = np.array([each for _, each in self.stream.parcels])
+            extent = np.array([narrowest(parcel) for parcel, _ in self.stream.parcels])
+            mean = float((odds * extent).sum() / odds.sum())
         return HOUR * len(config.exits) * self.take_away / (mean + self.gap)
 
     def compute_statistics(

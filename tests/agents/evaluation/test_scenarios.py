@@ -24,6 +24,8 @@ from surface_gym.agents.evaluation.results import Sample, make_rows
 from surface_gym.agents.planning.receding_horizon import RecedingHorizon
 from surface_gym.agents.scheduling.bounds import entrance_bound
 from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.flow.arrivals import Arrival, Trace
+from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import narrowest
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.registration import TASKS
@@ -147,6 +149,9 @@ class TestOffers:
         one, two = (config.replace(stream=stream, exits=exits) for exits in ("end", "mouths"))
         assert one.stream_task.rate_bound(one) == pytest.approx(3600.0 * 2.0 / 0.5)
         assert two.stream_task.rate_bound(two) == pytest.approx(2.0 * 3600.0 * 2.0 / 0.5)
+        recorded = Stream(Trace((Arrival(0.0, box, 0.8, config.exits.names[0]),)))
+        trace = config.replace(stream=recorded, exits="end")
+        assert trace.stream_task.rate_bound(trace) == pytest.approx(3600.0 * 2.0 / 0.5)
 
     def test_the_narrowest_extent_is_the_least_over_all_angles(self) -> None:
         angles = np.linspace(0.0, math.pi, 20_001)

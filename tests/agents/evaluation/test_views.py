@@ -249,7 +249,7 @@ def test_only_one_that_is_ahead_of_all_others_is_bold(other, bold) -> None:
     (table,) = streams.stream_tables("merge", merged([1.0, 2.0, 3.0], other))
     assert [cells[3].startswith("**") for cells in table.rows] == [bold, False, False]
     assert table.rows[0][:3] == ("three lines", "exact", "one")
-    assert table.header[-2:] == ("jams", "bound")
+    assert table.header[-2:] == ("jams", "full belt")
 
 
 class TestUnseen:
