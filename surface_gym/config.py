@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.actions import ANY, ActionKind
-from surface_gym.feature_groups import AXIS_SIZE, group_features, offered_groups
+from surface_gym.feature_groups import AXIS_SIZE, SHOWN_DRIVE, group_features, offered_groups
 from surface_gym.lines import BaseLine, Site
-from surface_gym.modules import ANGLE, ModuleKind, find_module
+from surface_gym.modules import ANGLE, FASTEST, ModuleKind, find_module
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.physics.types import Array, Integers
 from surface_gym.randomisation import Actuators, Randomisation
@@ -384,9 +384,22 @@ class EnvConfig:
         return features + axes + group_features(self.observe, self.groups)
 
     def _axis_features(self) -> tuple[Feature, ...]:
-        """Features of the axes: cosine and sine of twice the angle, since axes have period pi."""
+        """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
+
+        For driven modules they are the velocities of their surfaces.
+        """
         kind = self.action_kind
         window = kind.shape if kind.name == "window" else (kind.rows, kind.columns)
+        if self.module_kind.drives:
+            most = FASTEST / SHOWN_DRIVE
+            return tuple(
+                Feature(
+                    f"{part} of module {row}, {column}", -most, most,
+                    "of its surface; 0: no driven module", "m/s", SHOWN_DRIVE,
+                )
+                for row, column in np.ndindex(*window)
+                for part in ("vx", "vy")[:AXIS_SIZE]
+            )  # fmt: skip
         return tuple(
             Feature(f"{part} of axis {row}, {column}", -1.0, 1.0, "of twice its angle; 0: no rotor")
             for row, column in np.ndindex(*window)

@@ -187,7 +187,7 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface with a parcel or a stream of parcels; actions turn the rotors' axes.
 
-    A surface is a grid of modules with idle rotors. A rotor drags along its axis (mu 0.5), and
+    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu 0.5), and
     rolls almost freely across it (mu 0.01). Only its own speed, or gravity on a tilted surface,
     moves a parcel. So it can be steered only while it moves. Units are SI and radians; x runs along
     the line, y across it, theta anti-clockwise. One class serves every task; the page of Flow
@@ -229,9 +229,11 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
     | "omni" | in eight directions: three omni-wheels |
 
-    A choice is then a direction and a speed, or a stop; `env.unwrapped.config.modes` lists them.
-    Kinds with other speeds and directions are made with the classes of `surface_gym.modules`, e.g.
-    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Modules without a command convey towards +x. Driven
+    A choice is then a direction and a speed, or a stop if the kind has speed 0. They are the rows of
+    `env.unwrapped.config.modes`; the last row is what a module does without a command. Kinds with
+    other speeds and directions are made with the classes of `surface_gym.modules`, e.g.
+    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Modules without a command convey towards +x. Headings
+    take the place of `orientations`, which must not be given. Driven
     modules can move a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
@@ -239,7 +241,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle. Axes that differ by 180 deg are the same. Without it, the observation does not
+    its axis angle, so that axes that differ by 180 deg are the same. For driven modules they are the
+    velocity of the surface in x and y, divided by 2 m/s. Without it, the observation does not
     show slowly turning axes. `observe` adds groups of features: "parcel" (length, width and shape),
     "rotors" (number and axes of the rotors under each quadrant of the parcel), and "load" (friction
     and load estimated by an `AdaptiveCamera`).
@@ -252,9 +255,10 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
     `reward_` and its name, and the task's own metrics. On request, by `info=("axes",
     "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and the normal force
-    [N] of the parcel on each. `info=("energy",)` adds sums since the start: `drive_work`,
-    `friction_heat` and `drawn_energy` [J], the work of all drives that do not brake, and the
-    largest acceleration of the parcel, `peak_acceleration` [m/s^2].
+    [N] of the parcel on each. `info=("energy",)` adds three sums since the start
+    [J]: `drive_work` is the work of all drives, `drawn_energy` counts only drives that do not brake,
+    and `friction_heat` is what friction turns to heat. `peak_acceleration` [m/s^2] is the largest
+    acceleration so far. In a stream they are of all parcels.
 
     ## End
 

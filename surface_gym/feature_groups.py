@@ -16,7 +16,10 @@ from surface_gym.state import EnvState
 from surface_gym.tasks.base import LENGTH, WIDTH
 from surface_gym.tasks.features import Feature, columns, show
 
-AXIS_SIZE = 2  # features of an axis: cosine and sine of twice its angle, which has period pi
+# features of a module: cosine and sine of twice its axis angle, which has period pi; if driven, the
+# velocity of its surface
+AXIS_SIZE = 2
+SHOWN_DRIVE = 2.0  # [m/s] scale of this velocity
 
 
 @inlined
@@ -65,16 +68,21 @@ def show_occupancy(acting: ActionParams, state: EnvState, first: int, mirror: fl
 
 @inlined
 def _show_axis(state: EnvState, row: int, column: int, place: int, mirror: float) -> None:
-    """Write a module's axis into the observation from `place` on; 0 without a rotor."""
+    """Write a module's axis or drive into the observation from `place` on; 0 without a module."""
     rows, columns = state.rotor.shape
-    twice_cosine = twice_sine = 0.0
+    first = second = 0.0
     if 0 <= row < rows and 0 <= column < columns and state.rotor[row, column]:
-        cosine = state.direction[state.axis[row, column], 0]
-        sine = state.direction[state.axis[row, column], 1]
-        twice_cosine = cosine * cosine - sine * sine
-        twice_sine = mirror * 2.0 * sine * cosine
-    state.observation[place] = twice_cosine
-    state.observation[place + 1] = twice_sine
+        axis = state.axis[row, column]
+        cosine, sine = state.direction[axis, 0], state.direction[axis, 1]
+        if state.drive[axis, st.DRIVEN] > 0.0:
+            along, across = state.drive[axis, st.ALONG], state.drive[axis, st.ACROSS]
+            first = (cosine * along - sine * across) / SHOWN_DRIVE
+            second = mirror * (sine * along + cosine * across) / SHOWN_DRIVE
+        else:
+            first = cosine * cosine - sine * sine
+            second = mirror * 2.0 * sine * cosine
+    state.observation[place] = first
+    state.observation[place + 1] = second
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 An idle rotor drags along its axis and rolls across it; its only motor turns the axis. The surface
 of a driven module moves under the parcel, and grips alike in all directions with `mu_max`. Friction
-acts against the slip, which is the base's velocity over that surface.
+acts against the motion of the base relative to that surface.
 """
 
 import math
@@ -26,8 +26,8 @@ class Mode(NamedTuple):
     """What a module does: one choice of an action, and one row of `ModuleKind.modes`."""
 
     angle: float  # [rad] axis
-    along: float = 0.0  # [m/s] velocity of the surface along the axis
-    across: float = 0.0  # [m/s] across it
+    along: float = 0.0  # [m/s] velocity of the surface along the axis, at `angle`
+    across: float = 0.0  # [m/s] across it, at `angle` + 90 deg
     driven: float = 0.0  # [-] 1: grips alike in all directions; 0: an idle rotor
 
 
@@ -40,8 +40,8 @@ MODULES: "Registry[ModuleKind]" = Registry("modules")
 class ModuleKind(ABC):
     """A kind of module; every module of a surface is of one kind.
 
-    The last mode is the conveyor's. A module does it until it is commanded, and so do modules
-    outside the zone and stuck ones.
+    The last row of its modes is no choice: it is what a module does without a command, until it is
+    commanded, outside the zone, or stuck.
     """
 
     acceleration: float = math.inf  # [m/s^2] by which the surface's velocity changes
@@ -121,8 +121,8 @@ class IdleRotor(ModuleKind):
 class DrivenModule(ModuleKind):
     """A module with a driven surface; its choices are a stop (speed 0) and headings with speeds.
 
-    The first choices are the headings at the lowest positive speed, in the given order; the stop
-    comes last.
+    The first choices are the headings at the lowest positive speed, in the given order. The stop is
+    the last choice, if `speeds` hold 0.
 
     Raises:
         ValueError: a heading or a speed is not allowed.

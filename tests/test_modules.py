@@ -120,6 +120,17 @@ def test_a_belt_brings_a_parcel_back_to_the_asked_place():
     assert info["outcome"] == "success"
 
 
+def test_observed_modules_show_their_velocities():
+    module = OmniModule(acceleration=math.inf, speeds=(1.0, 2.0))
+    env = sg.SmartSurfaceEnv("sort", actions="halves", modules=module, observe_axes=True)
+    env.reset(seed=0, options={"side": 1, "parcel": "B"})
+    left = 8 + 3  # at 2 m/s
+    observation, *_ = env.step(left * env.config.choices + left)
+    shown = env.config.observed(observation)
+    assert (shown["vx of module 0, 5"], shown["vy of module 0, 5"]) == pytest.approx((0.0, 2.0))
+    assert env.observation_space.contains(observation)
+
+
 def test_energies_balance():
     env = sg.SmartSurfaceEnv("sort", actions="halves", modules=OmniModule(), info=("energy",))
     env.action_space.seed(1)

@@ -50,15 +50,15 @@ from .views import column_value, format_value
 
 TITLE = "# Kinds of modules\n\nIdle rotors beside driven modules.\n\n"
 IDLE = "idle rotors"
-# Modules obey at once, or in time.
-IN_TIME = Preset(
-    "in time",
-    "in time",
+# Modules obey at once, or with delays.
+DELAYED = Preset(
+    "delayed",
+    "delayed",
     "Axes turn by 90 deg in 50 ms, and driven surfaces change their speed by 10 m/s^2.",
     actuators=Actuators(axis_speed=0.5 * math.pi / QUARTER_TURN),
 )
-DRIVE_PRESETS = {"exact": PRESETS["exact"], IN_TIME.name: IN_TIME}
-ACCELERATION = {"exact": math.inf, IN_TIME.name: 10.0}  # [m/s^2] of driven surfaces
+DRIVE_PRESETS = {"exact": PRESETS["exact"], DELAYED.name: DELAYED}
+ACCELERATION = {"exact": math.inf, DELAYED.name: 10.0}  # [m/s^2] of driven surfaces
 LEAST_CORRECT = 0.999  # [-] required share of correct deliveries for a sustained rate
 REPLICATIONS = 12  # streams at each rate
 DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
@@ -137,7 +137,7 @@ def _suited(method: Method, **given: Any) -> Method:
 
 @dataclass(frozen=True)
 class DriveStarts(StartScenario):
-    """The starts of a task, with modules that obey at once or in time."""
+    """The starts of a task, with modules that obey at once or with delays."""
 
     def run(
         self, method: Method, seed: int
@@ -205,8 +205,8 @@ def drive_tables(task: str, results: Results) -> list[Table]:
     """Make the table of kinds of modules for a task; none without results."""
     rows = _stream_rows(task, results) if is_on_streams(task) else _start_rows(task, results)
     caption = (
-        "Each kind with its best method here. In time: " + IN_TIME.meaning[0].lower()
-        + IN_TIME.meaning[1:-1] + "; otherwise at once. Energy is what drives draw; a braking "
+        "Each kind with its best method here. With delays, " + DELAYED.meaning[0].lower()
+        + DELAYED.meaning[1:] + " Energy is what drives draw; a braking "
         "drive gives nothing back. Acceleration: the largest of a parcel, mean."
     )  # fmt: skip
     if is_on_streams(task):
@@ -227,7 +227,7 @@ def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
         best = max(idle, key=lambda name: _worth(ran[name], metric))
         for name in (best, *(each for each in ran if each not in idle)):
             sample = ran[name]
-            row = {"modules": name, "obey": _obey(preset), **_hardware(methods[name])}
+            row = {"modules": name, "delays": _delays(preset), **_hardware(methods[name])}
             row["success"] = number(sample.rate, ".3f")
             row["time [s]"] = number(float(sample.time[sample.success].mean()), ".2f")
             for column in start_benchmark(task).columns:
@@ -238,8 +238,8 @@ def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
     return rows
 
 
-def _obey(preset: str) -> str:
-    return IN_TIME.name if preset == IN_TIME.name else "at once"
+def _delays(preset: str) -> str:
+    return "yes" if preset == DELAYED.name else "no"
 
 
 def _hardware(method: Method) -> dict[str, str]:
@@ -268,13 +268,13 @@ def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
         rate = float((HOUR * correct / counted).mean())
         rows.append(
             {
-                "stream": scenario, "modules": name, "obey": _obey(preset),
+                "stream": scenario, "modules": name, "delays": _delays(preset),
                 "right [1/h]": number(rate, ".0f"),
                 "of the entry's limit": number(rate / sample.constant("bound"), ".0%"),
                 **_energies(sample, float(sample.values("sorted").sum())),
             }
         )  # fmt: skip
-    return sorted(rows, key=lambda row: (row["stream"], row["obey"]))
+    return sorted(rows, key=lambda row: (row["stream"], row["delays"]))
 
 
 def write_tables(
@@ -293,7 +293,7 @@ def write_tables(
 
 
 def _draw_streams(results: Results, file: Path) -> None:
-    """Draw throughput and energy of each kind on the streams, at once and in time."""
+    """Draw throughput and energy of each kind on the streams, at once and with delays."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
@@ -313,7 +313,7 @@ def _draw_streams(results: Results, file: Path) -> None:
             energy = float(sample.values("drawn_energy").sum()) / total if total else math.nan
             column[0].bar(x, float(rate.mean()), 0.92 * width, color=colours[name], label=label)
             column[1].bar(x, energy, 0.92 * width, color=colours[name])
-        column[0].set_title("obey at once" if preset != IN_TIME.name else "obey in time")
+        column[0].set_title("without delays" if preset != DELAYED.name else "with delays")
         column[1].set_xticks(range(len(offers)), [each.split(", ")[1] for each in offers])
         column[1].set_xlabel("speed of the stream")
     panels[0, 0].set_ylabel("right deliveries per hour")

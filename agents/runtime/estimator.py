@@ -96,9 +96,15 @@ class Resolver:
 
 
 class StateEstimator:
-    """Estimator of the state of the parcel on the surface."""
+    """Estimator of the state of the parcel on the surface.
+
+    Raises:
+        ValueError: the modules are driven, since machines report angles of axes only.
+    """
 
     def __init__(self, config: EnvConfig) -> None:
+        if config.module_kind.drives:
+            raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
         self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
         self.config = replace(
             config,

@@ -19,11 +19,11 @@ def test_each_kind_of_a_task_beside_idle_rotors():
     names = ("event rule", "pop-up", "omni-wheels")
     every = drives.drive_jobs(["sort"], FEW)
     assert {job.scenario.preset for job in every} == set(drives.DRIVE_PRESETS)
-    in_time = [job for job in every if job.scenario.preset == drives.IN_TIME.name]
-    table = compute([job for job in in_time if job.method.name.endswith(names)], 1)
+    delayed = [job for job in every if job.scenario.preset == drives.DELAYED.name]
+    table = compute([job for job in delayed if job.method.name.endswith(names)], 1)
     (shown,) = drives.drive_tables("sort", Results(table))
     assert [row[:2] for row in shown.rows] == [
-        (name, "in time") for name in ("idle rotors, event rule", "pop-up", "omni-wheels")
+        (name, "yes") for name in ("idle rotors, event rule", "pop-up", "omni-wheels")
     ]
     driven = table[~table["method"].str.startswith(drives.IDLE)]
     assert (driven["drawn_energy"] > 0.0).all()

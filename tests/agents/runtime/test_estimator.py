@@ -191,6 +191,11 @@ def test_the_camera_of_an_exact_sensor_is_ideal_and_one_without_frames_is_refuse
         estimators.StateEstimator(replace(made.CONFIG, sensors=sg.sensors.Presence()))
 
 
+def test_driven_modules_are_refused() -> None:
+    with pytest.raises(ValueError, match="modules must be idle in real time, got 'omni'"):
+        estimators.StateEstimator(EnvConfig("stop", actions="halves", modules="omni"))
+
+
 def test_an_axis_turned_by_half_a_turn_is_the_same() -> None:
     angles = np.array([-0.5, 0.5, 0.75, -1.25]) * math.pi
     expected = np.array([-0.5, 0.5, -0.25, -0.25]) * math.pi
