@@ -259,8 +259,8 @@ def _reference_step(
 ) -> int:  # fmt: skip
     """Do one step with Eq. (1) solved by a reference solver."""
     explicit = method == "explicit"
-    stops = state[ph.VX] <= 0.0 and grid.gravity_x == 0.0 and not stepping.is_driven.py_func(grid)
-    if explicit and stops:
+    stands = explicit and state[ph.VX] <= 0.0 and grid.gravity_x == 0.0
+    if stands and not stepping.is_driven.py_func(grid):
         return stepping.STOPPED
     lead = 0.0 if explicit else 0.5 * dt
     contacts = references.find_support(grid, body, state, scratch, lead)

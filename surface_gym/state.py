@@ -328,17 +328,3 @@ def axis_angles(surfaces: SurfaceState, which: slice = ALL) -> Array:
         return np.asarray(angles[0, axis])
     places = axis.reshape(len(angles), -1)
     return np.take_along_axis(angles, places, axis=1).reshape(axis.shape)
-
-
-def surface_velocities(surfaces: SurfaceState, which: slice = ALL) -> Array:
-    """Return velocities (surfaces, rows, columns, 2) [m/s] of driven surfaces; NaN: idle ones."""
-    axis = surfaces.axis[which]
-    shared = len(surfaces.direction) == 1
-    count, places = len(axis), axis.reshape(len(axis), -1, 1)
-    rows = np.zeros(count, dtype=np.int64) if shared else np.arange(len(surfaces.axis))[which]
-    direction, drive = surfaces.direction[rows], surfaces.drive[rows]
-    cosine, sine = np.moveaxis(np.take_along_axis(direction, places, axis=1), -1, 0)
-    along, across, driven = np.moveaxis(np.take_along_axis(drive, places, axis=1), -1, 0)
-    velocity = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=-1)
-    velocity[driven == 0.0] = np.nan
-    return velocity.reshape(*axis.shape, 2)

@@ -146,7 +146,7 @@ class Surface(Elements):
         """Return y [m] of each row's centre (rows,)."""
         return self.origin[1] + self.pitch_y * np.arange(self.rows, dtype=np.float64)
 
-    @property
+    @cached_property
     def driven(self) -> Booleans:
         """Return a mask (rows, columns) of the driven modules."""
         if self.surface_velocity is None:

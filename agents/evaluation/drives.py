@@ -21,30 +21,19 @@ from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
 from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, find_module
 from surface_gym.randomisation import Actuators
-from surface_gym.state import ENERGIES
 from surface_gym.tasks.benchmark import Offer
 
 from ..base import Controller
 from ..library import QUEUE, task_label
-from ..rollout import Episodes, run_episodes
-from ..rules.aiming import AIMS, AimRule
+from ..rollout import Episodes
+from ..rules.aiming import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
 from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
 from .plots import choose_colours, save_figure
+from .report import show_tables
 from .results import Results, Sample
-from .scenario import (
-    SEED,
-    STARTS,
-    WHOLE,
-    Extent,
-    Row,
-    Scenario,
-    ScenarioJob,
-    StartScenario,
-    choose_starts,
-    make_jobs,
-)
-from .stream_scenario import UNSEEN, StreamScenario, is_sustained, measure_stream, play_stream
+from .scenario import STARTS, WHOLE, Extent, Scenario, ScenarioJob, StartScenario, make_jobs
+from .stream_scenario import LEAST_CORRECT, UNSEEN, StreamScenario
 from .tables import Table, number, tabulate, write_markdown
 from .views import column_value, format_value
 
@@ -59,13 +48,10 @@ DELAYED = Preset(
 )
 DRIVE_PRESETS = {"exact": PRESETS["exact"], DELAYED.name: DELAYED}
 ACCELERATION = {"exact": math.inf, DELAYED.name: 10.0}  # [m/s^2] of driven surfaces
-LEAST_CORRECT = 0.999  # [-] required share of correct deliveries for a sustained rate
 REPLICATIONS = 12  # streams at each rate
 DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
 GENTLE, STEEP = math.radians(10.0), math.radians(30.0)  # [rad] headings aside
 RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
-
-Make = Callable[..., ModuleKind]
 
 
 def _for_stream(kind: Make, heading: float, speed: float, acceleration: float) -> ModuleKind:
@@ -139,19 +125,23 @@ def _suited(method: Method, **given: Any) -> Method:
 class DriveStarts(StartScenario):
     """The starts of a task, with modules that obey at once or with delays."""
 
+    @property
+    def chosen_preset(self) -> Preset:
+        return DRIVE_PRESETS[self.preset]
+
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
-        benchmark = start_benchmark(self.task)
-        starts = choose_starts(benchmark, self.count(method), PRESETS["exact"])
-        method = _suited(method, acceleration=ACCELERATION[self.preset])
-        config = method.config(benchmark.task, DRIVE_PRESETS[self.preset])
-        return run_episodes(method.controller(config, seed), config, starts, SEED), config, starts
+        return super().run(_suited(method, acceleration=ACCELERATION[self.preset]), seed)
 
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
     """A stream at its highest sustained rate, whose driven modules suit its speed."""
+
+    @property
+    def least_correct(self) -> float:
+        return LEAST_CORRECT["exact"]
 
     def config(self, method: Method, rate: float | None = None) -> EnvConfig:
         acceleration, speed = ACCELERATION[self.preset], self.offer.task.stream.speeds
@@ -162,18 +152,6 @@ class DriveScenario(StreamScenario):
 
     def episodes(self, method: Method) -> int:
         return min(REPLICATIONS, super().episodes(method))
-
-    def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
-        config, warm_up = self.config(method, rate), self.benchmark.warm_up
-        batch = play_stream(config, controller, self.episodes(method), warm_up, LEAST_CORRECT)
-        if batch is None:
-            return None
-        infos = batch.infos()
-        rows = [
-            {**row, **{name: float(infos[name][k]) for name in ENERGIES}}
-            for k, row in enumerate(measure_stream(batch, warm_up))
-        ]
-        return rows if is_sustained(rows, LEAST_CORRECT) else None
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
@@ -249,8 +227,18 @@ def _hardware(method: Method) -> dict[str, str]:
     return {"drives and axes": f"{drives} + {axes}"}
 
 
+def _rate(sample: Sample) -> float:
+    """Return the right deliveries per hour, mean over streams."""
+    return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
+
+
+def _drawn(sample: Sample, parcels: float) -> float:
+    """Return the energy [J] that drives draw per parcel; NaN without parcels."""
+    return float(sample.values("drawn_energy").sum()) / parcels if parcels else math.nan
+
+
 def _energies(sample: Sample, parcels: float) -> dict[str, str]:
-    drawn = float(sample.values("drawn_energy").sum()) / parcels if parcels else math.nan
+    drawn = _drawn(sample, parcels)
     peak = float(sample.values("peak_acceleration").mean())
     return {"energy [J]": number(drawn, ".1f"), "acceleration [m/s^2]": number(peak, ".1f")}
 
@@ -264,8 +252,7 @@ def _worth(sample: Sample, metric: str) -> tuple[float, float]:
 def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
     rows = []
     for (_, scenario, preset, name), sample in results.among(task):
-        correct, counted = sample.values("correct"), sample.values("counted")
-        rate = float((HOUR * correct / counted).mean())
+        rate = _rate(sample)
         rows.append(
             {
                 "stream": scenario, "modules": name, "delays": _delays(preset),
@@ -283,13 +270,10 @@ def write_tables(
     """Write the tables of kinds of modules to a folder, and print them."""
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results)]
-    if any(is_on_streams(task) and drive_tables(task, results) for task in tasks):
+    if any(is_on_streams(key[0]) for key in results.samples):
         _draw_streams(results, folder / "modules.png")
     write_markdown(tables, folder / "modules.md", TITLE + (f"{note}\n\n" if note else ""))
-    for each in tables:
-        each.show(console)
-    if note:
-        console.print(note)
+    show_tables(tables, console, note)
 
 
 def _draw_streams(results: Results, file: Path) -> None:
@@ -308,10 +292,8 @@ def _draw_streams(results: Results, file: Path) -> None:
         for _, scenario, name, sample in rows:
             x = offers.index(scenario) + (names.index(name) - 0.5 * (len(names) - 1)) * width
             label = name if scenario == offers[0] else None
-            rate = HOUR * sample.values("correct") / sample.values("counted")
-            total = float(sample.values("sorted").sum())
-            energy = float(sample.values("drawn_energy").sum()) / total if total else math.nan
-            column[0].bar(x, float(rate.mean()), 0.92 * width, color=colours[name], label=label)
+            energy = _drawn(sample, float(sample.values("sorted").sum()))
+            column[0].bar(x, _rate(sample), 0.92 * width, color=colours[name], label=label)
             column[1].bar(x, energy, 0.92 * width, color=colours[name])
         column[0].set_title("without delays" if preset != DELAYED.name else "with delays")
         column[1].set_xticks(range(len(offers)), [each.split(", ")[1] for each in offers])

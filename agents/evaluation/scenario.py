@@ -130,6 +130,11 @@ class StartScenario(Scenario):
     def name(self) -> str:
         return STARTS
 
+    @property
+    def chosen_preset(self) -> Preset:
+        """The preset by its name."""
+        return PRESETS[self.preset]
+
     def count(self, method: Method) -> int | None:
         """Return the number of starts for a method; None: all."""
         asked = [each for each in (self.extent.starts, method.most) if each is not None]
@@ -157,7 +162,7 @@ class StartScenario(Scenario):
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
         """Run a seed of a method from every start."""
-        preset, benchmark = PRESETS[self.preset], start_benchmark(self.task)
+        preset, benchmark = self.chosen_preset, start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
         run = run_episodes if method.most is None else run_sequentially

@@ -14,7 +14,7 @@ from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import BETWEEN, CORRECT, JAM, TURNS, compute_statistics
 from surface_gym.parcel import assortment
 from surface_gym.sensors import Exact
-from surface_gym.state import RUNNING
+from surface_gym.state import ENERGIES, RUNNING
 from surface_gym.tasks.benchmark import ENTRANCE, Offer, StreamBenchmark
 
 from ..base import Booleans, Controller
@@ -67,6 +67,11 @@ class StreamScenario(Scenario):
     def offer(self) -> Offer:
         made = self.benchmark
         return next(each for each in (*made.offers, *made.held_out) if each.scenario == self.name)
+
+    @property
+    def least_correct(self) -> float:
+        """[-] required share of correct deliveries for a sustained rate."""
+        return LEAST_CORRECT[self.preset]
 
     def accepts(self, method: Method) -> bool:
         return super().accepts(method) and method.kind in self.offer.kinds
@@ -146,7 +151,7 @@ class StreamScenario(Scenario):
         return [{**row, **fixed} for row in rows or [nothing] * count]
 
     def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
-        config, least = self.config(method, rate), LEAST_CORRECT[self.preset]
+        config, least = self.config(method, rate), self.least_correct
         rows = self._measure(method, config, controller, least)
         return rows if rows and is_sustained(rows, least) else None
 
@@ -264,13 +269,14 @@ def find_jams(batch: StreamBatch) -> Booleans:
 def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     """Return the numbers of each replication without its warm-up [s].
 
-    A replication with a jam counts to its end.
+    A replication with a jam counts to its end. Energies, if asked for, are of the whole episode.
     """
     streams, config = batch.streams, batch.config
     task, counted = config.stream_task, _counted(config, warm_up)
     begin = task.duration - counted
     offered = getattr(task.stream.arrivals, "rate", math.nan)
     jams, rows = find_jams(batch), []
+    infos = batch.infos() if config.meters else {}
     for k in range(batch.num_envs):
         jam = bool(jams[k])
         found = asdict(
@@ -285,7 +291,7 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
             {
                 "offered": offered, "counted": counted, "correct": correct, "jam": jam,
                 "sorted": int(streams.tally[k, CORRECT]), "turns": int(streams.tally[k, TURNS]),
-                **found,
+                **found, **{name: infos[name][k] for name in ENERGIES if infos},
             }
         )  # fmt: skip
     return rows

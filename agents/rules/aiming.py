@@ -189,8 +189,7 @@ class AimRule(BaseRule):
 
     def _decide(self, observations: Observations, *_: Any) -> Decision:
         seen = self._config.decode(observations)
-        vx, vy = seen.velocity if hasattr(seen, "velocity") else (seen.vx, seen.vy)
-        motion = np.stack([vx, vy, seen.omega])
+        motion = np.stack([*seen.velocity, seen.omega])
         cost = self._costs(motion, self._aim.target(seen), np.asarray(seen.half_length))
         return self._pairs[cost.argmin(axis=1)], None
 

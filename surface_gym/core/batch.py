@@ -14,6 +14,7 @@ from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, make_kernel
+from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
@@ -317,8 +318,12 @@ class BaseBatch(ABC):
         """(rows, columns, 2) [m/s] velocities of driven surfaces, NaN: idle; None: all are idle."""
         if not self.config.module_kind.drives:
             return None
-        which = slice(env_index, env_index + 1)
-        return st.surface_velocities(self.surfaces, which)[0]
+        surfaces, angles = self.surfaces, self.axes(env_index)
+        own = env_index if len(surfaces.drive) > 1 else 0
+        drive = surfaces.drive[own, surfaces.axis[env_index].ravel()]
+        velocity = surface_velocities(np.column_stack([angles.ravel(), drive]))
+        velocity[drive[:, st.DRIVEN] == 0.0] = np.nan
+        return velocity.reshape(*angles.shape, 2)
 
     def view(self, env_index: int, row: int = 0) -> EnvState:
         """Return the `EnvState` of a parcel between two control periods."""

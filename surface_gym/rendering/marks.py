@@ -193,15 +193,12 @@ class ModuleSprites:
 
     def __init__(self, cell: int) -> None:
         self.cell = cell
-        self._sprites: dict[tuple[int, bool], pygame.Surface] = {}
-        self._arrows: dict[tuple[int, int, bool], pygame.Surface] = {}
+        # pictures by step, speed level (negative: an idle rotor) and paleness
+        self._sprites: dict[tuple[int, int, bool], pygame.Surface] = {}
 
     def sprite(self, step: int, pale: bool) -> pygame.Surface:
         """Return the picture of a module whose axis is at `step` of `ANGLES` in half a turn."""
-        key = (step, pale)
-        if key not in self._sprites:
-            self._sprites[key] = self._painted(math.pi * step / ANGLES, pale)
-        return self._sprites[key]
+        return self.arrow(step, -1, pale)
 
     def arrow(self, step: int, level: int, pale: bool) -> pygame.Surface:
         """Return the picture of a driven module.
@@ -212,12 +209,13 @@ class ModuleSprites:
             pale: whether it does not obey.
         """
         key = (step, level, pale)
-        if key not in self._arrows:
-            self._arrows[key] = self._painted_arrow(math.pi * step / ANGLES, level, pale)
-        return self._arrows[key]
+        if key not in self._sprites:
+            self._sprites[key] = self._painted(math.pi * step / ANGLES, level, pale)
+        return self._sprites[key]
 
-    def _painted_arrow(self, angle: float, level: int, pale: bool) -> pygame.Surface:
-        colour, line = ink.DRIVEN, ink.PAPER
+    def _painted(self, angle: float, level: int, pale: bool) -> pygame.Surface:
+        """Paint a disc with the sign of its axis or of its drive."""
+        colour, line = ink.axis_colour(angle) if level < 0 else ink.DRIVEN, ink.PAPER
         if pale:
             colour, line = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(line, ink.PLATE, _PALE)
         picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
@@ -225,32 +223,28 @@ class ModuleSprites:
         half = 0.5 * self.cell
         centre = np.array([half, half])
         ink.disc(picture, centre, 0.86 * half, colour)
-        if level == 0:
+        way = half * np.array([math.cos(angle), -math.sin(angle)])
+        if level < 0:
+            along = 0.60 * way
+            width = max(0.26 * half, 1.0)
+            ink.line(picture, np.array([centre - along, centre + along]), width, line)
+        elif level == 0:
             ink.disc(picture, centre, 0.2 * half, line)
-            return picture
-        way = np.array([math.cos(angle), -math.sin(angle)])
-        side = np.array([-way[1], way[0]])
-        reach = half * (0.3 + 0.38 * level / SPEED_LEVELS)
-        width = max(0.2 * half, 1.0)
-        tip, tail = centre + reach * way, centre - reach * way
-        back = tip - 0.36 * half * way
-        ink.line(picture, np.array([tail, tip]), width, line)
-        barbs = [back + 0.34 * half * side, tip, back - 0.34 * half * side]
-        ink.line(picture, np.array(barbs), width, line)
+        else:
+            _paint_arrow(picture, centre, way, level / SPEED_LEVELS, line)
         return picture
 
-    def _painted(self, angle: float, pale: bool) -> pygame.Surface:
-        colour, bar = ink.axis_colour(angle), ink.PAPER
-        if pale:
-            colour, bar = ink.mixed(colour, ink.PLATE, _PALE), ink.mixed(bar, ink.PLATE, _PALE)
-        picture = pygame.Surface((self.cell, self.cell), pygame.SRCALPHA)
-        picture.fill((*colour, 0))
-        half = 0.5 * self.cell
-        centre = np.array([half, half])
-        along = 0.60 * half * np.array([math.cos(angle), -math.sin(angle)])
-        ink.disc(picture, centre, 0.86 * half, colour)
-        ink.line(picture, np.array([centre - along, centre + along]), max(0.26 * half, 1.0), bar)
-        return picture
+
+def _paint_arrow(
+    picture: pygame.Surface, centre: Array, way: Array, share: float, colour: ink.Colour
+) -> None:
+    """Paint an arrow along `way` (2,) [px], half a module long, for a share of the top speed."""
+    side, width = np.array([-way[1], way[0]]), max(0.2 * float(np.hypot(*way)), 1.0)
+    reach = (0.3 + 0.38 * share) * way
+    tip, tail = centre + reach, centre - reach
+    back = tip - 0.36 * way
+    ink.line(picture, np.array([tail, tip]), width, colour)
+    ink.line(picture, np.array([back + 0.34 * side, tip, back - 0.34 * side]), width, colour)
 
 
 def paint_ground(layout: PixelLayout, scene: Scene) -> pygame.Surface:

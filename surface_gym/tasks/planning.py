@@ -74,6 +74,11 @@ class LineObservation:
     angle: Numbers  # [rad] goal theta; else 0
 
     @property
+    def velocity(self) -> tuple[Numbers, Numbers]:
+        """(num_envs,) [m/s] vx and vy."""
+        return self.vx, self.vy
+
+    @property
     def reach(self) -> Numbers:
         """(num_envs,) [m] extents of the base in x and in y from its centre."""
         return square_reach(self.half_length, self.theta)
