@@ -11,6 +11,9 @@ from surface_gym.registration import register, register_all
 if TYPE_CHECKING:
     from surface_gym import layouts, lines, sensors, tasks
     from surface_gym.env import SmartSurfaceEnv
+    from surface_gym.machine.estimate import Estimate
+    from surface_gym.machine.excitation import excitation
+    from surface_gym.machine.identification import identify
     from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
     from surface_gym.player import replay
     from surface_gym.randomisation import Actuators, Randomisation
@@ -27,6 +30,7 @@ __version__ = "0.2.0"
 __all__ = [
     "Actuators",
     "Disc",
+    "Estimate",
     "Parcel",
     "Polygon",
     "Randomisation",
@@ -38,6 +42,8 @@ __all__ = [
     "Surface",
     "TippingWarning",
     "Trajectory",
+    "excitation",
+    "identify",
     "layouts",
     "lines",
     "register",
@@ -49,6 +55,9 @@ __all__ = [
 ]
 _NAMES = {
     "env": ("SmartSurfaceEnv",),
+    "machine.estimate": ("Estimate",),
+    "machine.excitation": ("excitation",),
+    "machine.identification": ("identify",),
     "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
     "player": ("replay",),
     "randomisation": ("Actuators", "Randomisation"),

@@ -38,6 +38,9 @@ COMMANDS = {
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),
+    "identify": Command(
+        "learn a surface's friction from logs", "surface_gym.machine.command", "tools"
+    ),
     "compile": Command("compile environments and agents beforehand", AGENTS + "export.kernels"),
     "web": Command("compile environments for a browser", "surface_gym.web.build", "web"),
     "play": Command("throw parcels and turn axes, in a browser", "surface_gym.play", "tools"),

@@ -24,7 +24,7 @@ LAYERS = (
     ("sensors", "tasks"),
     ("actions", "feature_groups"),
     ("config",),
-    ("core", "flow", "env", "scenes"),
+    ("core", "flow", "env", "scenes", "machine"),
     ("trajectory", "simulation", "recorder", "player"),
     ("vector_env", "cuda", "web"),
     ("agents.base",),

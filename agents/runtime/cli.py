@@ -4,6 +4,7 @@ The report of the run holds counts and latencies, as JSON and on screen.
 """
 
 import gc
+import math
 import os
 import sys
 import time
@@ -23,9 +24,13 @@ if TYPE_CHECKING:
 
     from surface_gym.config import EnvConfig
 
+    from ..base import Controller
     from ..library import TrainedPolicy
     from .controller import ControlLoop
+    from .estimator import StateEstimator
+    from .protocol import Device
 
+EXCITATION = "excitation"  # name of a controller that is no policy
 READY_TIMEOUT = 300.0  # [s] maximum time until fixed layouts are ready, including compilation
 SHOW_EVERY = 1.0  # [s] between updates of the progress
 COLLECT_EVERY = 5.0  # [s] between garbage collections
@@ -44,7 +49,8 @@ def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
         policy = library.read(config.name, custom)
     else:
         raise ValueError(
-            f"name must be a folder or one of {', '.join(library.names())}, got {config.name!r}"
+            f"name must be a folder, {EXCITATION!r} or one of {', '.join(library.names())}, "
+            f"got {config.name!r}"
         )
     if EnvConfig(**{"task": policy.card.task, **policy.env_kwargs}).task.is_stream:
         raise ValueError(f"name must be of one parcel at a time, got {config.name!r}")
@@ -57,6 +63,44 @@ def make_env_config(policy: "TrainedPolicy", preset: str) -> "EnvConfig":
 
     arguments = {"task": policy.card.task, **policy.env_kwargs, "preset": preset}
     return EnvConfig(**arguments)
+
+
+def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
+    """Load the controller of a command and its environment."""
+    if config.name != EXCITATION:
+        policy = load_policy(config)
+        return policy, make_env_config(policy, config.preset)
+    from surface_gym.config import EnvConfig
+
+    from ..library import find_task
+    from .excited import ExcitationController
+
+    if config.task is None:
+        raise ValueError(f"task must be given for {EXCITATION!r}, got none")
+    task = find_task(config.task)
+    env_config = EnvConfig(task, preset=config.preset, actions="modules")
+    if env_config.task.is_stream:
+        raise ValueError(f"task must be of one parcel at a time, got {config.task!r}")
+    return ExcitationController(env_config), env_config
+
+
+def open_log(
+    config: RuntimeConfig, device: "Device", estimator: "StateEstimator", stack: ExitStack
+) -> "Device":
+    """Return the device, with a log of its messages if one is asked for."""
+    if config.log is None:
+        return device
+    from surface_gym.machine.log import LoggedSurface, LogWriter
+
+    from .logged_device import LoggedDevice
+
+    env_config = estimator.config
+    line, turn = env_config.chosen_line, 0.5 * math.pi / env_config.actuators.axis_speed
+    log = LogWriter(config.log, LoggedSurface.of_line(line, turn, estimator.shape))
+    stack.callback(log.close)
+    return LoggedDevice(
+        device, log, lambda parcel: line.site(parcel.base, env_config.zone), time.monotonic
+    )
 
 
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
@@ -78,8 +122,7 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     from .protocol import SocketDevice
     from .simulator import SimulatorProcess
 
-    policy = load_policy(config)
-    env_config = make_env_config(policy, config.preset)
+    policy, env_config = load_controller(config)
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         token: str | None
@@ -99,8 +142,9 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
         kind = controller.FixedLayouts(estimator.config).kind
         decider = controller.Decider(policy, env_config)
         bounds = env_config.observation_space()
+        device = SocketDevice(address, env_config.task.name, estimator.shape, token)
         loop = controller.ControlLoop(
-            SocketDevice(address, env_config.task.name, estimator.shape, token),
+            open_log(config, device, estimator, stack),
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),

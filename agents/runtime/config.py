@@ -31,11 +31,13 @@ class RuntimeConfig:
     """Run an agent in real time, on a new simulator or on a device at an address."""
 
     name: tyro.conf.Positional[str]
-    """Name of a shipped agent, e.g. stop-ppo, or folder of a trained policy."""
+    """Name of a shipped agent, e.g. stop-ppo, or folder of a trained policy; "excitation" brakes
+    and steers the parcels of --task, so that a log tells how the surface acts.
+    """
     seed: int | None = None
     """Seed of a shipped agent's policy; the default is the first."""
     task: str | None = None
-    """Custom task of the policy, as path/to/file.py:Class."""
+    """Custom task of the policy, as path/to/file.py:Class; or the task of an excitation."""
     minutes: float = 10.0
     """Duration of the run in minutes."""
     preset: str = "lab"
@@ -50,6 +52,8 @@ class RuntimeConfig:
     """Seed of the simulator's parcels and noise."""
     world: WorldOptions = field(default_factory=WorldOptions)
     """Options of the simulator."""
+    log: Path | None = None
+    """New file for all messages, e.g. run.jsonl.gz, from which surface-gym identify learns."""
     out: Path = Path("runs/runtime")
     """Folder for report.json and the simulator's log."""
 

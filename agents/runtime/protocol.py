@@ -1,31 +1,65 @@
-"""Messages between a machine and the control loop, and their format on a socket.
+"""Devices of the control loop, and their protocol on a socket.
 
 A driver of a machine implements `Device`: four calls that never wait. All times are [s] of
-`time.monotonic()` on the loop's computer; a driver converts the clock of its camera. All poses
-refer to the centroid of a parcel's base.
+`time.monotonic()` on the loop's computer; a driver converts the clock of its camera.
 
-On a socket, each message is a line of JSON with a `kind`: "hello", "entered", "frame", "taken" or
-"left" from the device, and "axes" to it. Lines are fully validated; reading them runs no code. With
-a token, each side must first prove by "proof" that it has the token.
+On a socket, each message is a line of `surface_gym.machine.messages`, after a "hello" of the
+device. With a token, each side must first prove by "proof" that it has the token.
 """
 
 import hmac
-import json
-import math
 import secrets
 import socket
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surface_gym import checks
-from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.machine.messages import (
+    Angles,
+    AxesAcknowledgement,
+    Frame,
+    Message,
+    ParcelDeparture,
+    ParcelEntry,
+    Triple,
+    axes_from_fields,
+    axes_to_fields,
+    from_fields,
+    from_line,
+    numbers,
+    text,
+    to_fields,
+    to_line,
+)
+
+__all__ = [
+    "Angles",
+    "AxesAcknowledgement",
+    "Connection",
+    "ConnectionLost",
+    "Device",
+    "DeviceLost",
+    "Frame",
+    "Message",
+    "ParcelDeparture",
+    "ParcelEntry",
+    "SocketDevice",
+    "Triple",
+    "axes_from_fields",
+    "axes_to_fields",
+    "check_proof",
+    "from_fields",
+    "from_line",
+    "hello",
+    "make_nonce",
+    "prove",
+    "text",
+    "to_fields",
+    "to_line",
+]
 
 VERSION = 1  # version of the protocol, equal on both sides
 MAX_LINE = 1 << 18  # [bytes]
@@ -33,62 +67,11 @@ MAX_READ = 1 << 15  # [bytes] per period: 0.8 MB/s at 25 Hz
 MAX_LINES = 64  # lines per period: 1600 per second at 25 Hz
 MAX_TIME = 0.01  # [s] reading time per period
 MAX_FULL = 25  # maximum successive periods with the maximum amount
-MAX_TEXT = 1000  # maximum characters of a text
-MAX_NUMBER = 2**53  # maximum number of a parcel or a command
-MAX_VERTICES = 256  # maximum vertices of a base
 GREETING_TIMEOUT = 2.0  # [s] from the connection to the other side's proof
-
-Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
-Triple = tuple[float, float, float]
 
 
 class DeviceLost(ConnectionError):
     """The device is absent, or its messages are invalid: reconnect."""
-
-
-@dataclass(frozen=True, eq=False)
-class ParcelEntry:
-    """A parcel enters."""
-
-    number: int  # unique number of the parcel
-    at: float  # [s] time of the pose and the velocity
-    parcel: Parcel  # base and mass; the load is assumed even
-    pose: Triple  # [m, m, rad] roughly, from the conveyor and its guides
-    velocity: Triple  # [m/s, m/s, rad/s] roughly
-    goal: tuple[float, ...]  # the task's goal, as in its starts
-    tilt: float = 0.0  # [rad] tilt of the surface, downhill towards +x
-    path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of the path to follow
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """A picture of the camera."""
-
-    taken_at: float  # [s]
-    number: int | None = None  # number of the visible parcel; None: no parcel on the surface
-    pose: Triple = (0.0, 0.0, 0.0)  # [m, m, rad]; the angle is continuous beyond pi
-    axes: Angles | None = None  # encoder angles at that time; None: no encoders
-
-
-@dataclass(frozen=True)
-class AxesAcknowledgement:
-    """The device has answered a command of axes."""
-
-    command: int  # the number that `set_axes` returned
-    at: float  # [s] when the axes began to turn
-    refused: str = ""  # why the device refused the command; empty: accepted
-
-
-@dataclass(frozen=True)
-class ParcelDeparture:
-    """A parcel has departed."""
-
-    number: int  # number of the parcel
-    outcome: str  # text, e.g. "success"
-    metrics: dict[str, float] = field(default_factory=dict)  # the task's metrics, as in `info`
-
-
-Message = ParcelEntry | Frame | AxesAcknowledgement | ParcelDeparture
 
 
 class Device(Protocol):
@@ -117,26 +100,6 @@ class Device(Protocol):
         """
 
 
-def to_line(fields: dict[str, Any]) -> bytes:
-    """Return a message as a line."""
-    return json.dumps(fields, allow_nan=False, separators=(",", ":")).encode() + b"\n"
-
-
-def from_line(line: bytes) -> dict[str, Any]:
-    """Return the fields of a line."""
-    try:
-        fields = json.loads(line.decode(), parse_constant=_refuse_constant)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"line must be JSON, got {line[:80]!r}: {error}") from None
-    if not isinstance(fields, dict) or not isinstance(fields.get("kind"), str):
-        raise ValueError(f"line must be an object with a kind, got {line[:80]!r}")
-    return fields
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, got {name}")
-
-
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
     """Return a device's first message: version, task and widest zone.
 
@@ -162,163 +125,6 @@ def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> No
     proof = text("proof", fields.get("proof"))
     if not hmac.compare_digest(proof.encode(), prove(token, side, nonce).encode()):
         raise ValueError("proof must be by the token of this side, got another")
-
-
-def to_fields(message: Message) -> dict[str, Any]:
-    """Return the fields of a device's message."""
-    if isinstance(message, Frame):
-        return {
-            "kind": "frame",
-            "taken": message.taken_at,
-            "number": message.number,
-            "pose": list(message.pose),
-            "axes": None if message.axes is None else message.axes.tolist(),
-        }
-    if isinstance(message, ParcelEntry):
-        return {
-            "kind": "entered",
-            "number": message.number,
-            "at": message.at,
-            "base": _base_fields(message.parcel.base),
-            "mass": message.parcel.mass,
-            "com_height": message.parcel.com_height,
-            "pose": list(message.pose),
-            "velocity": list(message.velocity),
-            "goal": list(message.goal),
-            "tilt": message.tilt,
-            "path": None if message.path is None else message.path.tolist(),
-        }
-    if isinstance(message, AxesAcknowledgement):
-        return {
-            "kind": "taken",
-            "command": message.command,
-            "at": message.at,
-            "refused": message.refused,
-        }
-    return {
-        "kind": "left",
-        "number": message.number,
-        "outcome": message.outcome,
-        "figures": message.metrics,  # name since the protocol's first version
-    }
-
-
-def from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> Message:
-    """Return a device's message from its fields; `shape` is (rows, columns) of the widest zone."""
-    kind = checks.one_of("kind", fields["kind"], tuple(_READERS))
-    try:
-        return _READERS[kind](fields, shape)
-    except KeyError as error:
-        raise ValueError(f"{kind} must have {error}, got {', '.join(fields)}") from None
-
-
-def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
-    number, axes = fields["number"], fields["axes"]
-    return Frame(
-        taken_at=checks.number("taken", fields["taken"]),
-        number=None if number is None else _count("number", number),
-        pose=_triple("pose", fields["pose"], checks.pose),
-        axes=None if axes is None else _numbers("axes", axes, shape),
-    )
-
-
-def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelEntry:
-    path = fields["path"]
-    return ParcelEntry(
-        number=_count("number", fields["number"]),
-        at=checks.number("at", fields["at"]),
-        parcel=Parcel(_base(fields["base"]), mass=fields["mass"], com_height=fields["com_height"]),
-        pose=_triple("pose", fields["pose"], checks.pose),
-        velocity=_triple("velocity", fields["velocity"], checks.velocity),
-        goal=tuple(_numbers("goal", fields["goal"], (None,)).tolist()),
-        tilt=checks.within("tilt", fields["tilt"], -0.5 * math.pi, 0.5 * math.pi),
-        path=None if path is None else _numbers("path", path, (None,)),
-    )
-
-
-def _acknowledged(fields: dict[str, Any], _shape: tuple[int, int]) -> AxesAcknowledgement:
-    return AxesAcknowledgement(
-        command=_count("command", fields["command"]),
-        at=checks.number("at", fields["at"]),
-        refused=text("refused", fields["refused"]),
-    )
-
-
-def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelDeparture:
-    metrics = fields["figures"]
-    if not isinstance(metrics, dict):
-        raise ValueError(f"figures must be an object, got {metrics!r}")
-    return ParcelDeparture(
-        number=_count("number", fields["number"]),
-        outcome=text("outcome", fields["outcome"]),
-        metrics={name: checks.number(name, value) for name, value in metrics.items()},
-    )
-
-
-_READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
-    "entered": _entered,
-    "frame": _frame,
-    "taken": _acknowledged,
-    "left": _departed,
-}
-
-
-def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:
-    """Return the fields of an axis command."""
-    return {"kind": "axes", "command": command, "angles": angles.tolist()}
-
-
-def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[int, Angles]:
-    """Return the number and the unchecked angles (rows, columns) [rad] of an axis command."""
-    checks.one_of("kind", fields["kind"], ("axes",))
-    number = _count("command", fields.get("command"))
-    return number, _numbers("angles", fields.get("angles"), shape)
-
-
-def text(name: str, value: Any) -> str:
-    """Return a text of limited length, or raise an error."""
-    if not isinstance(value, str) or len(value) > MAX_TEXT:
-        raise ValueError(f"{name} must be text of at most {MAX_TEXT} characters, got {value!r}")
-    return value
-
-
-def _count(name: str, value: Any) -> int:
-    return checks.integer(name, value, least=0, most=MAX_NUMBER)
-
-
-def _numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-    """Return finite numbers as an array of a shape; booleans raise an error."""
-    result = np.array(checks.array(name, value, shape))
-    if any(isinstance(each, bool) for each in np.array(value, dtype=object).flat):
-        raise ValueError(f"{name} must be an array of numbers, got {value!r}")
-    return result
-
-
-def _triple(name: str, value: Any, check: Callable[..., NDArray[np.float64]]) -> Triple:
-    first, second, third = check(name, _numbers(name, value, (3,)), (3,)).tolist()
-    return (first, second, third)
-
-
-def _base_fields(base: Base) -> dict[str, Any]:
-    if isinstance(base, Disc):
-        return {"radius": base.radius}
-    if isinstance(base, Rectangle):
-        return {"length": base.length, "width": base.width}
-    return {"corners": (base.outline - np.array(base.centroid)).tolist()}
-
-
-def _base(fields: Any) -> Base:
-    if isinstance(fields, dict):
-        if set(fields) == {"radius"}:
-            return Disc(fields["radius"])
-        if set(fields) == {"length", "width"}:
-            return Rectangle(fields["length"], fields["width"])
-        if set(fields) == {"corners"}:
-            corners = _numbers("corners", fields["corners"], (None, 2))
-            if len(corners) > MAX_VERTICES:
-                raise ValueError(f"corners must be at most {MAX_VERTICES}, got {len(corners)}")
-            return Polygon(corners)
-    raise ValueError(f"base must have a radius, a length and a width, or corners, got {fields!r}")
 
 
 TIMEOUT = 0.02  # [s] timeout of connecting
@@ -466,7 +272,7 @@ class SocketDevice:
         checks.one_of("kind", fields["kind"], ("hello",))
         checks.one_of("protocol", fields.get("protocol"), (VERSION,))
         checks.one_of("task", fields.get("task"), (self._task,))
-        zone = _numbers("zone", fields.get("zone"), (2,))
+        zone = numbers("zone", fields.get("zone"), (2,))
         if tuple(zone) != self._shape:
             raise ValueError(f"zone must be {self._shape}, got {fields['zone']}")
         if self._token is None:

@@ -1,0 +1,215 @@
+"""Identification: the surface's parameters from logs of a machine, by least squares.
+
+Predictions by the package's own physics meet the pictures in the least squares. Intervals are by a
+sandwich over runs, so they also hold if errors within a run depend on each other. What the logs
+cannot tell has an infinite interval.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from surface_gym import checks
+from surface_gym.machine.estimate import Estimate
+from surface_gym.machine.log import MachineLog, Run, read_log
+from surface_gym.machine.search import PARAMETERS, OnProgress, Search, search_pieces
+from surface_gym.physics.types import Array
+
+SHIFTS = ("latency", "dead_time")  # equal changes of both change nothing but the time
+TOLD = 0.25  # [-] share of the searched range: a direction with a larger error is unknown
+ALIKE = 0.99  # [-] correlation from which two parameters are inseparable
+MISFIT = 1e-3  # [-] probability of chi^2 below which the model does not explain the logs
+MAX_RUNS = 200  # maximum runs of a search
+LEAST_NOISE = (1e-5, 1e-5)  # [m, rad]
+
+
+def identify(
+    logs: Sequence[str | Path | MachineLog],
+    *,
+    free: Sequence[str],
+    known: Mapping[str, float] | None = None,
+    noise: tuple[float, float] | None = None,
+    dt: float = 1e-3,
+    on_progress: OnProgress | None = None,
+) -> Estimate:
+    """Identify parameters of a surface from logs.
+
+    Args:
+        logs: files of `surface-gym runtime --log`, or logs that were read before; of one surface.
+        free: names of the parameters to find, of `PARAMETERS`.
+        known: values of others. By default friction and quarter turn are as the logs assume, the
+            tilt as stated for each parcel, and the rest 0.
+        noise: standard deviations of the pictures [m, rad]; None: found from the pictures alone.
+        dt: [s] maximum step of the predictions.
+        on_progress: called with a note on each stage; None: nothing is called.
+
+    Returns:
+        Values, 95 % intervals, correlations, and the names of what the logs cannot tell.
+
+    Raises:
+        ValueError: an argument is invalid, logs are of different surfaces, or there are too few
+            runs.
+    """
+    names = checks.some_of("free", tuple(free), tuple(PARAMETERS))
+    if not names:
+        raise ValueError(f"free must name at least one of {', '.join(PARAMETERS)}, got none")
+    known = {} if known is None else dict(known)
+    checks.some_of("known", tuple(known), tuple(PARAMETERS))
+    if both := set(names) & set(known):
+        raise ValueError(f"known must not be among free, got {', '.join(sorted(both))}")
+    dt = checks.positive("dt", dt, *checks.STEP)
+    note = _ignore if on_progress is None else on_progress
+    read = [log if isinstance(log, MachineLog) else read_log(Path(log)) for log in logs]
+    runs, unused = _collect(read, names)
+    shifted = _is_shifted(names, known, runs)
+    held = tuple(each for each in names if each != SHIFTS[1] or SHIFTS[0] not in names)
+    given = measure_noise(runs) if noise is None else noise
+    position, angle = (checks.positive("noise", each) for each in given)
+    given = (position, angle)
+    search, x, entries = search_pieces(read[0], runs, held, known, given, dt, note)
+    note("intervals")
+    found = _judge(search, x, entries, dt, held)
+    if shifted:
+        found = _without(found, SHIFTS, names)
+    return replace(found, unused=unused, delay=float(np.median([log.delay for log in read])))
+
+
+def measure_noise(runs: Sequence[Run]) -> tuple[float, float]:
+    """Return the noise [m, rad] of pictures, from their third differences over time."""
+    ends = [np.diff(run.poses, 3, axis=0)[_is_even(run.taken)] for run in runs]
+    third = np.abs(np.concatenate(ends))
+    if len(third) < 30:
+        raise ValueError("noise must be given for logs with so few pictures in a row, got None")
+    # The median of a normal distribution's absolute value, and the norm of 1, -3, 3, -1.
+    position, angle = np.median(third[:, :2]), np.median(third[:, 2])
+    per_noise = float(stats.norm.ppf(0.75)) * math.sqrt(20.0)
+    return (
+        max(LEAST_NOISE[0], float(position) / per_noise),
+        max(LEAST_NOISE[1], float(angle) / per_noise),
+    )
+
+
+def _is_even(taken: Array) -> Array:
+    """Return which third differences are between pictures at even intervals."""
+    gaps = np.lib.stride_tricks.sliding_window_view(np.diff(taken), 3)
+    even: Array = np.ptp(gaps, axis=1) < 0.1 * gaps.min(axis=1)
+    return even
+
+
+def _collect(
+    logs: Sequence[MachineLog], names: tuple[str, ...]
+) -> tuple[tuple[Run, ...], dict[str, int]]:
+    """Return the runs of all logs, and the number of unused ones by reason."""
+    if not logs:
+        raise ValueError("logs must hold at least one log, got none")
+    if any(vars(log.surface) != vars(logs[0].surface) for log in logs):
+        raise ValueError("logs must be of one surface, got several")
+    unused: Counter[str] = Counter()
+    for log in logs:
+        unused.update(log.unused)
+    runs = tuple(run for log in logs for run in log.runs)
+    told = [run for run in runs if run.acknowledged]
+    if told and len(told) < len(runs):
+        unused["parcel has commands without acknowledgement, unlike others"] = len(runs) - len(told)
+        runs = tuple(told)
+    least = len(names) + 1
+    if not least <= len(runs) <= MAX_RUNS:
+        raise ValueError(
+            f"logs must have {least} to {MAX_RUNS} usable runs for {len(names)} parameters, "
+            f"got {len(runs)}"
+        )
+    if "tilt" in names and np.ptp([run.tilt for run in runs]) > 0.0:
+        raise ValueError("tilt must be the same in all runs to be free, got several")
+    return runs, dict(unused)
+
+
+def _is_shifted(names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[Run]) -> bool:
+    """Return whether equal shifts of pictures and commands leave all runs as they are."""
+    asked = [name for name in SHIFTS if name in names]
+    told = all(run.acknowledged for run in runs)
+    unsure = any(name not in known for name in SHIFTS if name not in names)
+    return len(asked) == len(SHIFTS) or (len(asked) == 1 and unsure and not told)
+
+
+def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
+    """Return an estimate in which some parameters are inseparable."""
+    everywhere = (-math.inf, math.inf)
+    return replace(
+        found,
+        values={name: found.values.get(name, 0.0) for name in names},
+        intervals={name: everywhere if name in lost else found.intervals[name] for name in names},
+        inseparable=(lost, *found.inseparable),
+    )
+
+
+def _ignore(note: str) -> None:
+    """Show no progress."""
+
+
+def _judge(search: Search, x: Array, entries: Array, dt: float, names: tuple[str, ...]) -> Estimate:
+    """Return the estimate: errors by a sandwich over runs, and what cannot be told."""
+    residuals = search.residuals(x, entries, dt)
+    shared, own = search.derivatives(x, entries, dt)
+    count, free = int(search.run.max()) + 1, len(names)
+    left, scores, squares = np.empty_like(shared), np.zeros((count, free)), np.zeros((count, 2))
+    for k, r in enumerate(search.run):
+        rows = search.rows(k)
+        basis, _ = np.linalg.qr(own[rows])
+        left[rows] = shared[rows] - basis @ (basis.T @ shared[rows])
+        scores[r] += left[rows].T @ residuals[rows]
+        squares[r] += residuals[rows] @ residuals[rows], len(residuals[rows]) - 6
+    unknown, inverse = _invert(left.T @ left, search.high - search.low)
+    spread = inverse @ scores.T @ scores @ inverse * count / max(1, count - free)
+    variance = np.maximum(np.diag(spread), np.diag(inverse))
+    sizes = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+    correlation = inverse / np.outer(sizes, sizes)
+    alike = np.triu(np.abs(correlation) > ALIKE, 1) & ~np.logical_or.outer(unknown, unknown)
+    inseparable = [(names[i], names[j]) for i, j in np.argwhere(alike).tolist()]
+    lost = {name for pair in inseparable for name in pair}
+    wide = np.sqrt(variance) * float(stats.t.ppf(0.975, max(1, count - free)))
+    wide[[each or name in lost for each, name in zip(unknown, names, strict=True)]] = math.inf
+    chi2, degrees = float(squares[:, 0].sum()), len(residuals) - x.size - entries.size
+    return Estimate(
+        values=dict(zip(names, np.clip(x, search.low, search.high).tolist(), strict=True)),
+        intervals={name: _interval(name, x[k], wide[k]) for k, name in enumerate(names)},
+        correlations=tuple(map(tuple, correlation.tolist())),
+        correlated=names,
+        inseparable=tuple(inseparable),
+        unknown=tuple(name for each, name in zip(unknown, names, strict=True) if each),
+        misfit=chi2 / degrees,
+        is_explained=bool(stats.chi2.sf(chi2, degrees) > MISFIT),
+        misfits=tuple((squares[:, 0] / np.maximum(squares[:, 1], 1.0)).tolist()),
+        frames=len(search.measured),
+        noise=(float(search.noise[0]), float(search.noise[2])),
+    )
+
+
+def _interval(name: str, value: float, wide: float) -> tuple[float, float]:
+    """Return an interval, within what the parameter may be unless nothing is known."""
+    if not math.isfinite(wide):
+        return (-math.inf, math.inf)
+    each = PARAMETERS[name]
+    return max(each.low, float(value - wide)), min(each.high, float(value + wide))
+
+
+def _invert(information: Array, span: Array) -> tuple[Array, Array]:
+    """Invert the information, without the directions that the logs do not tell.
+
+    Args:
+        information: (free, free) inverse of the variances.
+        span: (free,) searched range of each parameter.
+
+    Returns:
+        Which parameters are not told (free,), and the inverse (free, free) of the rest.
+    """
+    scaled = information * np.outer(span, span)
+    size, direction = np.linalg.eigh(scaled)
+    told = size > TOLD**-2
+    unknown = (np.abs(direction[:, ~told]) > 0.05).any(axis=1)
+    kept = direction[:, told] / np.sqrt(size[told])
+    return unknown, kept @ kept.T * np.outer(span, span)

@@ -1,0 +1,333 @@
+"""Predictions of logged runs by the package's physics, for many surfaces in one compiled call."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.layouts import ROLLING
+from surface_gym.machine.log import LoggedSurface, Run
+from surface_gym.parcel import filled_up
+from surface_gym.physics import types as ph
+from surface_gym.physics.contacts import bounded, invalidate_contacts
+from surface_gym.physics.step import OFF_SURFACE, axis_direction, find_support, step_implicit
+from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Scratch, make_scratch
+from surface_gym.state import Geometry
+
+# Columns of a prediction's values: the surface and the load, then the parcel at its first picture.
+(
+    MU_MAX,  # [-] friction along an axis
+    MU_MIN,  # [-] across it
+    MU_SUPPORT,  # [-] of a support
+    TILT,  # [rad] downhill towards +x
+    QUARTER_TURN,  # [s] time in which an axis turns by 90 deg
+    DEAD_TIME,  # [s] from a command to the start of the turn
+    LATENCY,  # [s] from the exposure of a picture to its stated time
+    COM_X,  # [m] centre of mass from the base's centroid, in the base's frame
+    COM_Y,  # [m]
+    ENTRY,  # first of x, y, theta, vx, vy, omega of the base's centroid
+) = range(10)
+VALUES = ENTRY + 6
+MARGIN = 0.3  # [m] around the pictures' path, within which axes turn in predictions
+SAME_LOAD = 1e-3  # [m/s^2] change of acceleration by which loads stay as they are
+FINEST = 1.0 / 32.0  # [-] shortest step around a change of contacts, in maximum steps
+
+
+class Runs(NamedTuple):
+    """Runs of a log, one after the other. Times are [s] from a run's first picture."""
+
+    first_frame: Integers  # (runs + 1,)
+    time: Array  # (frames,) [s]
+    first_command: Integers  # (runs + 1,)
+    sent: Array  # (commands,) [s]
+    target: Array  # (commands, rows, columns) [rad]
+    rotor: Booleans  # (runs, rows, columns)
+    edges: Array  # (runs, edges, 3)
+    body: Array  # (runs, 7) as in `Bodies.body`
+    # (runs, 4) first row, last, first column and last of the elements that the parcel may reach
+    window: Integers
+
+
+class Axes(NamedTuple):
+    """Turning axes of a prediction."""
+
+    came: Array  # (rows, columns) [rad] where each was at the latest command
+    target: Array  # (rows, columns) [rad]
+    direction: Array  # (rows * columns, 2) cosine and sine
+
+
+class Memory(NamedTuple):
+    """Memory of predictions on a surface."""
+
+    geometry: Geometry
+    axes: Axes
+    axis: ph.Places  # (rows, columns) index of each axis in `direction`
+    drive: Array  # (rows * columns, 3) zeros, since modules are idle
+    ones: Array  # (rows, columns)
+    friction: Array  # (rows, columns, 3) ones; predictions multiply them
+    state: Array  # (STATE_SIZE,)
+    before: Array  # (STATE_SIZE,) at the start of a step
+    scratch: Scratch
+
+
+def _window(surface: LoggedSurface, run: Run) -> tuple[int, ...]:
+    """Return the first and last row and column around a run's pictures."""
+    reach = run.parcel.base.reach + MARGIN
+    found: list[int] = []
+    for axis, count in ((1, surface.rows), (0, surface.columns)):
+        ends = np.array([run.poses[:, axis].min() - reach, run.poses[:, axis].max() + reach])
+        places = (ends - surface.origin[axis]) / surface.pitch[axis]
+        found += np.clip([math.floor(places[0]), math.ceil(places[1])], 0, count - 1).tolist()
+    return tuple(found)
+
+
+def pack_runs(surface: LoggedSurface, runs: Sequence[Run]) -> Runs:
+    """Put runs into arrays."""
+    sides = max(4, *(len(run.parcel.body.edges) for run in runs))
+    edges = [filled_up(run.parcel.body.edges, run.parcel.corners, sides)[0] for run in runs]
+    return Runs(
+        first_frame=np.cumsum([0, *(len(run.taken) for run in runs)]),
+        time=np.concatenate([run.taken - run.taken[0] for run in runs]),
+        first_command=np.cumsum([0, *(len(run.sent) for run in runs)]),
+        sent=np.concatenate([run.sent - run.taken[0] for run in runs]),
+        target=np.concatenate([run.axes for run in runs]),
+        rotor=np.stack([run.rotor for run in runs]),
+        edges=np.stack(edges),
+        body=np.stack([run.parcel.row for run in runs]),
+        window=np.array([_window(surface, run) for run in runs]),
+    )
+
+
+def make_memory(surface: LoggedSurface) -> Memory:
+    """Allocate the memory of predictions on a surface."""
+    shape = (surface.rows, surface.columns)
+    axis = np.arange(surface.rows * surface.columns, dtype=np.int32).reshape(shape)
+    return Memory(
+        geometry=Geometry(*surface.origin, *surface.pitch, 0.0),
+        axes=Axes(np.empty(shape), np.empty(shape), np.empty((axis.size, 2))),
+        axis=axis,
+        drive=np.zeros((axis.size, 3)),
+        ones=np.ones(shape),
+        friction=np.ones((*shape, 3)),
+        state=np.zeros(ph.STATE_SIZE),
+        before=np.zeros(ph.STATE_SIZE),
+        scratch=make_scratch(),
+    )
+
+
+@inlined
+def angle_after(came: float, target: float, turned: float) -> float:
+    """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
+
+    Axes have period pi, so they turn by at most a quarter turn.
+    """
+    apart = target - came
+    apart -= math.pi * math.floor(apart / math.pi + 0.5)
+    return target if turned >= abs(apart) else came + math.copysign(turned, apart)
+
+
+@inlined
+def _point(axes: Axes, row: int, column: int, turned: float) -> None:
+    """Write the direction of an axis that has turned by at most `turned` [rad]."""
+    k = row * axes.came.shape[1] + column
+    cosine, sine = axis_direction(
+        angle_after(axes.came[row, column], axes.target[row, column], turned)
+    )
+    axes.direction[k, 0] = cosine
+    axes.direction[k, 1] = sine
+
+
+@inlined
+def _point_all(axes: Axes, window: Integers, turned: float) -> None:
+    """Write the directions of all axes of a window that have turned by at most `turned` [rad]."""
+    for row in range(window[0], window[1] + 1):
+        for column in range(window[2], window[3] + 1):
+            _point(axes, row, column, turned)
+
+
+@inlined
+def _point_near(
+    axes: Axes, window: Integers, geometry: Geometry, state: Array, reach: float, turned: float
+) -> None:
+    """Write the directions of the axes around a parcel."""
+    low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
+    high = bounded((state[ph.Y] + reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
+    left = bounded((state[ph.X] - reach - geometry.x0) / geometry.pitch_x, 0.0, 1e6)
+    right = bounded((state[ph.X] + reach - geometry.x0) / geometry.pitch_x, 0.0, 1e6)
+    for row in range(max(window[0], int(low)), min(window[1], int(high) + 1) + 1):
+        for column in range(max(window[2], int(left)), min(window[3], int(right) + 1) + 1):
+            _point(axes, row, column, turned)
+
+
+@inlined
+def _place(state: Array, values: Array) -> None:
+    """Set the state of the centre of mass from the centroid's pose and velocity."""
+    cosine, sine = math.cos(values[ENTRY + 2]), math.sin(values[ENTRY + 2])
+    arm_x = cosine * values[COM_X] - sine * values[COM_Y]
+    arm_y = sine * values[COM_X] + cosine * values[COM_Y]
+    spin = values[ENTRY + 5]
+    state[ph.X] = values[ENTRY] + arm_x
+    state[ph.Y] = values[ENTRY + 1] + arm_y
+    state[ph.THETA] = values[ENTRY + 2]
+    state[ph.VX] = values[ENTRY + 3] - spin * arm_y
+    state[ph.VY] = values[ENTRY + 4] + spin * arm_x
+    state[ph.OMEGA] = spin
+    state[ph.AX] = 0.0
+    state[ph.AY] = 0.0
+
+
+@inlined
+def _write_pose(pose: Array, state: Array, values: Array) -> None:
+    """Write the centroid's pose."""
+    cosine, sine = math.cos(state[ph.THETA]), math.sin(state[ph.THETA])
+    pose[0] = state[ph.X] - cosine * values[COM_X] + sine * values[COM_Y]
+    pose[1] = state[ph.Y] - sine * values[COM_X] - cosine * values[COM_Y]
+    pose[2] = state[ph.THETA]
+
+
+@inlined
+def _make_grid(memory: Memory, rotor: Booleans, values: Array) -> Grid:
+    geometry = memory.geometry
+    return Grid(
+        memory.axis, memory.axes.direction, memory.drive, rotor, memory.ones, memory.friction,
+        geometry.x0, geometry.y0, geometry.pitch_x, geometry.pitch_y,
+        values[MU_MAX], values[MU_MIN], values[MU_SUPPORT],
+        ph.GRAVITY * math.sin(values[TILT]), 0.0, ph.GRAVITY * math.cos(values[TILT]),
+    )  # fmt: skip
+
+
+@inlined
+def _contact_set(scratch: Scratch) -> int:
+    """Return a number that tells sets of contacts apart."""
+    marks, found = scratch.marks, 0
+    for k in range(marks[ph.SPANS]):
+        found = 31 * found + marks[ph.SPAN_ROW + k]
+        found = 31 * found + marks[ph.SPAN_FIRST + k]
+        found = 31 * found + marks[ph.SPAN_LAST + k]
+    return found
+
+
+@inlined
+def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: float) -> bool:
+    """Set the axes that turn, and return whether they go on."""
+    if turned < 0.5 * math.pi:
+        _point_near(memory.axes, window, memory.geometry, state, reach, turned)
+    else:
+        _point_all(memory.axes, window, turned)
+    invalidate_contacts(memory.scratch)
+    return turned < 0.5 * math.pi
+
+
+@inlined
+def _advance(
+    grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, seconds: float,
+    dt: float, speed: float, turned: float,
+) -> None:  # fmt: skip
+    """Move the parcel on for a time [s].
+
+    A step in which contacts change is halved, down to a share of `dt`: the time of each change is
+    found, so that predictions do not jump with the parameters. A step that changes the acceleration
+    is repeated with the loads by the new one.
+
+    Args:
+        speed: [rad/s] of turning axes; 0: none turns.
+        turned: [rad] by which they have turned at the start.
+    """
+    state, before, scratch = memory.state, memory.before, memory.scratch
+    left = seconds
+    length = longest = seconds / math.ceil(seconds / dt - 1e-6)
+    goes_on = speed > 0.0
+    find_support(grid, body, state, scratch, 0.0)
+    held = _contact_set(scratch)
+    while left > 1e-12:
+        for j in range(ph.STATE_SIZE):
+            before[j] = state[j]
+        length = min(length, left)
+        if goes_on:  # the direction in the middle of the step
+            now_turned = turned + speed * (seconds - left + 0.5 * length)
+            goes_on = _turn(memory, window, state, reach, now_turned)
+        report, _ = step_implicit(grid, body, state, scratch, length)
+        if report >= OFF_SURFACE:
+            break
+        if abs(state[ph.AX] - before[ph.AX]) + abs(state[ph.AY] - before[ph.AY]) > SAME_LOAD:
+            for j in range(ph.AX):
+                state[j] = before[j]
+            step_implicit(grid, body, state, scratch, length)
+        find_support(grid, body, state, scratch, 0.0)
+        now = _contact_set(scratch)
+        if now != held and length > FINEST * dt:
+            for j in range(ph.STATE_SIZE):
+                state[j] = before[j]
+            length *= 0.5
+            goes_on = speed > 0.0
+            continue
+        left -= length
+        length = longest if now != held else min(longest, 2.0 * length)
+        held = now
+
+
+@inlined
+def _predict_run(
+    runs: Runs, r: int, values: Array, memory: Memory, poses: Array, dt: float
+) -> None:
+    """Write the poses (frames, 3) of a run's pictures; after the surface's end they stay."""
+    row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
+    grid = _make_grid(memory, runs.rotor[r], values)
+    body = Body(
+        runs.edges[r], row[ph.RADIUS], values[COM_X], values[COM_Y], row[ph.COM_HEIGHT],
+        row[ph.GYRATION],
+    )  # fmt: skip
+    reach = row[ph.RADIUS] + abs(values[COM_X]) + abs(values[COM_Y])
+    speed = 0.5 * math.pi / values[QUARTER_TURN]
+    axes.came[:] = ROLLING
+    axes.target[:] = ROLLING
+    _point_all(axes, window, 0.0)
+    invalidate_contacts(memory.scratch)
+    _place(state, values)
+    _write_pose(poses[0], state, values)
+    next_command, last_command = runs.first_command[r], runs.first_command[r + 1]
+    since, clock, frame = -math.inf, 0.0, 1
+    while frame < poses.shape[0]:
+        until = runs.time[runs.first_frame[r] + frame]
+        begins = math.inf
+        if next_command < last_command:
+            begins = runs.sent[next_command] + values[LATENCY] + values[DEAD_TIME]
+        end = min(until, begins)
+        if end > clock:
+            turned = min(math.pi, speed * (clock - since))
+            rate = speed if turned < math.pi else 0.0
+            _advance(grid, body, memory, window, reach, end - clock, dt, rate, turned)
+            clock = end
+        if begins <= until:
+            turned = min(math.pi, speed * (begins - since))
+            for i in range(window[0], window[1] + 1):
+                for j in range(window[2], window[3] + 1):
+                    axes.came[i, j] = angle_after(axes.came[i, j], axes.target[i, j], turned)
+                    axes.target[i, j] = runs.target[next_command, i, j]
+            since = begins
+            next_command += 1
+        else:
+            _write_pose(poses[frame], state, values)
+            frame += 1
+
+
+@compiled
+def predict_runs(
+    runs: Runs, which: Integers, values: Array, first: Integers, memory: Memory, poses: Array,
+    dt: float,
+) -> None:  # fmt: skip
+    """Predict pictures of runs.
+
+    Args:
+        runs: the logged runs.
+        which: (predictions,) run of each prediction.
+        values: (predictions, VALUES) surface, load and entry of each prediction.
+        first: (predictions + 1,) its first row in `poses`.
+        memory: from `make_memory`.
+        poses: (rows, 3) to write, poses of the base's centroid.
+        dt: [s] maximum step; each command and each picture ends a step.
+    """
+    for k in range(which.shape[0]):
+        _predict_run(runs, which[k], values[k], memory, poses[first[k] : first[k + 1]], dt)
