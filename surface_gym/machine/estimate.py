@@ -45,9 +45,9 @@ class Estimate:
 
     def line(self, line: BaseLine) -> BaseLine:
         """Return an environment's line with the identified friction."""
-        return replace(
-            line, **{name: self.values[name] for name in FRICTIONS if self.is_told(name)}
-        )
+        for name in filter(self.is_told, FRICTIONS):
+            line = _with(line, name, self.values[name])
+        return line
 
     def preset(self, name: str = "identified") -> Preset:
         """Return a preset for environments: noise, delay, turning axes, and doubt about friction.
@@ -122,6 +122,10 @@ class Estimate:
             raise ValueError(
                 f"{file} must be an estimate: {files.describe_damage(error)}"
             ) from None
+
+
+def _with(instance: Any, name: str, value: Any) -> Any:
+    return replace(instance, **{name: value})
 
 
 def _or_none(end: float) -> float | None:

@@ -10,7 +10,7 @@ from surface_gym.physics.types import Array
 
 KINDS = ("coast", "brake", "steer")  # of successive runs
 ROLL = 0.2  # [s] at the start, in which every run coasts
-HOLD = (0.06, 0.14)  # [s] range of the time for which axes brake or steer
+HOLD = (0.12, 0.3)  # [s] range of the time for which axes brake or steer
 PAUSE = (0.06, 0.2)  # [s] range of the time for which they roll between
 
 

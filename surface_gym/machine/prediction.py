@@ -31,6 +31,7 @@ from surface_gym.state import Geometry
 ) = range(10)
 VALUES = ENTRY + 6
 MARGIN = 0.3  # [m] around the pictures' path, within which axes turn in predictions
+SOON = 1e-9  # [s] shortest time between the ends of steps
 SAME_LOAD = 1e-3  # [m/s^2] change of acceleration by which loads stay as they are
 FINEST = 1.0 / 32.0  # [-] shortest step around a change of contacts, in maximum steps
 
@@ -295,11 +296,18 @@ def _predict_run(
         if next_command < last_command:
             begins = runs.sent[next_command] + values[LATENCY] + values[DEAD_TIME]
         end = min(until, begins)
+        for part in range(1, 3):  # a turn of 45 deg ends, or of 90 deg
+            ends = since + 0.5 * part * values[QUARTER_TURN]
+            if ends > clock + SOON:
+                end = min(end, ends)
+                break
         if end > clock:
             turned = min(math.pi, speed * (clock - since))
             rate = speed if turned < math.pi else 0.0
             _advance(grid, body, memory, window, reach, end - clock, dt, rate, turned)
             clock = end
+        if end < min(until, begins):
+            continue
         if begins <= until:
             turned = min(math.pi, speed * (begins - since))
             for i in range(window[0], window[1] + 1):

@@ -51,12 +51,13 @@ PARAMETERS = {
 
 ENTRY_APART = np.array([5e-4, 5e-4, 2e-3, 2e-3, 2e-3, 1e-2])  # of the entry's six numbers
 ENTRY_STEP = np.array([2e-3, 2e-3, 1e-2, 0.1, 0.1, 0.5])  # by which a guess of them may be off
-COARSE = 2e-3  # [s] maximum step of the first searches
+COARSE = 4e-3  # [s] maximum step of the first searches
 WITHIN = 3.0  # [-] standard deviations beyond which the first search trusts a picture less
 # [s] Runs are searched in pieces of at most this length, with an entry each: motion is chaotic over
 # longer times, so that whole runs have false minima and claim more than they know.
 PIECE = 0.8
-MAX_TRIES = 6  # of a step, each shorter
+SETTLE = 3  # steps of the entries alone, before a search
+MAX_TRIES = 4  # of a step, each shorter
 FIRST_DAMPING = 1.0
 FEW_RUNS = 12  # runs of the first search
 TURN_FACTORS = (0.5, 1.0, 2.0)  # [-] of the assumed quarter turn, from which searches start
@@ -110,9 +111,18 @@ class Search:
         Returns:
             (residuals, free) and (residuals, 6).
         """
-        values, free = self.values(x, entries), len(self.columns)
-        columns = [*self.columns.tolist(), *range(pr.ENTRY, pr.VALUES)]
-        apart = np.concatenate([self.apart, ENTRY_APART])
+        rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt)
+        return rates, self.entry_derivatives(x, entries, dt)
+
+    def entry_derivatives(self, x: Array, entries: Array, dt: float) -> Array:
+        """Return derivatives (residuals, 6) by each run's own entry."""
+        return self._rates(x, entries, list(range(pr.ENTRY, pr.VALUES)), ENTRY_APART, dt)
+
+    def _rates(
+        self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float
+    ) -> Array:
+        """Return central differences (residuals, columns)."""
+        values = self.values(x, entries)
         changed = np.repeat(values[np.newaxis], 2 * len(columns), axis=0)
         for k, column in enumerate(columns):
             changed[2 * k, :, column] -= apart[k]
@@ -120,8 +130,37 @@ class Search:
         changed[..., pr.QUARTER_TURN] = np.maximum(changed[..., pr.QUARTER_TURN], 1e-4)
         poses = self.predict(changed.reshape(-1, pr.VALUES), 2 * len(columns), dt)
         rates = (poses[1::2] - poses[::2]) / (2.0 * apart[:, np.newaxis, np.newaxis] * self.noise)
-        flat = rates.reshape(len(columns), -1).T
-        return flat[:, :free], flat[:, free:]
+        flat: Array = rates.reshape(len(columns), -1).T
+        return flat
+
+    def costs(self, residuals: Array, within: float) -> Array:
+        """Return the squares of each run (runs,), less for residuals beyond `within`."""
+        squares = residuals**2
+        if within < math.inf:
+            squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
+        sums: Array = np.add.reduceat(squares, 3 * self.runs.first_frame[:-1])
+        return sums
+
+    def settle(
+        self, x: Array, entries: Array, residuals: Array, dt: float, within: float, times: int
+    ) -> tuple[Array, Array]:
+        """Improve each run's entry alone; return entries (runs, 6) and residuals."""
+        damping = np.ones(self.count)
+        for _ in range(times):
+            weight = _weights(residuals, within)
+            own = self.entry_derivatives(x, entries, dt) * weight[:, np.newaxis]
+            steps = np.empty_like(entries)
+            for r in range(self.count):
+                rows = self.rows(r)
+                normal = own[rows].T @ own[rows] + np.diag(damping[r] / ENTRY_STEP**2)
+                steps[r] = np.linalg.solve(normal, -own[rows].T @ (residuals * weight)[rows])
+            found = self.residuals(x, entries + steps, dt)
+            better = self.costs(found, within) < self.costs(residuals, within)
+            damping *= np.where(better, 0.1, 10.0)
+            entries = np.where(better[:, np.newaxis], entries + steps, entries)
+            used = np.repeat(better, 3 * np.diff(self.runs.first_frame))
+            residuals = np.where(used, found, residuals)
+        return entries, residuals
 
     def rows(self, r: int) -> slice:
         """Return the residuals of a run."""
@@ -144,7 +183,7 @@ class Search:
         for r in range(self.count):
             rows = self.rows(r)
             block = np.column_stack([own[rows], shared[rows], residuals[rows]])
-            upper = np.linalg.qr(np.vstack([block, damped]), mode="r")
+            upper: Array = np.linalg.qr(np.vstack([block, damped])).R
             parts.append(upper[:6])
             left.append(upper[6:, 6:])
         stacked = np.vstack(left)
@@ -206,15 +245,16 @@ def search_pieces(
     part = [half for half in short if id(half.sent) in few]
     search = make_search(log, part, names, known, noise)
     coarse = max(dt, COARSE)
-    starts = [_fit(search, x, _entries(part), coarse, WITHIN, 12) for x in _starts(search)]
-    x = min(starts, key=lambda found: found[2])[0]
+    starts = [_fit(search, x, _entries(part), coarse, WITHIN, 4) for x in _starts(search)]
+    x, entries, _ = min(starts, key=lambda found: found[2])
+    x, entries, _ = _fit(search, x, entries, coarse, WITHIN, 6)
     on_progress(f"search in short pieces, steps of {1e3 * coarse:g} ms")
     search = make_search(log, short, names, known, noise)
-    x, entries, _ = _fit(search, x, _entries(short), coarse, WITHIN, 4)
+    x, entries, _ = _fit(search, x, _entries(short), coarse, WITHIN, 3)
     on_progress(f"search in pieces of {PIECE:g} s, steps of {1e3 * dt:g} ms")
     search = make_search(log, pieces, names, known, noise)
     firsts = np.cumsum([0, *map(len, halves)])[:-1]
-    x, entries, _ = _fit(search, x, entries[firsts], dt, math.inf, 10)
+    x, entries, _ = _fit(search, x, entries[firsts], dt, math.inf, 6)
     return search, x, entries
 
 
@@ -274,17 +314,20 @@ def _fit(
     """
     damping = FIRST_DAMPING
     residuals = search.residuals(x, entries, dt)
-    cost = _cost(residuals, within)
+    entries, residuals = search.settle(x, entries, residuals, dt, within, SETTLE)
+    cost = float(search.costs(residuals, within).sum())
     for _ in range(most):
-        weight = 1.0 / np.sqrt(np.sqrt(1.0 + (residuals / within) ** 2))
+        weight = _weights(residuals, within)
         shared, own = search.derivatives(x, entries, dt)
         shared, own = shared * weight[:, np.newaxis], own * weight[:, np.newaxis]
         before = cost
         for _ in range(MAX_TRIES):
             step, steps = search.solve(x, residuals * weight, shared, own, damping)
-            found = search.residuals(x + step, entries + steps, dt)
-            if (new := _cost(found, within)) < cost:
-                x, entries, residuals, cost = x + step, entries + steps, found, new
+            moved, found = entries + steps, search.residuals(x + step, entries + steps, dt)
+            if search.costs(found, within).sum() >= cost:
+                moved, found = search.settle(x + step, moved, found, dt, within, 1)
+            if (new := float(search.costs(found, within).sum())) < cost:
+                x, entries, residuals, cost = x + step, moved, found, new
                 damping /= 10.0
                 break
             damping *= 10.0
@@ -293,7 +336,7 @@ def _fit(
     return x, entries, cost
 
 
-def _cost(residuals: Array, within: float) -> float:
-    if within == math.inf:
-        return float(residuals @ residuals)
-    return float((2.0 * within**2 * (np.sqrt(1.0 + (residuals / within) ** 2) - 1.0)).sum())
+def _weights(residuals: Array, within: float) -> Array:
+    """Return the weights of residuals by the loss "soft L1"."""
+    weights: Array = (1.0 + (residuals / within) ** 2) ** -0.25
+    return weights
