@@ -22,7 +22,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import Batch
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import Line
-from surface_gym.machine.log import LoggedSurface, MachineLog, Run
+from surface_gym.machine.log import LoggedRun, LoggedSurface, MachineLog
 from surface_gym.physics.types import Array
 from surface_gym.state import RUNNING
 from surface_gym.tasks.start import Parcels, Start
@@ -112,7 +112,7 @@ def _draw_start(parcel: sg.Parcel, hidden: HiddenSurface, rng: np.random.Generat
 
 def _record_run(
     batch: Batch, hidden: HiddenSurface, recording: Recording, number: int, rng: np.random.Generator
-) -> Run:
+) -> LoggedRun:
     """Run one parcel from its start; the batch has it placed."""
     kind = batch.config.action_kind
     run = recording.kinds[number % len(recording.kinds)] + 3 * number
@@ -142,7 +142,7 @@ def _record_run(
     whole[:, rows, columns] = axes[:, margin : margin + int(zone[1])]
     known = replace(batch.parcel(0), com_offset=(0.0, 0.0))
     stated = np.array(taken) + hidden.latency
-    return Run(
+    return LoggedRun(
         known, 0.0, body.rotor[row].copy(), stated, np.array(poses), sent, whole,
         recording.acknowledged,
     )  # fmt: skip
@@ -165,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = tyro.cli(StudyOptions, prog="python -m benchmarks.identification", args=arguments)
     console = Console(stderr=True)
     numbers = range(options.seed, options.seed + options.surfaces)
-    errors, halves, told, seconds = [], [], [], []
+    errors, halves, explained, seconds = [], [], [], []
     for number in track(numbers, "identifying", console=console):
         rng = np.random.default_rng(number)
         hidden = HiddenSurface.draw(rng, options.stiffness)
@@ -177,11 +177,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         halves.append(
             [0.5 * (found.intervals[name][1] - found.intervals[name][0]) for name in FREE]
         )
-        told.append(found.is_explained)
-    _show(np.array(errors), np.array(halves), told, seconds)
+        explained.append(found.is_explained)
+    _show(np.array(errors), np.array(halves), explained, seconds)
 
 
-def _show(errors: Array, halves: Array, told: Sequence[bool], seconds: Sequence[float]) -> None:
+def _show(
+    errors: Array, halves: Array, explained: Sequence[bool], seconds: Sequence[float]
+) -> None:
     table = Table("parameter", "rms error", "asked", "half interval", "within", box=SIMPLE_HEAD)
     for k, name in enumerate(FREE):
         within = np.mean(np.abs(errors[:, k]) <= halves[:, k])
@@ -191,7 +193,7 @@ def _show(errors: Array, halves: Array, told: Sequence[bool], seconds: Sequence[
     console.print(table)
     console.print(
         f"{len(errors)} surfaces, all intervals {100 * np.mean(np.abs(errors) <= halves):.1f} %; "
-        f"explained {sum(told)}; {np.median(seconds):.0f} s each, at most {max(seconds):.0f} s"
+        f"explained {sum(explained)}; {np.median(seconds):.0f} s each, at most {max(seconds):.0f} s"
     )
 
 

@@ -13,7 +13,7 @@ from ..base import Singles
 
 @dataclass(frozen=True)
 class _Progress:
-    """Where a controller is."""
+    """The parcel and the period of a controller."""
 
     run: int  # number of the parcel
     period: int  # control periods since it entered

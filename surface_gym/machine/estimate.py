@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from surface_gym import checks, files
 from surface_gym.config import Preset
 from surface_gym.lines import BaseLine
@@ -39,13 +37,13 @@ class Estimate:
     delay: float = 0.0  # [s] median time from a picture's stated time to its message
     unused: dict[str, int] = field(default_factory=dict)  # number of other runs by reason
 
-    def is_told(self, name: str) -> bool:
+    def is_determined(self, name: str) -> bool:
         """Return whether the logs tell a parameter."""
         return name in self.intervals and math.isfinite(self.intervals[name][0])
 
     def line(self, line: BaseLine) -> BaseLine:
         """Return an environment's line with the identified friction."""
-        for name in filter(self.is_told, FRICTIONS):
+        for name in filter(self.is_determined, FRICTIONS):
             line = _with(line, name, self.values[name])
         return line
 
@@ -55,9 +53,9 @@ class Estimate:
         Give it beside `line`, and the tilt to the task.
         """
         speed = math.inf
-        if self.is_told("quarter_turn"):
+        if self.is_determined("quarter_turn"):
             speed = 0.5 * math.pi / max(self.values["quarter_turn"], 1e-3)
-        stale = self.values["latency"] if self.is_told("latency") else 0.0
+        stale = self.values["latency"] if self.is_determined("latency") else 0.0
         return Preset(
             name,
             name,
@@ -76,7 +74,7 @@ class Estimate:
 
     def _spread(self, name: str) -> float:
         """Return half an interval as a share of the value."""
-        if not self.is_told(name):
+        if not self.is_determined(name):
             return 0.0
         low, high = self.intervals[name]
         value = self.values[name]
@@ -133,7 +131,7 @@ def _or_none(end: float) -> float | None:
 
 
 def _checked(found: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of an estimate from those of a file."""
+    """Return an estimate's fields from a file's."""
     names = [each.name for each in fields(Estimate)]
     if sorted(found) != sorted(names):
         raise ValueError(f"fields must be {', '.join(names)}, got {', '.join(found)}")
@@ -159,7 +157,7 @@ def _checked(found: dict[str, Any]) -> dict[str, Any]:
         "inseparable": tuple(tuple(map(str, group)) for group in found["inseparable"]),
         "unknown": tuple(map(str, found["unknown"])),
         "misfit": checks.number("misfit", found["misfit"]),
-        "is_explained": bool(checks.booleans("is_explained", np.array(found["is_explained"]))),
+        "is_explained": checks.one_of("is_explained", found["is_explained"], (True, False)),
         "misfits": tuple(checks.array("misfits", found["misfits"], (None,)).tolist()),
         "frames": checks.integer("frames", found["frames"], least=0),
         "noise": (position, angle),

@@ -16,12 +16,12 @@ from scipy import stats
 
 from surface_gym import checks
 from surface_gym.machine.estimate import Estimate
-from surface_gym.machine.log import MachineLog, Run, read_log
-from surface_gym.machine.search import PARAMETERS, OnProgress, Search, search_pieces
+from surface_gym.machine.log import LoggedRun, MachineLog, read_log
+from surface_gym.machine.search import PARAMETERS, LeastSquares, OnProgress, search_pieces
 from surface_gym.physics.types import Array
 
 SHIFTS = ("latency", "dead_time")  # equal changes of both change nothing but the time
-TOLD = 0.25  # [-] share of the searched range: a direction with a larger error is unknown
+CLEAR = 0.25  # [-] share of the searched range: a direction with a larger error is unknown
 ALIKE = 0.99  # [-] correlation from which two parameters are inseparable
 MISFIT = 1e-3  # [-] probability of chi^2 below which the model does not explain the logs
 MAX_RUNS = 200  # maximum runs of a search
@@ -42,8 +42,8 @@ def identify(
     Args:
         logs: files of `surface-gym runtime --log`, or logs that were read before; of one surface.
         free: names of the parameters to find, of `PARAMETERS`.
-        known: values of others. By default friction and quarter turn are as the logs assume, the
-            tilt as stated for each parcel, and the rest 0.
+        known: values of others. Without a value, friction and quarter turn are as the logs
+            assume, the tilt is as stated for each parcel, and the rest is 0.
         noise: standard deviations of the pictures [m, rad]; None: found from the pictures alone.
         dt: [s] maximum step of the predictions.
         on_progress: called with a note on each stage; None: nothing is called.
@@ -79,7 +79,7 @@ def identify(
     return replace(found, unused=unused, delay=float(np.median([log.delay for log in read])))
 
 
-def measure_noise(runs: Sequence[Run]) -> tuple[float, float]:
+def measure_noise(runs: Sequence[LoggedRun]) -> tuple[float, float]:
     """Return the noise [m, rad] of pictures, from their third differences over time."""
     ends = [np.diff(run.poses, 3, axis=0)[_is_even(run.taken)] for run in runs]
     third = np.abs(np.concatenate(ends))
@@ -103,7 +103,7 @@ def _is_even(taken: Array) -> Array:
 
 def _collect(
     logs: Sequence[MachineLog], names: tuple[str, ...]
-) -> tuple[tuple[Run, ...], dict[str, int]]:
+) -> tuple[tuple[LoggedRun, ...], dict[str, int]]:
     """Return the runs of all logs, and the number of unused ones by reason."""
     if not logs:
         raise ValueError("logs must hold at least one log, got none")
@@ -113,10 +113,11 @@ def _collect(
     for log in logs:
         unused.update(log.unused)
     runs = tuple(run for log in logs for run in log.runs)
-    told = [run for run in runs if run.acknowledged]
-    if told and len(told) < len(runs):
-        unused["parcel has commands without acknowledgement, unlike others"] = len(runs) - len(told)
-        runs = tuple(told)
+    timed = tuple(run for run in runs if run.acknowledged)
+    if timed and len(timed) < len(runs):
+        reason = "parcel has commands without acknowledgement, unlike others"
+        unused[reason] = len(runs) - len(timed)
+        runs = timed
     least = len(names) + 1
     if not least <= len(runs) <= MAX_RUNS:
         raise ValueError(
@@ -128,12 +129,14 @@ def _collect(
     return runs, dict(unused)
 
 
-def _is_shifted(names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[Run]) -> bool:
+def _is_shifted(
+    names: tuple[str, ...], known: Mapping[str, float], runs: Sequence[LoggedRun]
+) -> bool:
     """Return whether equal shifts of pictures and commands leave all runs as they are."""
     asked = [name for name in SHIFTS if name in names]
-    told = all(run.acknowledged for run in runs)
+    timed = all(run.acknowledged for run in runs)
     unsure = any(name not in known for name in SHIFTS if name not in names)
-    return len(asked) == len(SHIFTS) or (len(asked) == 1 and unsure and not told)
+    return len(asked) == len(SHIFTS) or (len(asked) == 1 and unsure and not timed)
 
 
 def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> Estimate:
@@ -151,8 +154,10 @@ def _ignore(note: str) -> None:
     """Show no progress."""
 
 
-def _judge(search: Search, x: Array, entries: Array, dt: float, names: tuple[str, ...]) -> Estimate:
-    """Return the estimate: errors by a sandwich over runs, and what cannot be told."""
+def _judge(
+    search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
+) -> Estimate:
+    """Return the estimate: errors by a sandwich over runs, and what the logs cannot tell."""
     residuals = search.residuals(x, entries, dt)
     shared, own = search.derivatives(x, entries, dt)
     count, free = int(search.run.max()) + 1, len(names)
@@ -205,11 +210,11 @@ def _invert(information: Array, span: Array) -> tuple[Array, Array]:
         span: (free,) searched range of each parameter.
 
     Returns:
-        Which parameters are not told (free,), and the inverse (free, free) of the rest.
+        Which parameters the logs do not tell (free,), and the inverse (free, free) of the rest.
     """
     scaled = information * np.outer(span, span)
     size, direction = np.linalg.eigh(scaled)
-    told = size > TOLD**-2
-    unknown = (np.abs(direction[:, ~told]) > 0.05).any(axis=1)
-    kept = direction[:, told] / np.sqrt(size[told])
+    clear = size > CLEAR**-2
+    unknown = (np.abs(direction[:, ~clear]) > 0.05).any(axis=1)
+    kept = direction[:, clear] / np.sqrt(size[clear])
     return unknown, kept @ kept.T * np.outer(span, span)

@@ -116,7 +116,7 @@ class LogWriter:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LoggedRun:
     """The passage of one parcel over the surface."""
 
     parcel: Parcel
@@ -126,7 +126,7 @@ class Run:
     poses: Array  # (frames, 3) [m, m, rad] of the base's centroid
     sent: Array  # (commands,) [s] times at which the axes began to turn, or of the commands
     axes: Array  # (commands, rows, columns) [rad] of the whole surface
-    acknowledged: bool  # whether the machine told when the axes of each command began to turn
+    acknowledged: bool  # whether the machine said when the axes of each command began to turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class MachineLog:
     """The runs of a log."""
 
     surface: LoggedSurface
-    runs: tuple[Run, ...]
+    runs: tuple[LoggedRun, ...]
     unused: dict[str, int]  # number of other runs by reason
     delay: float  # [s] median time from a picture's stated time to its message
 
@@ -147,7 +147,7 @@ class _Passage:
     site: Site
     frames: dict[float, ms.Triple] = field(default_factory=dict)
     sent: dict[int, tuple[float, Array]] = field(default_factory=dict)
-    told: dict[int, float] = field(default_factory=dict)
+    begun: dict[int, float] = field(default_factory=dict)
     refused: set[int] = field(default_factory=set)
 
 
@@ -195,7 +195,7 @@ class _LogReader:
         self._lines = lines
         self._passage: _Passage | None = None
         self._site: Site | None = None
-        self._runs: list[Run] = []
+        self._runs: list[LoggedRun] = []
         self._unused: Counter[str] = Counter()
         self._delays: list[float] = []  # [s] from pictures to their messages
         self._surface = self._read_header()
@@ -279,7 +279,7 @@ class _LogReader:
                 passage.refused.add(message.command)
             else:
                 self._check_clock("command", passed, message.at)
-                passage.told[message.command] = message.at
+                passage.begun[message.command] = message.at
 
     def _check_clock(self, what: str, passed: float, at: float) -> None:
         late = passed - at
@@ -302,7 +302,7 @@ class _LogReader:
             )
 
     def _whole(self, angles: ms.Angles, site: Site) -> Array:
-        """Return the axes (rows, columns) [rad] of the surface from those of the widest zone."""
+        """Return the axes (rows, columns) [rad] of the surface from the widest zone's."""
         whole = np.full(site.rotor.shape, ROLLING)
         first_row, rows, first, columns = site.zone
         margin = (angles.shape[0] - rows) // 2
@@ -324,13 +324,19 @@ class _LogReader:
             self._runs.append(_make_run(passage))
 
 
-def _make_run(passage: _Passage) -> Run:
+def _make_run(passage: _Passage) -> LoggedRun:
     taken = sorted(passage.frames)
-    kept = [number for number in passage.sent if number not in passage.refused]
-    sent = [(passage.told.get(each, passage.sent[each][0]), passage.sent[each][1]) for each in kept]
+    kept = [  # commands after the last picture have no effect that is seen
+        number
+        for number, (passed, _) in passage.sent.items()
+        if number not in passage.refused and passed <= taken[-1]
+    ]
+    sent = [
+        (passage.begun.get(each, passage.sent[each][0]), passage.sent[each][1]) for each in kept
+    ]
     sent.sort(key=lambda each: each[0])
     shape = passage.site.rotor.shape
-    return Run(
+    return LoggedRun(
         parcel=passage.entry.parcel,
         tilt=passage.entry.tilt,
         rotor=passage.site.rotor,
@@ -338,5 +344,5 @@ def _make_run(passage: _Passage) -> Run:
         poses=np.array([passage.frames[each] for each in taken]),
         sent=np.array([at for at, _ in sent]),
         axes=np.array([axes for _, axes in sent]).reshape(-1, *shape),
-        acknowledged=all(number in passage.told for number in kept),
+        acknowledged=all(number in passage.begun for number in kept),
     )

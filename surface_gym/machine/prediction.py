@@ -8,7 +8,7 @@ import numpy as np
 
 from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.layouts import ROLLING
-from surface_gym.machine.log import LoggedSurface, Run
+from surface_gym.machine.log import LoggedRun, LoggedSurface
 from surface_gym.parcel import filled_up
 from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import bounded, invalidate_contacts
@@ -36,7 +36,7 @@ SAME_LOAD = 1e-3  # [m/s^2] change of acceleration by which loads stay as they a
 FINEST = 1.0 / 32.0  # [-] shortest step around a change of contacts, in maximum steps
 
 
-class Runs(NamedTuple):
+class PackedRuns(NamedTuple):
     """Runs of a log, one after the other. Times are [s] from a run's first picture."""
 
     first_frame: Integers  # (runs + 1,)
@@ -51,7 +51,7 @@ class Runs(NamedTuple):
     window: Integers
 
 
-class Axes(NamedTuple):
+class PredictedAxes(NamedTuple):
     """Turning axes of a prediction."""
 
     came: Array  # (rows, columns) [rad] where each was at the latest command
@@ -63,7 +63,7 @@ class Memory(NamedTuple):
     """Memory of predictions on a surface."""
 
     geometry: Geometry
-    axes: Axes
+    axes: PredictedAxes
     axis: ph.Places  # (rows, columns) index of each axis in `direction`
     drive: Array  # (rows * columns, 3) zeros, since modules are idle
     ones: Array  # (rows, columns)
@@ -73,7 +73,7 @@ class Memory(NamedTuple):
     scratch: Scratch
 
 
-def _window(surface: LoggedSurface, run: Run) -> tuple[int, ...]:
+def _window(surface: LoggedSurface, run: LoggedRun) -> tuple[int, ...]:
     """Return the first and last row and column around a run's pictures."""
     reach = run.parcel.base.reach + MARGIN
     found: list[int] = []
@@ -84,11 +84,11 @@ def _window(surface: LoggedSurface, run: Run) -> tuple[int, ...]:
     return tuple(found)
 
 
-def pack_runs(surface: LoggedSurface, runs: Sequence[Run]) -> Runs:
+def pack_runs(surface: LoggedSurface, runs: Sequence[LoggedRun]) -> PackedRuns:
     """Put runs into arrays."""
     sides = max(4, *(len(run.parcel.body.edges) for run in runs))
     edges = [filled_up(run.parcel.body.edges, run.parcel.corners, sides)[0] for run in runs]
-    return Runs(
+    return PackedRuns(
         first_frame=np.cumsum([0, *(len(run.taken) for run in runs)]),
         time=np.concatenate([run.taken - run.taken[0] for run in runs]),
         first_command=np.cumsum([0, *(len(run.sent) for run in runs)]),
@@ -107,7 +107,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
     axis = np.arange(surface.rows * surface.columns, dtype=np.int32).reshape(shape)
     return Memory(
         geometry=Geometry(*surface.origin, *surface.pitch, 0.0),
-        axes=Axes(np.empty(shape), np.empty(shape), np.empty((axis.size, 2))),
+        axes=PredictedAxes(np.empty(shape), np.empty(shape), np.empty((axis.size, 2))),
         axis=axis,
         drive=np.zeros((axis.size, 3)),
         ones=np.ones(shape),
@@ -122,7 +122,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 def angle_after(came: float, target: float, turned: float) -> float:
     """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
 
-    Axes have period pi, so they turn by at most a quarter turn.
+    PredictedAxes have period pi, so they turn by at most a quarter turn.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
@@ -130,7 +130,7 @@ def angle_after(came: float, target: float, turned: float) -> float:
 
 
 @inlined
-def _point(axes: Axes, row: int, column: int, turned: float) -> None:
+def _point(axes: PredictedAxes, row: int, column: int, turned: float) -> None:
     """Write the direction of an axis that has turned by at most `turned` [rad]."""
     k = row * axes.came.shape[1] + column
     cosine, sine = axis_direction(
@@ -141,7 +141,7 @@ def _point(axes: Axes, row: int, column: int, turned: float) -> None:
 
 
 @inlined
-def _point_all(axes: Axes, window: Integers, turned: float) -> None:
+def _point_all(axes: PredictedAxes, window: Integers, turned: float) -> None:
     """Write the directions of all axes of a window that have turned by at most `turned` [rad]."""
     for row in range(window[0], window[1] + 1):
         for column in range(window[2], window[3] + 1):
@@ -150,7 +150,12 @@ def _point_all(axes: Axes, window: Integers, turned: float) -> None:
 
 @inlined
 def _point_near(
-    axes: Axes, window: Integers, geometry: Geometry, state: Array, reach: float, turned: float
+    axes: PredictedAxes,
+    window: Integers,
+    geometry: Geometry,
+    state: Array,
+    reach: float,
+    turned: float,
 ) -> None:
     """Write the directions of the axes around a parcel."""
     low = bounded((state[ph.Y] - reach - geometry.y0) / geometry.pitch_y, 0.0, 1e6)
@@ -271,7 +276,7 @@ def _advance(
 
 @inlined
 def _predict_run(
-    runs: Runs, r: int, values: Array, memory: Memory, poses: Array, dt: float
+    runs: PackedRuns, r: int, values: Array, memory: Memory, poses: Array, dt: float
 ) -> None:
     """Write the poses (frames, 3) of a run's pictures; after the surface's end they stay."""
     row, axes, state, window = runs.body[r], memory.axes, memory.state, runs.window[r]
@@ -289,7 +294,7 @@ def _predict_run(
     _place(state, values)
     _write_pose(poses[0], state, values)
     next_command, last_command = runs.first_command[r], runs.first_command[r + 1]
-    since, clock, frame = -math.inf, 0.0, 1
+    since, settled, clock, frame = -math.inf, True, 0.0, 1
     while frame < poses.shape[0]:
         until = runs.time[runs.first_frame[r] + frame]
         begins = math.inf
@@ -302,9 +307,10 @@ def _predict_run(
                 end = min(end, ends)
                 break
         if end > clock:
-            turned = min(math.pi, speed * (clock - since))
-            rate = speed if turned < math.pi else 0.0
+            turned = 0.0 if settled else min(math.pi, speed * (clock - since))
+            rate = 0.0 if settled else speed
             _advance(grid, body, memory, window, reach, end - clock, dt, rate, turned)
+            settled |= turned >= 0.5 * math.pi  # all axes have been set to their targets
             clock = end
         if end < min(until, begins):
             continue
@@ -314,7 +320,7 @@ def _predict_run(
                 for j in range(window[2], window[3] + 1):
                     axes.came[i, j] = angle_after(axes.came[i, j], axes.target[i, j], turned)
                     axes.target[i, j] = runs.target[next_command, i, j]
-            since = begins
+            since, settled = begins, False
             next_command += 1
         else:
             _write_pose(poses[frame], state, values)
@@ -323,7 +329,7 @@ def _predict_run(
 
 @compiled
 def predict_runs(
-    runs: Runs, which: Integers, values: Array, first: Integers, memory: Memory, poses: Array,
+    runs: PackedRuns, which: Integers, values: Array, first: Integers, memory: Memory, poses: Array,
     dt: float,
 ) -> None:  # fmt: skip
     """Predict pictures of runs.

@@ -43,8 +43,8 @@ def describe_value(found: Estimate, name: str) -> tuple[str, str]:
     """Return a parameter's value, with its unit, and its interval as text."""
     unit = PARAMETERS[name].unit
     value = f"{found.values[name]:.5g}" + ("" if unit == "-" else f" {unit}")
-    if not found.is_told(name):
-        return "-", "not told"
+    if not found.is_determined(name):
+        return "-", "not determined"
     low, high = found.intervals[name]
     return value, f"{low:.5g} to {high:.5g}"
 

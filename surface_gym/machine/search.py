@@ -12,7 +12,7 @@ from scipy import optimize
 
 from surface_gym import checks
 from surface_gym.machine import prediction as pr
-from surface_gym.machine.log import MIN_FRAMES, MachineLog, Run
+from surface_gym.machine.log import MIN_FRAMES, LoggedRun, MachineLog
 from surface_gym.physics.types import Array, Integers
 
 OnProgress = Callable[[str], None]  # called with a note on each stage
@@ -66,10 +66,10 @@ START = 0.2  # [s] of pictures for the first guess of an entry
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class LeastSquares:
     """What a search needs: runs, the columns to find, and the noise."""
 
-    runs: pr.Runs
+    runs: pr.PackedRuns
     memory: pr.Memory
     run: Integers  # (pieces,) the run of each piece
     measured: Array  # (frames, 3)
@@ -202,11 +202,11 @@ class Search:
 
 def make_search(
     log: MachineLog,
-    runs: Sequence[Run],
+    runs: Sequence[LoggedRun],
     names: tuple[str, ...],
     known: Mapping[str, float],
     noise: tuple[float, float],
-) -> Search:
+) -> LeastSquares:
     """Make the search of some parameters; `known` holds values of others by name."""
     surface = log.surface
     base = np.zeros((len(runs), pr.VALUES))
@@ -217,7 +217,7 @@ def make_search(
         base[:, PARAMETERS[name].column] = checks.number(name, value)
     base[:, pr.QUARTER_TURN] = np.maximum(base[:, pr.QUARTER_TURN], 1e-4)
     chosen = [PARAMETERS[name] for name in names]
-    return Search(
+    return LeastSquares(
         runs=pr.pack_runs(surface, runs),
         memory=pr.make_memory(surface),
         run=np.unique([id(run.sent) for run in runs], return_inverse=True)[1],
@@ -233,9 +233,9 @@ def make_search(
 
 
 def search_pieces(
-    log: MachineLog, runs: Sequence[Run], names: tuple[str, ...], known: Mapping[str, float],
+    log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
-) -> tuple[Search, Array, Array]:  # fmt: skip
+) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
     """Find the least squares: first of short pieces in longer steps, then of pieces."""
     pieces = [piece for run in runs for piece in _cut(run, math.ceil(_duration(run) / PIECE))]
     halves = [_cut(piece, 2) for piece in pieces]
@@ -258,18 +258,18 @@ def search_pieces(
     return search, x, entries
 
 
-def _choose(runs: Sequence[Run]) -> list[Run]:
+def _choose(runs: Sequence[LoggedRun]) -> list[LoggedRun]:
     """Return a few runs, enough for a first search."""
     order = np.random.default_rng(0).permutation(len(runs))
     return [runs[k] for k in sorted(order[:FEW_RUNS].tolist())]
 
 
-def _duration(run: Run) -> float:
+def _duration(run: LoggedRun) -> float:
     """Return the time [s] between the first and the last picture."""
     return float(run.taken[-1] - run.taken[0])
 
 
-def _cut(run: Run, count: int) -> tuple[Run, ...]:
+def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:
     """Cut a run into pieces of equal length, fewer if they had too few pictures."""
     count = max(1, min(count, len(run.taken) // MIN_FRAMES))
     return tuple(
@@ -278,7 +278,7 @@ def _cut(run: Run, count: int) -> tuple[Run, ...]:
     )
 
 
-def _starts(search: Search) -> list[Array]:
+def _starts(search: LeastSquares) -> list[Array]:
     """Return first guesses (free,): what is assumed, and slower and faster axes."""
     assumed = np.clip(search.base[0, search.columns], search.low, search.high)
     if pr.QUARTER_TURN not in search.columns:
@@ -289,7 +289,7 @@ def _starts(search: Search) -> list[Array]:
     return list(np.clip(assumed * factors, search.low, search.high))
 
 
-def _entries(runs: Sequence[Run]) -> Array:
+def _entries(runs: Sequence[LoggedRun]) -> Array:
     """Return guesses (runs, 6) by a parabola through each run's first pictures."""
     entries = []
     for run in runs:
@@ -301,7 +301,7 @@ def _entries(runs: Sequence[Run]) -> Array:
 
 
 def _fit(
-    search: Search, x: Array, entries: Array, dt: float, within: float, most: int
+    search: LeastSquares, x: Array, entries: Array, dt: float, within: float, most: int
 ) -> tuple[Array, Array, float]:
     """Find the least squares by the method of Levenberg and Marquardt, and return the squares too.
 

@@ -1,0 +1,127 @@
+"""A log comes back as it was written, or not at all."""
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surface_gym.layouts import ROLLING
+from surface_gym.lines import Line
+from surface_gym.machine.log import LoggedSurface, LogWriter, read_log
+from tests.machine.recorded import SITE, SURFACE, write_log
+
+
+def lines_of(file: Path) -> list[dict]:
+    return [json.loads(line) for line in gzip.open(file)]
+
+
+def rewrite(file: Path, lines: list[dict]) -> Path:
+    with gzip.open(file, "wt") as stream:
+        stream.writelines(json.dumps(line) + "\n" for line in lines)
+    return file
+
+
+def test_a_log_comes_back(tmp_path) -> None:
+    log = read_log(write_log(tmp_path / "run.jsonl.gz"))
+    assert vars(log.surface) == vars(SURFACE)
+    assert len(log.runs) == 2
+    assert log.unused == {}
+    assert log.delay == pytest.approx(0.03)
+    run = log.runs[1]
+    np.testing.assert_allclose(run.taken, 102.0 + 0.02 * np.arange(1, 51))
+    np.testing.assert_allclose(run.poses[:, 0], 0.2 + 0.02 * np.arange(1, 51))
+    assert run.acknowledged
+    assert run.sent == pytest.approx([102.002])
+    zone = run.axes[0, 9:11, 3:19]
+    assert (zone == 0.5).all()
+    assert (run.axes[0] == ROLLING).sum() == run.axes[0].size - zone.size
+    np.testing.assert_array_equal(run.rotor, SITE.rotor)
+
+
+def test_a_log_is_a_new_file(tmp_path) -> None:
+    file = write_log(tmp_path / "run.jsonl.gz")
+    with pytest.raises(ValueError, match="log must be a new file"):
+        LogWriter(file, SURFACE)
+
+
+def test_a_line_of_several_frictions_is_not_logged() -> None:
+    line = Line(mu_max=np.linspace(0.4, 0.6, 600).reshape(20, 30))
+    with pytest.raises(ValueError, match="one friction of each kind"):
+        LoggedSurface.of_line(line, 0.05, (4, 16))
+
+
+@pytest.mark.parametrize("kept", [0.2, 0.5, 0.9, 0.999])
+def test_a_cut_log_is_refused(tmp_path, kept: float) -> None:
+    file = write_log(tmp_path / "run.jsonl.gz")
+    content = file.read_bytes()
+    file.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(ValueError, match="must be a complete log"):
+        read_log(file)
+
+
+def test_a_log_that_lacks_its_end_is_refused(tmp_path) -> None:
+    file = write_log(tmp_path / "run.jsonl.gz")
+    for lines in (lines_of(file)[:-1], lines_of(file)[:30] + lines_of(file)[-1:]):
+        with pytest.raises(ValueError, match=r"end|lines"):
+            read_log(rewrite(file, lines))
+
+
+def test_another_clock_is_refused(tmp_path) -> None:
+    for k, clock in enumerate((3600.0, -3600.0, 0.2, -1.1)):
+        with pytest.raises(ValueError, match="another clock"):
+            read_log(write_log(tmp_path / f"{k}.jsonl.gz", clock=clock))
+
+
+def test_a_clock_that_runs_otherwise_is_refused(tmp_path) -> None:
+    def drifts(taken: float) -> float:
+        return 0.03 + 0.01 * (taken - 100.0)
+
+    with pytest.raises(ValueError, match="changes by"):
+        read_log(write_log(tmp_path / "run.jsonl.gz", late=drifts, parcels=4))
+
+
+def test_runs_that_tell_nothing_are_counted(tmp_path) -> None:
+    file = write_log(tmp_path / "run.jsonl.gz", parcels=3)
+    lines = lines_of(file)
+    frames = [line for line in lines if line.get("message", {}).get("kind") == "frame"]
+    few = [line for line in lines if line not in frames[:45]]
+    left = [line for line in few if line.get("message", {}).get("kind") == "left"]
+    few.remove(left[1])
+    few[-1]["lines"] = len(few) - 1
+    found = read_log(rewrite(file, few))
+    assert len(found.runs) == 1
+    assert found.unused == {
+        "parcel has fewer than 8 pictures": 1,
+        "parcel was followed by another before it left": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"passed": -1.0}, "passed must not fall"),
+        ({"passed": "soon"}, "passed"),
+        ({"way": "sideways"}, "way must be"),
+        ({"message": {"kind": "frame"}}, "frame must have"),
+        ({"message": {"kind": "site", "rotor": ["1"], "zone": [0, 1, 0, 1]}}, "kind must be"),
+        ({"message": 3}, "line 20"),
+    ],
+)
+def test_a_wrong_line_is_named(tmp_path, change: dict, message: str) -> None:
+    file = write_log(tmp_path / "run.jsonl.gz")
+    lines = lines_of(file)
+    lines[19] |= change
+    with pytest.raises(ValueError, match=message):
+        read_log(rewrite(file, lines))
+
+
+def test_no_log_is_refused(tmp_path) -> None:
+    with pytest.raises(FileNotFoundError):
+        read_log(tmp_path / "none.jsonl.gz")
+    for content in (b"", b"text", gzip.compress(b"{}\n"), gzip.compress(b"\xff\n")):
+        file = tmp_path / "other.jsonl.gz"
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match="must be a complete log"):
+            read_log(file)
