@@ -92,7 +92,7 @@ class Estimate:
         for name in self.unknown:
             yield f"The logs do not tell {name}."
         for reason, count in self.unused.items():
-            yield f"Not used, {count} runs: {reason}."
+            yield f"Runs that are not used: {count}, {reason}."
 
     def save(self, file: str | Path) -> None:
         """Write the estimate as JSON; an infinite end of an interval becomes null."""

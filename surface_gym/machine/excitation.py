@@ -19,7 +19,7 @@ def excitation(
 ) -> Array:
     """Return the axes (periods, rows, columns) [rad] of a run to record.
 
-    PackedRuns of three kinds take turns: the parcel coasts; it is braked in short pulses; it is steered
+    Runs of three kinds take turns: the parcel coasts; it is braked in short pulses; it is steered
     in short pulses of 45 deg to either side. All modules of the zone do the same. A dozen runs
     suffice for most parameters; runs of one kind do not.
 

@@ -13,7 +13,7 @@ body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 60rem
   color-scheme: light dark; }
 table { border-collapse: collapse; margin: 1rem 0; }
 th, td { padding: .25rem .75rem; text-align: right; border-bottom: 1px solid #8884; }
-th:first-child, td:first-child, td.text { text-align: left; }
+th:first-child, td:first-child, .text { text-align: left; }
 svg { display: block; max-width: 100%; }
 .warning { border-left: 4px solid #d97706; padding-left: 1rem; }
 """
@@ -55,7 +55,7 @@ def _values(found: Estimate) -> str:
         value, interval = describe_value(found, name)
         meaning = escape(PARAMETERS[name].meaning)
         rows += f"<tr><td>{name}<td class=text>{meaning}<td>{value}<td>{interval}"
-    return f"<table><tr><th>parameter<th>meaning<th>value<th>95 % interval{rows}</table>"
+    return f"<table><tr><th>parameter<th class=text>meaning<th>value<th>95 % interval{rows}</table>"
 
 
 def _correlations(found: Estimate) -> str:

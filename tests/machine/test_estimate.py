@@ -87,7 +87,7 @@ def test_a_preset_of_nothing_determined_is_exact_about_axes() -> None:
 
 def test_warnings_say_what_is_not_determined() -> None:
     said = " ".join(ESTIMATE.warnings())
-    for part in ("does not explain", "mu_min and tilt", "do not tell mu_min", "1 runs"):
+    for part in ("does not explain", "mu_min and tilt", "do not tell mu_min", "not used: 1"):
         assert part in said
 
 
