@@ -49,7 +49,7 @@ def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
         policy = library.read(config.name, custom)
     else:
         raise ValueError(
-            f"name must be a folder, {EXCITATION!r} or one of {', '.join(library.names())}, "
+            f"name must be a folder or one of {', '.join(library.names())}, {EXCITATION}, "
             f"got {config.name!r}"
         )
     if EnvConfig(**{"task": policy.card.task, **policy.env_kwargs}).task.is_stream:
