@@ -76,7 +76,7 @@ def test_another_clock_is_refused(tmp_path) -> None:
 
 def test_a_clock_that_runs_otherwise_is_refused(tmp_path) -> None:
     def drifts(taken: float) -> float:
-        return 0.03 + 0.01 * (taken - 100.0)
+        return 0.03 + 0.02 * (taken - 100.0)
 
     with pytest.raises(ValueError, match="changes by"):
         read_log(write_log(tmp_path / "run.jsonl.gz", late=drifts, parcels=4))
