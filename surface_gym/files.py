@@ -66,6 +66,11 @@ def describe_damage(error: Exception) -> str:
     return text if len(text) <= REASON else f"{text[:REASON]}..."
 
 
+def refuse_constant(name: str) -> None:
+    """Raise a ValueError for NaN or infinity in JSON: the argument `parse_constant` of `json`."""
+    raise ValueError(f"numbers must be finite, got {name}")
+
+
 def describe_at_line(error: Exception, number: int) -> str:
     """Describe a text's problem, with a line number unless the error has one."""
     reason = describe_damage(error)

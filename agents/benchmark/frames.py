@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym import files
+
 MAX_HEADER = 2**16  # [bytes] of the JSON object
 MAX_BODY = 2**26  # [bytes] of the arrays
 MAX_ARRAYS = 2
@@ -69,7 +71,7 @@ def read_message(connection: socket.socket, deadline: float = math.inf) -> Messa
             raise ValueError(f"{name} must have at most {most} bytes, got {length}")
     header, body = (_read(connection, length, deadline) for length in lengths)
     try:
-        message = json.loads(header, parse_constant=_refuse_constant)
+        message = json.loads(header, parse_constant=files.refuse_constant)
         fields, described = message["fields"], message["arrays"]
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise ValueError(f"header must be JSON of a message: {error}") from None
@@ -131,7 +133,3 @@ def _remaining(deadline: float) -> float | None:
     if left <= 0.0:
         raise TimeoutError("the deadline has passed")
     return left
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, got {name}")

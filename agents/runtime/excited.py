@@ -1,6 +1,5 @@
 """A controller that records: it excites the surface instead of steering parcels."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,14 +8,6 @@ from surface_gym.config import EnvConfig
 from surface_gym.machine.excitation import excitation
 
 from ..base import Singles
-
-
-@dataclass(frozen=True)
-class _Progress:
-    """The parcel and the period of a controller."""
-
-    run: int  # number of the parcel
-    period: int  # control periods since it entered
 
 
 class ExcitationController:
@@ -47,8 +38,8 @@ class ExcitationController:
         if state is None:
             self._runs += 1
             self._axes = excitation(self._shape, self._seconds, run=self._runs, period=self._period)
-            state = _Progress(self._runs, 0)
-        axes = self._axes[min(state.period, len(self._axes) - 1)].ravel()
+            state = 0  # control periods since the parcel entered
+        axes = self._axes[min(state, len(self._axes) - 1)].ravel()
         apart = np.abs(np.sin(axes[:, np.newaxis] - self._offered))  # axes have period pi
         choices = np.tile(apart.argmin(axis=1), (len(observation), 1))
-        return choices, _Progress(state.run, state.period + 1)
+        return choices, state + 1

@@ -59,7 +59,10 @@ def identify_and_report(options: IdentifyOptions) -> None:
 
     console = Console()
     if (options.position_noise is None) != (options.angle_noise is None):
-        raise ValueError("position_noise and angle_noise must be given together, got one of them")
+        raise ValueError(
+            "position_noise and angle_noise must be given together, "
+            f"got {options.position_noise} and {options.angle_noise}"
+        )
     noise = None
     if options.position_noise is not None and options.angle_noise is not None:
         noise = options.position_noise, math.radians(options.angle_noise)

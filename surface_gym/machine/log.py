@@ -177,17 +177,13 @@ def _fields(file: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             if not line:
                 return
             try:
-                fields = json.loads(line.decode(), parse_constant=_refuse_constant)
+                fields = json.loads(line.decode(), parse_constant=files.refuse_constant)
             except (ValueError, RecursionError) as error:
                 raise ValueError(files.describe_at_line(error, number)) from None
             if not line.endswith(b"\n") or not isinstance(fields, dict):
                 raise ValueError(f"line {number} must be an object of less than {files.LINE} bytes")
             yield number, fields
     raise ValueError(f"it must have at most {MAX_LINES} lines, got more")
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, got {name}")
 
 
 class _LogReader:

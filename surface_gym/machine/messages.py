@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 
 MAX_TEXT = 1000  # maximum characters of a text
@@ -78,16 +78,12 @@ def to_line(fields: dict[str, Any]) -> bytes:
 def from_line(line: bytes) -> dict[str, Any]:
     """Return the fields of a line."""
     try:
-        fields = json.loads(line.decode(), parse_constant=_refuse_constant)
+        fields = json.loads(line.decode(), parse_constant=files.refuse_constant)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"line must be JSON, got {line[:80]!r}: {error}") from None
     if not isinstance(fields, dict) or not isinstance(fields.get("kind"), str):
         raise ValueError(f"line must be an object with a kind, got {line[:80]!r}")
     return fields
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"numbers must be finite, got {name}")
 
 
 def to_fields(message: Message) -> dict[str, Any]:

@@ -122,7 +122,7 @@ def make_memory(surface: LoggedSurface) -> Memory:
 def angle_after(came: float, target: float, turned: float) -> float:
     """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
 
-    PredictedAxes have period pi, so they turn by at most a quarter turn.
+    Axes have period pi, so they turn by at most a quarter turn.
     """
     apart = target - came
     apart -= math.pi * math.floor(apart / math.pi + 0.5)
