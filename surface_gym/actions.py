@@ -159,21 +159,27 @@ def leave_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integ
 
 
 @inlined
+def angle_after(came: float, target: float, turned: float) -> float:
+    """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
+
+    Axes have period pi, so they turn by at most a quarter turn.
+    """
+    apart = target - came
+    apart -= math.pi * math.floor(apart / math.pi + 0.5)
+    return target if turned >= abs(apart) else came + math.copysign(turned, apart)
+
+
+@inlined
 def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Turn each axis of the zone towards its target for a physics step; return whether any did."""
     turned = False
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
-            apart = surfaces.target[i, row, column] - surfaces.angle[i, row, column]
-            if apart == 0.0:
+            came, target = surfaces.angle[i, row, column], surfaces.target[i, row, column]
+            if target - came == 0.0:
                 continue
             turned = True
-            # Axes have period pi, so turn by at most a quarter turn.
-            apart -= math.pi * math.floor(apart / math.pi + 0.5)
-            if abs(apart) <= acting.turn:
-                angle = surfaces.target[i, row, column]
-            else:
-                angle = surfaces.angle[i, row, column] + math.copysign(acting.turn, apart)
+            angle = angle_after(came, target, acting.turn)
             axis = surfaces.axis[i, row, column]
             surfaces.angle[i, row, column] = angle
             cosine, sine = axis_direction(angle)

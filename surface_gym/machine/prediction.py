@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surface_gym.actions import angle_after
 from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.layouts import ROLLING
 from surface_gym.machine.log import LoggedRun, LoggedSurface
@@ -116,17 +117,6 @@ def make_memory(surface: LoggedSurface) -> Memory:
         before=np.zeros(ph.STATE_SIZE),
         scratch=make_scratch(),
     )
-
-
-@inlined
-def angle_after(came: float, target: float, turned: float) -> float:
-    """Return an axis [rad] on the way to its target after a turn of at most `turned` [rad].
-
-    Axes have period pi, so they turn by at most a quarter turn.
-    """
-    apart = target - came
-    apart -= math.pi * math.floor(apart / math.pi + 0.5)
-    return target if turned >= abs(apart) else came + math.copysign(turned, apart)
 
 
 @inlined
