@@ -6,7 +6,8 @@ Fixed layouts are computed in a separate process, since some take tenths of a se
 import signal
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -23,7 +24,8 @@ from surface_gym.layouts import ROLLING
 from ..base import Controller
 from ..rules import find_rules
 from . import protocol
-from .estimator import MAX_AHEAD, MAX_COMMANDS, Resolver, StateEstimator, within_right_angles
+from .estimator import MAX_COMMANDS, Resolver, StateEstimator, within_right_angles
+from .protocol import MAX_EARLY, MAX_LATE
 from .report import Counts, Latencies, count_name
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
@@ -31,7 +33,7 @@ Observation = NDArray[np.float32]  # (features,)
 STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 MAX_MESSAGES = 1000  # maximum messages of a device per period
 READING = 0.5  # [-] share of a period for reading; later messages wait for the next period
-MAX_EARLY = 0.05  # [s] maximum by which a message's time may be ahead of the loop
+MAX_QUIET = 2.0  # [s] maximum time without a message of a device that acknowledges commands
 MAX_OPEN = 16  # maximum number of parcels on the surface
 
 
@@ -233,7 +235,8 @@ class LoopConfig:
     """Timing of the loop."""
 
     period: float = 0.04  # [s] between decisions
-    # [s] maximum time without a frame; then the fixed layout replaces the policy
+    # [s] maximum time without a frame, or without the acknowledgement of a command by a device that
+    # gives them; then the fixed layout replaces the policy
     watchdog: float = 0.2
     first_wait: float = 0.1  # [s] from the loss of a device to the second attempt to connect
     longest_wait: float = 1.0  # [s] maximum of this time, which doubles with every attempt
@@ -268,6 +271,9 @@ class ControlLoop:
         self._latest_arrival = 0.0  # [s] arrival of the latest frame
         self._latest_frame = 0.0  # [s] time at which it was taken
         self._stopped = False  # whether frames have stopped for too long
+        self._acknowledges = False  # whether the device has acknowledged a command
+        self._unanswered = False  # whether acknowledgements have stopped for too long
+        self._quiet = 0  # periods of control since the latest message
         self._sent: deque[_SentCommand] = deque(maxlen=MAX_COMMANDS)
         self._inbox: deque[protocol.Message] = deque()  # unhandled messages
         self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
@@ -279,6 +285,10 @@ class ControlLoop:
         number, last = 0, round(seconds / period)
         try:
             while number < last:
+                ahead = begun + number * period - self._clock.now()
+                if ahead > 2.0 * period:
+                    self._set_back(ahead - period)
+                    begun -= ahead - period
                 due = begun + number * period
                 self._clock.sleep_until(due)
                 self.step(due)
@@ -291,6 +301,13 @@ class ControlLoop:
                     number = gone
         finally:
             self._device.close()
+
+    def _set_back(self, by: float) -> None:
+        """Keep the ages of events although the clock was set back by a time [s]."""
+        self.counts.set_back += 1
+        self._latest_arrival -= by
+        self._next_attempt -= by
+        self._sent.clear()
 
     def step(self, due: float) -> None:
         """Execute one period, due at a time [s]."""
@@ -325,12 +342,13 @@ class ControlLoop:
             return False
         self.counts.attempts += 1
         try:
-            self._device.connect()
+            with _faults_of_device():
+                self._device.connect()
         except protocol.DeviceLost:
             self._next_attempt = now + self._wait
             self._wait = min(2.0 * self._wait, self._config.longest_wait)
             return False
-        self._connected = True
+        self._connected, self._quiet = True, 0
         self.counts.connected += 1
         return True
 
@@ -350,7 +368,8 @@ class ControlLoop:
     def _read(self, until: float) -> None:
         """Handle the device's messages until a time [s]; the rest waits for the next period."""
         if not self._inbox:
-            self._inbox.extend(self._device.read())
+            with _faults_of_device():
+                self._inbox.extend(self._device.read())
             if len(self._inbox) > MAX_MESSAGES:
                 raise protocol.DeviceLost(
                     f"device must give at most {MAX_MESSAGES} messages a period, "
@@ -360,7 +379,9 @@ class ControlLoop:
             self._handle(self._inbox.popleft())
 
     def _handle(self, message: protocol.Message) -> None:
-        self._wait = self._config.first_wait
+        with _faults_of_device():
+            protocol.check_message(message, self._estimator.shape)
+        self._wait, self._quiet = self._config.first_wait, 0
         if isinstance(message, protocol.Frame):
             self._correct(message)
         elif isinstance(message, protocol.ParcelEntry):
@@ -372,17 +393,13 @@ class ControlLoop:
 
     def _is_timely(self, moment: float) -> bool:
         """Return whether the estimate can start from a message's time [s]."""
-        return -MAX_EARLY <= self._clock.now() - moment <= MAX_AHEAD
+        return -MAX_EARLY <= self._clock.now() - moment <= MAX_LATE
 
     def _correct(self, frame: protocol.Frame) -> None:
         self.counts.frames += 1
         if frame.number is None:
             return
-        try:
-            used = self._is_timely(frame.taken_at) and self._estimator.correct(frame)
-        except ValueError as error:  # reject a driver that sends such a pose
-            raise protocol.DeviceLost(str(error)) from None
-        if used:
+        if self._is_timely(frame.taken_at) and self._estimator.correct(frame):
             self._latest_arrival = self._clock.now()
             self._latest_frame = frame.taken_at
         else:
@@ -390,14 +407,16 @@ class ControlLoop:
 
     def _enter(self, entered: protocol.ParcelEntry) -> None:
         before = self._estimator.entered
-        if before is not None and entered.number == before.number:
+        if before is not None and _describe(entered) == _describe(before):
             self.counts.unused += 1
             count_name(self.counts.faults, "number must be a new one of each parcel, got it twice")
             return
+        if entered.number in self._open:  # numbers began again
+            self._open.remove(entered.number)
         self._open.append(entered.number)
         try:
             if not self._is_timely(entered.at):
-                raise ValueError(f"at must be within {MAX_AHEAD:g} s of now, got another time")
+                raise ValueError(f"at must be within {MAX_LATE:g} s of now, got another time")
             self._estimator.reset(entered)
         except ValueError as error:
             self.counts.unfit += 1
@@ -407,7 +426,7 @@ class ControlLoop:
         self._sent.clear()
         self._latest_arrival = self._clock.now()
         self._latest_frame = entered.at
-        self._stopped = False
+        self._stopped = self._unanswered = False
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
@@ -432,25 +451,25 @@ class ControlLoop:
         else:
             self._estimator.acknowledge(answer.command, answer.at)
         for sent in self._sent:
-            if sent.command == answer.command and not answer.refused:
-                send = max(0.0, answer.at - sent.decided)
-                self.latencies.send.append(send)
-                self.latencies.whole.append(sent.before + send + sent.turn)
+            if sent.command == answer.command:
+                self._acknowledges = True
+                if not answer.refused:
+                    send = max(0.0, answer.at - sent.decided)
+                    self.latencies.send.append(send)
+                    self.latencies.whole.append(sent.before + send + sent.turn)
         while self._sent and self._sent[0].command <= answer.command:
             self._sent.popleft()
 
     def _control(self, woke: float, due: float) -> None:
         """Estimate, decide and send for the parcel on the surface."""
         counts = self.counts
+        self._watch()
         observation = self._estimator.observe(self._clock.now())
         observed = self._clock.now()
-        stopped = observed - self._latest_arrival > self._config.watchdog
-        counts.watchdog += stopped and not self._stopped
-        self._stopped = stopped
         within = self._bounds.contains(observation)
         counts.strayed += not within
         command, resolver = self._arranger.layout(), self._by_fixed
-        if within and not stopped:
+        if within and not (self._stopped or self._unanswered):
             command, resolver = self._decide(observation), self._by_policy
         if command is None:
             counts.held += 1
@@ -462,7 +481,9 @@ class ControlLoop:
             return
         turn = self._estimator.longest_turn(angles)
         decided = self._clock.now()
-        number = self._device.set_axes(angles)
+        with _faults_of_device():
+            number = self._device.set_axes(angles)
+            checks.integer("command", number, least=0)
         self._estimator.note_sent(number, self._clock.now())
         counts.sent += 1
         if resolver is self._by_fixed:
@@ -475,7 +496,23 @@ class ControlLoop:
         latencies.filter.append(observed - woke)
         latencies.policy.append(decided - observed)
         latencies.turn.append(turn)
+        if self._sent and number <= self._sent[-1].command:  # numbers began again
+            self._sent.clear()
         self._sent.append(_SentCommand(number, decided, decided - self._latest_frame, turn))
+
+    def _watch(self) -> None:
+        """Notice frames and acknowledgements that stopped, and a device that says nothing."""
+        self._quiet += 1
+        if self._acknowledges and self._quiet * self._config.period > MAX_QUIET:
+            raise protocol.DeviceLost(
+                f"device must send a message within {MAX_QUIET:g} s of a command, got none"
+            )
+        latest = self._clock.now() - self._config.watchdog
+        stopped = self._latest_arrival < latest
+        waits = self._acknowledges and bool(self._sent) and self._sent[0].decided < latest
+        self.counts.watchdog += stopped and not self._stopped
+        self.counts.unacknowledged += waits and not self._unanswered
+        self._stopped, self._unanswered = stopped, waits
 
     def _decide(self, observation: Observation) -> Command | None:
         """Return the policy's command; None: hold the axes."""
@@ -484,3 +521,18 @@ class ControlLoop:
         except ValueError:  # the policy returned no valid action
             self.counts.out_of_range += 1
             return None
+
+
+@contextmanager
+def _faults_of_device() -> Iterator[None]:
+    """Make a driver's error, or a value that it must not give, the loss of the device."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise protocol.DeviceLost(str(error)) from None
+
+
+def _describe(entered: protocol.ParcelEntry) -> dict[str, Any]:
+    """Return what stays of a parcel: two that differ here are not the same parcel."""
+    fields = protocol.to_fields(entered)
+    return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

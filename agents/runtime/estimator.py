@@ -35,11 +35,10 @@ from surface_gym.sensors.base import Physics
 from surface_gym.sensors.camera import EVERY, LAG
 from surface_gym.tasks.start import Parcels
 
-from .protocol import Angles, Frame, ParcelEntry
+from .protocol import MAX_LATE, Angles, Frame, ParcelEntry
 
 SEEN, NOW = 0, 1  # indices of the environments
 BOTH = np.array([SEEN, NOW])
-MAX_AHEAD = 1.0  # [s] maximum prediction after a frame; then the estimate stands still
 MAX_COMMANDS = 256  # maximum number of commands since the latest frame: 10 s at 25 Hz
 MIN_APART = 1e-6  # [s] minimum time between different frames
 NOT_LOST = 1.0  # [-] uniform number at which no frame is dropped
@@ -192,7 +191,7 @@ class StateEstimator:
         if frame.taken_at < self._at + MIN_APART:
             return False
         self._parcels.truth[SEEN, :3] = pose
-        self._advance(SEEN, max(self._at, frame.taken_at - MAX_AHEAD), frame.taken_at, looks=True)
+        self._advance(SEEN, max(self._at, frame.taken_at - MAX_LATE), frame.taken_at, looks=True)
         self._at = frame.taken_at
         while self._commands and self._commands[0].at <= self._at:
             self._commands.popleft()
@@ -208,7 +207,7 @@ class StateEstimator:
             array[NOW] = array[SEEN]
         for array in (surfaces.angle, surfaces.target, surfaces.direction):
             array[NOW] = array[SEEN]
-        self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
+        self._advance(NOW, self._at, min(now, self._at + MAX_LATE), looks=False)
         self._show(*self._arrays, NOW)
         return parcels.observation[NOW].copy()
 

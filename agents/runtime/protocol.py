@@ -18,6 +18,8 @@ from typing import Any, Protocol
 
 from surface_gym import checks
 from surface_gym.machine.messages import (
+    MAX_EARLY,
+    MAX_LATE,
     Angles,
     AxesAcknowledgement,
     Frame,
@@ -27,6 +29,7 @@ from surface_gym.machine.messages import (
     Triple,
     axes_from_fields,
     axes_to_fields,
+    check_message,
     from_fields,
     from_line,
     numbers,
@@ -36,6 +39,8 @@ from surface_gym.machine.messages import (
 )
 
 __all__ = [
+    "MAX_EARLY",
+    "MAX_LATE",
     "Angles",
     "AxesAcknowledgement",
     "Connection",
@@ -50,6 +55,7 @@ __all__ = [
     "Triple",
     "axes_from_fields",
     "axes_to_fields",
+    "check_message",
     "check_proof",
     "from_fields",
     "from_line",
@@ -140,6 +146,8 @@ class Connection:
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
         self._socket.setblocking(False)
+        # A short queue, so that a side that does not read is noticed within seconds.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MAX_READ)
         with suppress(OSError):  # socket pairs have no such option
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._partial = b""
@@ -225,7 +233,7 @@ class SocketDevice:
         self._connection: Connection | None = None
         self._greeted = False  # whether it has greeted and proved the token
         self._nonce = ""  # nonce of the awaited proof
-        self._until = 0.0  # [s] deadline of the proof
+        self._begun = 0.0  # [s] time of the connection
         self._command = 0
 
     def connect(self) -> None:
@@ -236,7 +244,7 @@ class SocketDevice:
             raise DeviceLost(f"{self._address} is not there: {error}") from None
         self._connection = Connection(connected)
         self._greeted, self._nonce = False, ""
-        self._until = self._now() + GREETING_TIMEOUT
+        self._begun = self._now()
 
     def close(self) -> None:
         if self._connection is not None:
@@ -263,7 +271,8 @@ class SocketDevice:
                     self._answer(self._connection, fields)
         except (ConnectionLost, ValueError, RecursionError) as error:
             raise DeviceLost(str(error)) from None
-        if not self._greeted and self._now() > self._until:
+        age = self._now() - self._begun  # negative if the clock was set back
+        if not self._greeted and not 0.0 <= age <= GREETING_TIMEOUT:
             raise DeviceLost(f"device must greet within {GREETING_TIMEOUT:g} s, got no greeting")
         return messages
 

@@ -51,6 +51,8 @@ class Counts:
     frames_unused: int = 0  # frames of another parcel, out of order, too late or too early
     unused: int = 0  # other messages of unknown parcels, or with invalid times
     watchdog: int = 0  # interruptions of frames for too long
+    unacknowledged: int = 0  # interruptions of acknowledgements for too long
+    set_back: int = 0  # times that the clock was set back
     connected: int = 0  # successful connections
     lost: int = 0  # losses of the device
     attempts: int = 0  # attempts to connect
@@ -158,7 +160,9 @@ def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | Non
         f"skipped; load {load} on {run['cores']} cores",
         f"{counts['decisions']} decisions by the policy; fixed layout in "
         f"{counts['by_fixed_layout']} periods, frames stopped for more than "
-        f"{1e3 * run['watchdog']:g} ms {counts['watchdog']} times; axes held in {counts['held']}",
+        f"{1e3 * run['watchdog']:g} ms {counts['watchdog']} times, and acknowledgements "
+        f"{counts['unacknowledged']} times; clock set back {counts['set_back']} times; axes held "
+        f"in {counts['held']}",
         f"{counts['sent']} axis commands sent, {counts['out_of_range']} out of range and not sent, "
         f"{counts['refused']} refused by the device; {counts['strayed']} observations out of "
         "bounds",

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,8 +195,8 @@ class _Newcomer:
 class MachineServer:
     """Server of a simulated machine: sends its messages over a socket, and receives axis commands.
 
-    Only one loop is connected at a time. A new loop replaces it after proving the token; without a
-    token, any loop may connect.
+    Only one loop is connected at a time; others are refused until it is gone. With a token, a loop
+    must first prove that it has the token.
     """
 
     def __init__(
@@ -218,9 +219,9 @@ class MachineServer:
             self._world.stand_still(behind)
         for due, message in self._world.advance(now):
             self._post(due, message)
+        self._set_axes()  # first, since a loop that is gone makes room
         self._accept(now)
         self._admit(now)
-        self._set_axes()
         while self._outbox and self._outbox[0][0] <= now:
             self._send_message(heapq.heappop(self._outbox)[2])
 
@@ -246,9 +247,7 @@ class MachineServer:
             return
         connection = wire.Connection(connected)
         if self._token is None:
-            self._drop()
-            self._connection = connection
-            self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
+            self._take(connection, wire.hello(self._task, self._world.shape))
             return
         nonce = wire.make_nonce()
         self._newcomers.append(_Newcomer(connection, nonce, now + wire.GREETING_TIMEOUT))
@@ -270,12 +269,22 @@ class MachineServer:
                 assert self._token is not None
                 wire.check_proof(fields, self._token, "loop", each.nonce)
                 proof = wire.prove(self._token, "device", wire.text("nonce", fields.get("nonce")))
-                each.connection.send(wire.to_line({"kind": "proof", "proof": proof}))
             except (wire.ConnectionLost, ValueError, RecursionError):
                 each.connection.close()
             else:
-                self._drop()
-                self._connection = each.connection
+                self._take(each.connection, {"kind": "proof", "proof": proof})
+
+    def _take(self, connection: wire.Connection, answer: dict[str, Any]) -> None:
+        """Connect a loop with an answer, or refuse it while another one is connected."""
+        is_free = self._connection is None
+        try:
+            connection.send(wire.to_line(answer if is_free else {"kind": "busy"}))
+        except wire.ConnectionLost:
+            is_free = False
+        if is_free:
+            self._connection = connection
+        else:
+            connection.close()
 
     def _set_axes(self) -> None:
         if self._connection is None:

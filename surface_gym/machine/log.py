@@ -27,8 +27,6 @@ from surface_gym.physics.types import Array, Booleans
 
 VERSION = 1  # of the format
 MAX_LINES = 10_000_000
-MAX_LATE = 1.0  # [s] maximum time from a picture to its message
-MAX_EARLY = 0.05  # [s] maximum time of a message before its event
 # [s] maximum change of the pictures' median delay over a log; pictures wait up to a control period
 # for their reader, more or less as the two rates drift
 MAX_DRIFT = 0.05
@@ -281,10 +279,10 @@ class _LogReader:
 
     def _check_clock(self, what: str, passed: float, at: float) -> None:
         late = passed - at
-        if not -MAX_EARLY <= late <= MAX_LATE:
+        if not -ms.MAX_EARLY <= late <= ms.MAX_LATE:
             raise ValueError(
-                f"time of a {what} must be at most {MAX_LATE:g} s before its message and "
-                f"{MAX_EARLY:g} s after it, got {late:g} s before: another clock"
+                f"time of a {what} must be at most {ms.MAX_LATE:g} s before its message and "
+                f"{ms.MAX_EARLY:g} s after it, got {late:g} s before: another clock"
             )
 
     def _check_drift(self) -> None:

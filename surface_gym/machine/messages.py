@@ -20,6 +20,8 @@ from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
 MAX_TEXT = 1000  # maximum characters of a text
 MAX_NUMBER = 2**53  # maximum number of a parcel or a command
 MAX_VERTICES = 256  # maximum vertices of a base
+MAX_LATE = 1.0  # [s] maximum time from an event, such as a picture, to its message
+MAX_EARLY = 0.05  # [s] maximum time of a message before its event
 
 Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
 Triple = tuple[float, float, float]
@@ -183,6 +185,14 @@ _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
     "taken": _acknowledged,
     "left": _departed,
 }
+
+
+def check_message(message: Message, shape: tuple[int, int]) -> None:
+    """Raise a ValueError for a device's message with values that its line must not have."""
+    try:
+        from_fields(to_fields(message), shape)
+    except (TypeError, AttributeError) as error:
+        raise ValueError(f"message must have all its values, got {message!r}: {error}") from None
 
 
 def axes_to_fields(command: int, angles: Angles) -> dict[str, Any]:

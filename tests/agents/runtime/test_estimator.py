@@ -140,7 +140,7 @@ def test_encoders_are_believed(held) -> None:
 
 def test_without_frames_the_estimate_stands_still_in_the_end(held) -> None:
     held.reset(made.entered(velocity=(0.05, 0.0, 0.0)))
-    held.observe(estimators.MAX_AHEAD)
+    held.observe(estimators.MAX_LATE)
     stands = held.estimate
     held.observe(100.0)
     np.testing.assert_array_equal(held.estimate, stands)

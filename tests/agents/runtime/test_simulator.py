@@ -35,7 +35,6 @@ from surface_gym.agents.runtime.simulator import (
 from surface_gym.config import EnvConfig
 from tests.agents.runtime import made
 from tests.agents.runtime.made import CONFIG, entered, estimator
-from tests.agents.runtime.test_protocol import again_and_again
 
 PAUSE = 0.1
 TOKEN = "0123456789abcdef"
@@ -153,20 +152,7 @@ class TestOverASocket:
         assert server._world.now == pytest.approx(later, abs=0.006)
         assert server._world._number == 0
 
-    def test_a_later_loop_takes_the_place(self, server) -> None:
-        address = self.address(server)
-        first, second = (protocol.SocketDevice(address, "stop", (4, 16)) for _ in range(2))
-        for device, times in ((first, (0.0,)), (second, (0.01, 0.1))):
-            device.connect()
-            for now in times:
-                server.step(now)
-        with pytest.raises(ConnectionError):
-            again_and_again(first.read)
-        assert second.read() is not None
-        first.close()
-        second.close()
-
-    def test_only_who_proves_to_have_the_token_takes_the_place(self) -> None:
+    def test_only_who_proves_to_have_the_token_is_connected(self) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
         server = MachineServer(world(), "stop", listener, TOKEN)
         devices = [
