@@ -73,7 +73,7 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
     from surface_gym.config import EnvConfig
 
     from ..library import find_task
-    from .excited import ExcitationController
+    from .recording import ExcitationController
 
     if config.task is None:
         raise ValueError(f"task must be given for {EXCITATION!r}, got none")
@@ -92,7 +92,7 @@ def open_log(
         return device
     from surface_gym.machine.log import LoggedSurface, LogWriter
 
-    from .logged_device import LoggedDevice
+    from .recording import LoggedDevice
 
     env_config = estimator.config
     line, turn = env_config.chosen_line, 0.5 * math.pi / env_config.actuators.axis_speed

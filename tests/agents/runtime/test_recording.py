@@ -8,9 +8,8 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.runtime.cli import load_controller, main
 from surface_gym.agents.runtime.config import RuntimeConfig, WorldOptions
-from surface_gym.agents.runtime.excited import ExcitationController
-from surface_gym.agents.runtime.logged_device import LoggedDevice
 from surface_gym.agents.runtime.protocol import Angles, Device, Message, ParcelEntry
+from surface_gym.agents.runtime.recording import ExcitationController, LoggedDevice
 from surface_gym.agents.runtime.simulator import SimulatedMachine
 from surface_gym.config import EnvConfig
 from surface_gym.machine.command import main as identify
