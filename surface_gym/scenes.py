@@ -12,6 +12,7 @@ from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.inlets import EDGE, START
 from surface_gym.flow.state import BETWEEN, ENTERED, NOBODY, TOUCHES, WRONG
+from surface_gym.physics.step import tilt_of_gravity
 from surface_gym.physics.types import RADIUS, VX, Array, Integers
 from surface_gym.rendering import (
     ExitMark,
@@ -22,7 +23,7 @@ from surface_gym.rendering import (
     TilePainter,
     Traffic,
 )
-from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
+from surface_gym.state import GRAVITY_COLUMNS, RUNNING, EnvState
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -101,8 +102,7 @@ class _ParcelHistory:
         ]
         if outcome != RUNNING:
             readings.append(("end", batch.outcomes[outcome]))
-        downhill, normal = batch.surfaces.conditions[i, [GRAVITY_X, GRAVITY_NORMAL]]
-        steepness = downhill / float(np.hypot(downhill, normal))
+        tilt, direction = tilt_of_gravity(*batch.surfaces.conditions[i, GRAVITY_COLUMNS].tolist())
         return Scene(
             axis=batch.axes(i),
             drive=batch.surface_velocity(i),
@@ -112,7 +112,8 @@ class _ParcelHistory:
             pitch=line.pitch,
             origin=line.origin,
             zone=tuple(view.zone.tolist()),
-            tilt=float(np.arcsin(min(1.0, steepness))),
+            tilt=tilt,
+            tilt_direction=direction,
             title=type(task).__name__ if title is None else title,
             readings=tuple(readings),
         )

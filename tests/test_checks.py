@@ -302,6 +302,9 @@ DEGREES = {
     "tilt of a spread": lambda: Unknown(tilt=1.0),
     "highest": lambda: least_tilt(Case(ON_IT[1]), highest=15.0),
     "tilt of Sort.start": lambda: batch_with(Start(*ON_IT[1:], (1.0, 0.0, 0.0), (1.0,), tilt=5.0)),
+    "tilt_direction of Sort.start": lambda: batch_with(
+        Start(*ON_IT[1:], (1.0, 0.0, 0.0), (1.0,), tilt_direction=90.0)
+    ),
 }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """The single environment moves a parcel as `simulate` does, to the bit."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,23 @@ class TestPhysics:
         # It ends with the first step none of whose contacts, midway, is a rotor.
         assert bool(info["is_success"]) == (not on_rotors(layout, size, run, number - 1))
         assert all(on_rotors(layout, size, run, step) for step in range(number - 1))
+
+    def test_on_a_surface_tilted_in_any_direction(self):
+        class Tilted(sg.tasks.Sort):
+            def start(self, draw):
+                return super().start(draw)._replace(tilt=0.05, tilt_direction=2.0)
+
+        env = sg.SmartSurfaceEnv(Tilted())
+        _, info = env.reset(seed=0, options={"speed": 1.5, "parcel": "S", "side": 1})
+        flat = sg.layouts.sorting("S", 1, task_columns=16, columns=30)
+        layout = replace(flat, tilt=0.05, tilt_direction=2.0)
+        box = sg.layouts.box("S")
+        run = sg.simulate(layout, box, info["pose"], (1.5, 0.0, 0.0), duration=1.0)
+        for period in range(1, 13):
+            info = env.step(te.same_choice(env, te.MINUS_45))[4]
+            np.testing.assert_array_equal(info["pose"], run.pose[8 * period])
+        level = sg.simulate(flat, box, run.pose[0], (1.5, 0.0, 0.0), duration=1.0)
+        assert np.abs(level.pose[96] - run.pose[96]).max() > 0.01
 
     @pytest.mark.parametrize("parcel", te.PARCELS.values(), ids=te.PARCELS)
     def test_of_any_parcel_and_turning(self, parcel):

@@ -125,9 +125,13 @@ class TestOneParcel:
             batch.step(np.full((2, 64), 0))
         assert reading(shown(batch), "end") == "stalled"
 
-        for tilt in (0.0, 0.26):
-            start = Start(PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt=tilt)
-            assert shown(batch_at(start)).tilt == pytest.approx(tilt)
+        for tilt, direction in ((0.0, 0.0), (0.26, 0.0), (-0.26, 0.0), (0.26, 2.5)):
+            start = Start(
+                PARCELS["S"], (0.2, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0,), tilt,
+                tilt_direction=direction,
+            )  # fmt: skip
+            scene = shown(batch_at(start))
+            assert (scene.tilt, scene.tilt_direction) == pytest.approx((tilt, direction))
 
 
 class TestParcelsOfAStream:

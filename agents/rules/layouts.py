@@ -334,4 +334,5 @@ def _mirror(start: Start, across: float) -> Start:
         pose=(x, across - np.asarray(y), -np.asarray(theta)),
         velocity=(vx, -np.asarray(vy), -np.asarray(omega)),
         path=None if start.path is None else across - start.path,
+        tilt_direction=-np.asarray(start.tilt_direction),
     )

@@ -169,7 +169,7 @@ class StateEstimator:
         if path is not None:
             parcels.path[:] = path
         conditions[:] = 1.0
-        conditions[:, st.GRAVITY_COLUMNS] = split_gravity(entered.tilt)
+        conditions[:, st.GRAVITY_COLUMNS] = split_gravity(entered.tilt, entered.tilt_direction)
         for i in (SEEN, NOW):
             self._begin(*self._arrays, i)
         self._commands.clear()

@@ -4,7 +4,6 @@ Start it by `python -m surface_gym.agents.runtime.simulator`, or by `SimulatorPr
 """
 
 import heapq
-import math
 import os
 import secrets
 import select
@@ -25,8 +24,9 @@ from surface_gym import actions
 from surface_gym.config import EnvConfig
 from surface_gym.core import batch
 from surface_gym.parcel import Base
+from surface_gym.physics.step import tilt_of_gravity
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
+from surface_gym.state import GRAVITY_COLUMNS, RUNNING, EnvState
 
 from ..library import find_task
 from . import controller, estimator, protocol as wire
@@ -130,6 +130,7 @@ class SimulatedMachine:
         spread = np.array(
             [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         )
+        tilt, direction = tilt_of_gravity(*state.surface[GRAVITY_COLUMNS].tolist())
         known = state.truth + spread * self._noise.standard_normal(6)
         return wire.ParcelEntry(
             self._number,
@@ -138,8 +139,9 @@ class SimulatedMachine:
             _triple(known[:3]),
             _triple(known[3:]),
             tuple(state.goal.tolist()),
-            math.atan2(state.surface[GRAVITY_X], state.surface[GRAVITY_NORMAL]),
+            tilt,
             state.path.copy() if len(state.path) else None,
+            direction,
         )
 
     def _depart(self, ends: bool) -> wire.ParcelDeparture:

@@ -234,9 +234,11 @@ def start_rows(task: Task, start: Start, parcels: Parcels, bodies: Integers) -> 
     _check_physical(task, "pose", pose, (checks.FARTHEST, checks.FARTHEST, checks.TURNED))
     velocity = _columns(task, "velocity", start.velocity, 3, count)
     _check_physical(task, "velocity", velocity, (checks.SPEED, checks.SPEED, checks.SPIN))
-    checks.angles(f"tilt of {type(task).__name__}.start", np.asarray(start.tilt), math.pi / 4)
+    tilt, direction = _columns(task, "tilt", (start.tilt, start.tilt_direction), 2, count).T
+    checks.angles(f"tilt of {type(task).__name__}.start", tilt, math.pi / 4)
+    checks.angles(f"tilt_direction of {type(task).__name__}.start", direction)
     conditions = np.ones((count, st.CONDITION_COLUMNS))
-    conditions[:, st.GRAVITY_COLUMNS] = np.transpose(split_gravity(start.tilt))
+    conditions[:, st.GRAVITY_COLUMNS] = np.transpose(split_gravity(tilt, direction))
     goal = _columns(task, "goal", start.goal, task.goals, count)
     state = com_states(parcels.of(lambda parcel: parcel.centre_of_mass), pose, velocity)
     return StartRows(bodies, state, conditions, goal)

@@ -259,6 +259,8 @@ class _LogReader:
             if self._site is None:
                 raise ValueError("a site must stand before the first parcel")
             self._passage = _Passage(message, self._site)
+            if message.tilt_direction != 0.0:
+                self._finish("is on a surface that is tilted in another direction than +x")
         passage = self._passage
         if passage is None:
             return

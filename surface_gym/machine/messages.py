@@ -37,8 +37,9 @@ class ParcelEntry:
     pose: Triple  # [m, m, rad] roughly, from the conveyor and its guides
     velocity: Triple  # [m/s, m/s, rad/s] roughly
     goal: tuple[float, ...]  # the task's goal, as in its starts
-    tilt: float = 0.0  # [rad] tilt of the surface, downhill towards +x
+    tilt: float = 0.0  # [rad] tilt of the surface, downhill towards `tilt_direction`
     path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of the path to follow
+    tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,7 @@ def to_fields(message: Message) -> dict[str, Any]:
             "goal": list(message.goal),
             "tilt": message.tilt,
             "path": None if message.path is None else message.path.tolist(),
+            "tilt_direction": message.tilt_direction,
         }
     if isinstance(message, AxesAcknowledgement):
         return {
@@ -157,6 +159,7 @@ def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelEntry:
         goal=tuple(numbers("goal", fields["goal"], (None,)).tolist()),
         tilt=checks.within("tilt", fields["tilt"], -0.5 * math.pi, 0.5 * math.pi),
         path=None if path is None else numbers("path", path, (None,)),
+        tilt_direction=checks.angle("tilt_direction", fields.get("tilt_direction", 0.0)),
     )
 
 

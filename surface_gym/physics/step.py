@@ -63,16 +63,24 @@ def map_floats(function: Callable[[float], float], values: Any) -> Any:
     return np.array([function(value) for value in values.tolist()])
 
 
-def split_gravity(tilt: Any, direction: float = 0.0) -> tuple[Any, Any, Any]:
+def split_gravity(tilt: Any, direction: Any = 0.0) -> tuple[Any, Any, Any]:
     """Return gravity [m/s^2] along x, along y and normal to a tilted surface.
 
     Args:
         tilt: [rad] one number, or (count,).
-        direction: [rad] downhill from +x, anti-clockwise.
+        direction: [rad] downhill from +x, anti-clockwise: one number, or (count,).
     """
     downhill = ph.GRAVITY * map_floats(math.sin, tilt)
-    cosine, sine = axis_directions(np.array([direction]))[0].tolist()
+    directions = axis_directions(np.atleast_1d(direction))
+    cosine, sine = directions.T if np.ndim(direction) else directions[0].tolist()
     return downhill * cosine, downhill * sine, ph.GRAVITY * map_floats(math.cos, tilt)
+
+
+def tilt_of_gravity(x: float, y: float, normal: float) -> tuple[float, float]:
+    """Return tilt and downhill direction [rad] of a surface: the inverse of `split_gravity`."""
+    if y == 0.0:
+        return math.atan2(x, normal), 0.0
+    return math.atan2(math.hypot(x, y), normal), math.atan2(y, x)
 
 
 def com_states(centre: Array, pose: Array, velocity: Array) -> Array:

@@ -43,9 +43,10 @@ class Start(NamedTuple):
     pose: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m, m, rad] of the base's frame
     velocity: tuple[ArrayLike, ArrayLike, ArrayLike]  # [m/s, m/s, rad/s]
     goal: tuple[ArrayLike, ...]  # goal of the task, with `goals` entries
-    tilt: ArrayLike = 0.0  # [rad] tilt of the surface, downhill towards +x
+    tilt: ArrayLike = 0.0  # [rad] tilt of the surface, downhill towards `tilt_direction`
     # (PATH_POINTS,) or (starts, PATH_POINTS) [m] y of the path to follow
     path: Numbers | None = None
+    tilt_direction: ArrayLike = 0.0  # [rad] downhill direction, anti-clockwise from +x
 
 
 class Draw:

@@ -83,8 +83,10 @@ def test_a_clock_that_runs_otherwise_is_refused(tmp_path) -> None:
 
 
 def test_runs_that_tell_nothing_are_counted(tmp_path) -> None:
-    file = write_log(tmp_path / "run.jsonl.gz", parcels=3)
+    file = write_log(tmp_path / "run.jsonl.gz", parcels=4)
     lines = lines_of(file)
+    entries = [line for line in lines if line.get("message", {}).get("kind") == "entered"]
+    entries[3]["message"]["tilt_direction"] = 1.0
     frames = [line for line in lines if line.get("message", {}).get("kind") == "frame"]
     few = [line for line in lines if line not in frames[:45]]
     left = [line for line in few if line.get("message", {}).get("kind") == "left"]
@@ -95,6 +97,7 @@ def test_runs_that_tell_nothing_are_counted(tmp_path) -> None:
     assert found.unused == {
         "parcel has fewer than 8 pictures": 1,
         "parcel was followed by another before it left": 1,
+        "parcel is on a surface that is tilted in another direction than +x": 1,
     }
 
 

@@ -24,6 +24,8 @@ from surface_gym.physics.step import (
     TIPPING,
     UNSUPPORTED,
     axis_directions,
+    split_gravity,
+    tilt_of_gravity,
 )
 from surface_gym.physics.types import Array
 from tests.physics.contact_sets import scan
@@ -49,6 +51,15 @@ def supports_only(mu: float, tilt: float = 0.0, tilt_direction: float = 0.0) -> 
         axis=np.zeros((20, 40)), rotor=np.zeros((20, 40), dtype=bool), mu_support=mu, tilt=tilt,
         tilt_direction=tilt_direction,
     )  # fmt: skip
+
+
+def test_tilts_come_back_from_their_gravity() -> None:
+    tilts, directions = np.array([0.0, 0.2, -0.2, 0.2]), np.array([0.0, 0.0, 0.0, -2.5])
+    gravity = np.transpose(split_gravity(tilts, directions))
+    np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), G)
+    for tilt, direction, each in zip(tilts, directions, gravity.tolist(), strict=True):
+        assert tuple(each) == split_gravity(tilt, direction)
+        assert tilt_of_gravity(*each) == pytest.approx((tilt, direction))
 
 
 @pytest.mark.parametrize(

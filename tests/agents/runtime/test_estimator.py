@@ -129,6 +129,14 @@ def test_the_device_reports_when_axes_began_to_turn(held) -> None:
     assert (held.axes() == math.pi / 2.0).all()
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_parcel_slides_down_a_surface_that_is_steep_across_the_line(held, side) -> None:
+    held.reset(made.entered(tilt=0.7, tilt_direction=side * math.pi / 2.0))
+    held.observe(0.3)
+    free = 0.5 * 9.81 * math.sin(0.7) * 0.3**2  # without friction
+    assert 0.3 * free < side * (held.estimate[1] - made.POSE[1]) < free
+
+
 def test_encoders_are_believed(held) -> None:
     held.reset(made.entered())
     assert held.correct(replace(made.frame(0.02), axes=np.full(held.shape, 0.3)))

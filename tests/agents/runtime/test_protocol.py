@@ -60,11 +60,20 @@ def test_axes_come_out_as_they_went_in() -> None:
 def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
     path = np.linspace(0.0, 1.0, 4)
     sent = protocol.ParcelEntry(
-        2, 1.5, sg.Parcel(base, mass=3.0), (0.1, 1.0, 0.0), (1.0, 0.0, 0.0), (0.5,), 0.1, path
+        2,
+        1.5,
+        sg.Parcel(base, mass=3.0),
+        (0.1, 1.0, 0.0),
+        (1.0, 0.0, 0.0),
+        (0.5,),
+        0.1,
+        path,
+        tilt_direction=2.0,
     )
     back = there_and_back(sent)
     assert (back.number, back.at, back.pose, back.velocity) == (2, 1.5, sent.pose, sent.velocity)
-    assert (back.goal, back.tilt, back.parcel.mass) == ((0.5,), 0.1, 3.0)
+    assert (back.goal, back.parcel.mass) == ((0.5,), 3.0)
+    assert (back.tilt, back.tilt_direction) == (0.1, 2.0)
     np.testing.assert_array_equal(back.path, path)
     assert back.parcel.base.gyration == pytest.approx(base.gyration)
     assert back.parcel.base.reach == pytest.approx(base.reach)
@@ -101,7 +110,8 @@ DEPARTED = protocol.to_fields(protocol.ParcelDeparture(0, "missed"))
         (ENTERED, {"base": {"shape": "disc"}}, "base"), (ENTERED, {"base": "disc"}, "base"),
         (ENTERED, {"base": {"corners": [[0, 0], [1, 1]]}}, "vertices"),
         (ENTERED, {"mass": 0.0}, "mass"), (ENTERED, {"goal": ["left"]}, "goal|could not convert"),
-        (ENTERED, {"tilt": 3.0}, "tilt"), (ENTERED, {"path": [None]}, "path"),
+        (ENTERED, {"tilt": 3.0}, "tilt"), (ENTERED, {"tilt_direction": 90.0}, "tilt_direction"),
+        (ENTERED, {"path": [None]}, "path"),
         (ACKNOWLEDGED, {"command": 0.5}, "command"), (ACKNOWLEDGED, {"refused": 3}, "refused"),
         (DEPARTED, {"outcome": 0}, "outcome"), (DEPARTED, {"figures": []}, "figures"),
         (DEPARTED, {"figures": {"error": "large"}}, "error"),

@@ -19,6 +19,7 @@ import pytest
 import tyro
 from rich.console import Console
 
+import surface_gym as sg
 from surface_gym import agents
 from surface_gym.agents.runtime import cli, config, controller, protocol, report, simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
@@ -33,6 +34,7 @@ from surface_gym.agents.runtime.simulator import (
     serve,
 )
 from surface_gym.config import EnvConfig
+from surface_gym.tasks.start import Draw, Start
 from tests.agents.runtime import made
 from tests.agents.runtime.made import CONFIG, entered, estimator
 
@@ -57,6 +59,16 @@ def test_parcel_after_parcel_enters_and_leaves() -> None:
     for (gone, _), (due, message) in zip(left, entered[1:], strict=False):
         assert due == message.at == pytest.approx(gone + PAUSE, abs=0.006)
     assert all("stop_error" in message.metrics for _, message in left)
+
+
+def test_an_entry_states_the_tilt_of_the_surface() -> None:
+    class Tilted(sg.tasks.Stop):
+        def start(self, draw: Draw) -> Start:
+            return super().start(draw)._replace(tilt=0.05, tilt_direction=-2.0)
+
+    machine = SimulatedMachine(replace(CONFIG, task=Tilted()), 0, 0.0, WorldOptions(pause=PAUSE))
+    (_, entry), *_ = of_kind(protocol.ParcelEntry, machine.advance(0.2))
+    assert (entry.tilt, entry.tilt_direction) == pytest.approx((0.05, -2.0))
 
 
 def test_the_same_seed_gives_the_same_messages() -> None:
