@@ -47,7 +47,9 @@ class RuntimeConfig:
     token_file: Path | None = None
     """File with the token of a running device; the default is SURFACE_GYM_TOKEN, or no token."""
     watchdog: float = 0.2
-    """Seconds without a frame after which the fixed layout replaces the policy."""
+    """Seconds without a frame, or without the acknowledgement of a command, after which the fixed
+    layout replaces the policy.
+    """
     start: int = 0
     """Seed of the simulator's parcels and noise."""
     world: WorldOptions = field(default_factory=WorldOptions)
