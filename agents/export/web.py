@@ -31,7 +31,7 @@ from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import COLUMN
 from surface_gym.registration import DEFAULT_STREAM, TASKS
 from surface_gym.tasks import Task
-from surface_gym.web.build import AGENTS, CAMERA, SITE, make_config
+from surface_gym.web.build import AGENTS, SITE, make_config
 
 from .. import library, local_policy, module_policy, parcel_policy
 from ..base import SIDE, Singles
@@ -364,7 +364,7 @@ def write_agents(folder: Path) -> dict[str, dict[str, Any]]:
     policies = write_policies(site["tasks"], weights, folder)
     agents: dict[str, dict[str, Any]] = {}
     for task in site["tasks"]:
-        if task.endswith(CAMERA):
+        if "-" in task:  # a variant, with a camera or driven modules
             continue
         if make_config(task).task.is_stream:
             found = write_stream_agents(task, folder)

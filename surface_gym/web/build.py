@@ -2,8 +2,9 @@
 
 Every task, with its default arguments and all groups of features, becomes four files: the module
 `sort.wasm`; its memory `sort.bin` with one environment placed by seed 0; its layout `sort.json`;
-and `sort.starts`, the starts of more seeds. The folder also gets the playground: pages, scripts,
-and an empty table.
+and `sort.starts`, the starts of more seeds. So do its variants: `sort-camera` with a camera, and
+`sort-omni` with driven modules. The folder also gets the playground: pages, scripts, and an empty
+table.
 """
 
 import argparse
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from surface_gym import __version__
 from surface_gym.cli import IN_CHECKOUT, typed
-from surface_gym.registration import SHIPPED
+from surface_gym.modules import MODULES as MODULE_KINDS
+from surface_gym.registration import DEFAULT_STREAM, DEFAULT_TASK, SHIPPED
 
 if TYPE_CHECKING:
     from surface_gym.config import EnvConfig
@@ -27,7 +29,13 @@ PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # the package's modules, part of a release
 TABLE, NOISE = "table", "noise"
 CAMERA = "-camera"  # suffix of a task's name with a camera
-TASKS = (*SHIPPED, *(task + CAMERA for task in SHIPPED))
+DRIVEN = tuple(f"-{name}" for name, kind in MODULE_KINDS.items() if kind.drives)  # suffixes
+DRIVEN_TASKS = (DEFAULT_TASK, DEFAULT_STREAM)  # tasks with driven modules on a page
+TASKS = (
+    *SHIPPED,
+    *(task + CAMERA for task in SHIPPED),
+    *(task + kind for task in DRIVEN_TASKS for kind in DRIVEN),
+)
 ALL = (TABLE, NOISE, *TASKS)
 KINDS = ("wasm", "bin", "json", "starts")  # suffixes of a task's files
 SITE = "site.json"  # description of the site, for pages
@@ -35,17 +43,19 @@ AGENTS = ("agents.bin", "agents.json")  # files of `surface_gym.agents.export.we
 EACH_AGENT = "agent-*.*"  # files of one agent, loaded when it is chosen
 
 
-def make_config(task: Any, has_camera: bool = False) -> "EnvConfig":
+def make_config(task: Any, variant: str = "") -> "EnvConfig":
     """Return the configuration of a task's environment on a page.
 
     Args:
         task: a task's name, or a task with its own parameters.
-        has_camera: whether a camera senses the parcels; otherwise sensors are exact.
+        variant: "camera" or a kind of driven modules; otherwise sensors are exact and modules idle.
     """
     from surface_gym.config import EnvConfig
     from surface_gym.sensors import Camera, Exact
 
-    config = EnvConfig(task, sensors=Camera() if has_camera else Exact())
+    sensors = Camera() if f"-{variant}" == CAMERA else Exact()
+    modules = variant if f"-{variant}" in DRIVEN else "idle"
+    config = EnvConfig(task, sensors=sensors, modules=modules)
     if config.task.is_stream:
         return config
     return config.replace(observe=tuple(config.groups))
@@ -55,7 +65,8 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     """Write the files of a task into a folder; return a line that describes them.
 
     Args:
-        task: a task's name, which may end in `-camera`, or the base name of a custom task's files.
+        task: a task's name, which may end in `-camera` or `-omni`, or the base name of a custom
+            task's files.
         folder: output folder.
         own: a custom task.
     """
@@ -72,7 +83,8 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     elif task == NOISE:
         kernel, arguments = draw_noise, noise_arguments()
     else:
-        config = make_config(own or task.removesuffix(CAMERA), task.endswith(CAMERA))
+        name, _, variant = task.partition("-")
+        config = make_config(own or name, variant)
         batch = make_batch(config, 1, compiles=False)
         starts = collect_starts(batch)
         kernel, arguments = batch.make_kernel(), batch.arguments

@@ -201,6 +201,7 @@ class TaskScene:
     # a control period, and the modules and the orientations that they turn to in it
     commands: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
     camera: bool = False  # whether a camera senses the parcels; otherwise sensors are exact
+    modules: str = "idle"  # kind of the modules
 
     tasks: InitVar[Sequence[str]] = tuple(SHIPPED)  # tasks of the page
 

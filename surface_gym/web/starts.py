@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surface_gym.compiler.wasm_image import is_scratch, name_arguments
+from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
+from surface_gym.modules import surface_velocities
 from surface_gym.physics import types as ph
 from surface_gym.registration import SHIPPED
 from surface_gym.rendering import ExitSide, ExitSpeed, Heading, Path, StopLine
@@ -130,6 +132,7 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
         "zoneRows": kind.rows,
         "zoneColumns": kind.columns,
         "orientations": list(config.chosen_orientations),
+        **_describe_choices(config),
         "dt": config.timing.dt,
         "steps": config.timing.steps,
         "periods": None if task.is_stream else task.periods,
@@ -138,6 +141,17 @@ def describe(batch: BaseBatch) -> dict[str, Any]:
         "metrics": list(getattr(task, "metrics", ())),
         "stream": hasattr(batch, "streams"),
     }
+
+
+def _describe_choices(config: EnvConfig) -> dict[str, Any]:
+    """Return the choice that rolls parcels on, and the velocities [m/s] of driven modules' choices.
+
+    Without driven modules, `drives` is empty.
+    """
+    velocities = surface_velocities(config.modes)
+    apart = np.abs(config.modes[:-1] - config.modes[-1]).max(axis=1)
+    drives = velocities[:-1].round(9).tolist() if config.module_kind.drives else []
+    return {"rolling": int(apart.argmin()), "drives": drives}
 
 
 # Rows of a scratch, for pages that draw contact forces.

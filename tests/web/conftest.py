@@ -147,9 +147,9 @@ def play(site: Site, visit: Callable[..., Any]) -> Callable[..., Any]:
     return opened
 
 
-def open_sort(play: Callable[..., Any]) -> Any:
-    """Open the playground at Sort."""
-    page = play()
+def open_sort(play: Callable[..., Any], *tasks: str) -> Any:
+    """Open the playground at Sort, with more tasks on offer."""
+    page = play(*tasks)
     page.select_option("#task", "sort")
     wait_for(page, "playground.scene.task === 'sort'")
     return page

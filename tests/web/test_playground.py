@@ -410,6 +410,39 @@ def test_a_task_s_scene_is_shared_with_what_was_done(play):
     assert end_states(other) != ends
 
 
+def test_driven_modules_carry_a_parcel_as_in_python(play):
+    page = open_sort(play, "sort-omni")
+    assert page.locator("#kind option").all_inner_texts() == ["idle", "omni"]
+    page.select_option("#kind", "omni")
+    wait_for(page, "playground.scene.modules === 'omni'")
+    rolling, drives = page.evaluate(
+        "[playground.shown[0].run.about.rolling, playground.shown[0].run.about.drives]"
+    )
+    assert drives[rolling] == [1.5, 0.0]
+    assert page.locator("#angle option").all_inner_texts()[1] == "0.5 m/s, 45\N{DEGREE SIGN}"
+    page.select_option("#angle", "1")
+    page.click("#all")
+    for _ in range(5):
+        page.click("#step")
+    drawn = np.array(page.evaluate("playground.shown[0].run.frame().drives"))
+    zone = page.evaluate("playground.shown[0].run.modules()")
+    assert drawn[zone] == pytest.approx(np.full((len(zone), 2), 0.5 * math.sqrt(0.5)))
+    assert page.is_disabled("#camera")
+    ((time, *motion),) = end_states(page)
+    ((_, *printed),) = run_script(page)
+    assert [time, *motion] == [float(each) for each in (printed[0], *printed[-6:])]
+    page.select_option("#kind", "idle")
+    wait_for(page, "playground.scene.modules === 'idle'")
+    assert page.locator("#angle option").count() == 5
+
+
+def test_a_kind_of_modules_that_is_not_there_is_refused(play):
+    page = open_sort(play)
+    page.evaluate("playground.reopen({ modules: 'popup' })")
+    wait_for(page, "!document.getElementById('message').hidden")
+    assert "no such task with popup modules" in page.inner_text("#message")
+
+
 def test_starts_of_all_seeds_equal_those_of_the_environment(play):
     import gymnasium as gym
 

@@ -34,9 +34,32 @@ export function fill(select, names, chosen = names[0]) {
   select.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
 }
 
-/** Read the angle [rad] that modules are to turn to; exact at multiples of 45 deg. */
+let idleAngles = null; // the options of idle modules, as in the page
+
+/** Offer angles, of a table also others, or what driven modules do: velocities [m/s] in x and y. */
+export function fillAngles(isTable, drives) {
+  const select = find("angle");
+  idleAngles ??= [...select.options];
+  if (drives.length) {
+    if (select.options.length === drives.length && select.dataset.drives) return;
+    select.replaceChildren(...drives.map((drive, k) => new Option(driveText(drive), k)));
+  } else if (select.dataset.drives) select.replaceChildren(...idleAngles);
+  select.dataset.drives = drives.length ? "driven" : "";
+  for (const option of idleAngles)
+    option.hidden = option.disabled = !isTable && option.value === "other";
+}
+
+/** Write a driven module's velocity. */
+function driveText([vx, vy]) {
+  const speed = Number(Math.hypot(vx, vy).toFixed(2));
+  const heading = Math.round(Math.atan2(vy, vx) / RADIAN);
+  return speed ? `${speed} m/s, ${String(heading).replace("-", "−")}°` : "stop";
+}
+
+/** Read the angle [rad] that modules are to turn to, or the choice of driven ones. */
 export function chosenAngle() {
   const chosen = find("angle").value;
+  if (find("angle").dataset.drives) return Number(chosen);
   return radians(chosen === "other" ? number("other") : Number(chosen));
 }
 

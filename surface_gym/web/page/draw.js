@@ -41,12 +41,16 @@ import { View } from "./view.js";
  * @typedef {object} Frame
  * @property {number} time [s]
  * @property {ArrayLike<number>} axes [rad] of each module, row by row
+ * @property {number[][]|null} [drives] [m/s] velocity in x and y of each module's surface; NaN: idle
  * @property {ParcelInFrame[]} parcels the last is drawn above the others
  * @property {(number[][]|{points: number[][], colour?: number|string})[]} [traces] [m] of ways
  * @property {string[]} [counts] written after the labels of the exits, in their order
  */
 
 const ANGLES = 180; // pictures of a module in half a turn
+const HEADINGS = 48; // pictures of a driven module's arrow
+const SPEEDS = 4; // lengths of it, the longest from FAST on
+const FAST = 2; // [m/s]
 const PALE = 0.62; // share of the plate's colour in a module that does not obey
 const LEAST_FORCE = 2; // [CSS px] of an arrow: a shorter one would be a dot
 const TRACE_STEP = 6; // [device px] between the points of a trace
@@ -111,7 +115,7 @@ export class Picture extends View {
   draw(frame) {
     this.frame = frame;
     if (this.stale) this._paintGround();
-    this._turnModules(frame.axes);
+    this._turnModules(frame.axes, frame.drives);
     const { context } = this;
     context.drawImage(this.modules, 0, 0);
     context.lineJoin = "round";
@@ -255,8 +259,8 @@ export class Picture extends View {
     return [...this._place(left, high), ...this._place(right, low)];
   }
 
-  /** Draw again the modules whose axes have changed, on their layer. */
-  _turnModules(axes) {
+  /** Draw again the modules whose axes or drives have changed, on their layer. */
+  _turnModules(axes, drives) {
     const { columns, rotor, obeys, origin } = this.surface;
     const context = this.modules.getContext("2d");
     const size = this._cell;
@@ -265,7 +269,7 @@ export class Picture extends View {
     const [width, height] = [this.modules.width, this.modules.height];
     for (let k = 0; k < this.drawn.length; k++) {
       if (rotor && !rotor[k]) continue;
-      const step = ((Math.round((axes[k] * ANGLES) / Math.PI) % ANGLES) + ANGLES) % ANGLES;
+      const step = (drives && driveStep(drives[k])) ?? axisStep(axes[k]);
       if (step === this.drawn[k]) continue;
       const x = Math.round(left + (k % columns) * across - size / 2);
       const y = Math.round(top - Math.floor(k / columns) * up - size / 2);
@@ -276,9 +280,9 @@ export class Picture extends View {
     }
   }
 
-  /** Return the picture of a module: a disc with a bar along its axis. */
+  /** Return the picture of a module: a disc with a bar along its axis, or with a drive's arrow. */
   _sprite(step, pale) {
-    const key = pale ? step + ANGLES : step;
+    const key = pale ? -1 - step : step;
     const known = this.sprites.get(key);
     if (known) return known;
     const sprite = document.createElement("canvas");
@@ -286,17 +290,23 @@ export class Picture extends View {
     const context = sprite.getContext("2d");
     const half = this._cell / 2;
     const angle = (Math.PI * step) / ANGLES;
-    const { plate, bar } = this.colours;
-    context.fillStyle = pale ? mixed(axisColour(angle), plate, PALE) : axisColour(angle);
+    const { plate, bar, driven } = this.colours;
+    const isDriven = step >= ANGLES;
+    const colour = isDriven ? driven : axisColour(angle);
+    context.fillStyle = pale ? mixed(colour, plate, PALE) : colour;
     context.beginPath();
     context.arc(half, half, 0.86 * half, 0, 2 * Math.PI);
     context.fill();
-    const [x, y] = [0.6 * half * Math.cos(angle), -0.6 * half * Math.sin(angle)];
-    context.strokeStyle = pale ? mixed(bar, plate, PALE) : bar;
-    context.lineWidth = Math.max(0.26 * half, 1);
+    context.strokeStyle = context.fillStyle = pale ? mixed(bar, plate, PALE) : bar;
+    context.lineWidth = Math.max((isDriven ? 0.2 : 0.26) * half, 1);
+    context.translate(half, half);
     context.beginPath();
-    context.moveTo(half - x, half - y);
-    context.lineTo(half + x, half + y);
+    if (isDriven) traceDrive(context, step - ANGLES, half);
+    else {
+      const [x, y] = [0.6 * half * Math.cos(angle), -0.6 * half * Math.sin(angle)];
+      context.moveTo(-x, -y);
+      context.lineTo(x, y);
+    }
     context.stroke();
     this.sprites.set(key, sprite);
     return sprite;
@@ -430,6 +440,38 @@ export class Picture extends View {
     this.context.strokeStyle = this.colours.goal;
     this.context.lineWidth = 1.5 * this._stroke();
     this.context.stroke();
+  }
+}
+
+/** Return which picture shows an axis [rad]. */
+function axisStep(angle) {
+  return ((Math.round((angle * ANGLES) / Math.PI) % ANGLES) + ANGLES) % ANGLES;
+}
+
+/** Return which picture shows a driven module's velocity [m/s]; null: it is idle. */
+function driveStep([vx, vy]) {
+  if (Number.isNaN(vx)) return null;
+  const level = Math.min(SPEEDS, Math.ceil((SPEEDS * Math.hypot(vx, vy)) / FAST - 1e-9));
+  if (level === 0) return ANGLES;
+  const heading = Math.round((Math.atan2(vy, vx) * HEADINGS) / (2 * Math.PI));
+  return ANGLES + level * HEADINGS + ((heading + HEADINGS) % HEADINGS);
+}
+
+/** Trace the arrow of a picture of `driveStep`, round the origin; a ring where the surface stands. */
+function traceDrive(context, step, half) {
+  const level = Math.floor(step / HEADINGS);
+  if (level === 0) {
+    context.arc(0, 0, 0.3 * half, 0, 2 * Math.PI);
+    return;
+  }
+  const angle = (2 * Math.PI * (step % HEADINGS)) / HEADINGS;
+  const tip = 0.65 * half * (0.4 + (0.6 * level) / SPEEDS);
+  const [x, y] = [Math.cos(angle), -Math.sin(angle)];
+  context.moveTo(-tip * x, -tip * y);
+  context.lineTo(tip * x, tip * y);
+  for (const side of [-1, 1]) {
+    context.moveTo(tip * x, tip * y);
+    context.lineTo(tip * x - 0.4 * half * (x - side * y), tip * y - 0.4 * half * (y + side * x));
   }
 }
 

@@ -1,15 +1,24 @@
 /** The form of the playground: its controls do what they say. */
 
 import { YOU } from "./agents.js";
-import { fill, find, layoutAngles, number, radians, save, showNumber } from "./controls.js";
+import {
+  fill,
+  fillAngles,
+  find,
+  layoutAngles,
+  number,
+  radians,
+  save,
+  showNumber,
+} from "./controls.js";
 import { paintPage } from "./palette.js";
-import { emptyTable, packed, readJson, toCsv, toPython, VERSION } from "./scene.js";
+import { emptyTable, isDriven, packed, readJson, toCsv, toPython, VERSION } from "./scene.js";
 
 const RADIAN = Math.PI / 180;
 const HINTS = {
   throw:
     "Press where the parcel is to be, and drag: the longer, the faster. A click takes speed and direction from below.",
-  turn: "Press on modules, or drag over them: they turn to the angle below.",
+  turn: "Press on modules, or drag over them: they turn to the angle below, or are driven as it says.",
   stick: "Press on modules: they obey nobody, or do so again. The run begins again.",
   pan: "Drag the picture. The wheel, two fingers, or + and − zoom.",
 };
@@ -57,6 +66,7 @@ export function taskScene(task) {
     stuck: [],
     late: 0,
     camera: false,
+    modules: "idle",
     commands: [],
   };
 }
@@ -65,11 +75,9 @@ export function taskScene(task) {
 export function fillForm(page) {
   const { scene } = page;
   find("task").value = scene.task;
-  const angles = [...find("angle").options];
   const tools = [...document.querySelectorAll("input[name=tool]")];
   const isTable = scene.task === "table";
-  for (const option of angles)
-    option.hidden = option.disabled = !isTable && option.value === "other";
+  fillAngles(isTable, isTable ? [] : page.shown[0].run.about.drives);
   const allowed = isTable ? ["throw", "turn", "pan"] : ["turn", "stick", "pan"];
   for (const tool of tools) tool.disabled = !allowed.includes(tool.value);
   if (!tools.some((tool) => tool.checked && !tool.disabled))
@@ -91,7 +99,8 @@ export function fillForm(page) {
       Array.from({ length: machine.seeds }, (_, k) => String(k)),
       String(scene.seed),
     );
-    const names = page.agents.names(scene.task);
+    const names = isDriven(scene) ? [YOU] : page.agents.names(scene.task);
+    fill(find("kind"), page.kinds(scene.task), scene.modules ?? "idle");
     fill(find("agent"), names, names.includes(scene.agent) ? scene.agent : YOU);
     const beside = page.shown[1]?.name;
     find("beside").replaceChildren(
@@ -100,7 +109,7 @@ export function fillForm(page) {
     );
     find("late").value = String(scene.late);
     find("camera").checked = scene.camera;
-    find("camera").disabled = !page.hasCamera(scene.task);
+    find("camera").disabled = isDriven(scene) || !page.hasCamera(scene.task);
   }
   for (const input of document.querySelectorAll("input[type=range]")) showNumber(input);
 }
@@ -132,6 +141,9 @@ export function connect(page) {
   on("agent", "change", ({ target }) => page.reopen({ agent: target.value }));
   on("beside", "change", () => page.reopen({}));
   on("afresh", "click", () => page.reopen({}));
+  on("kind", "change", ({ target }) =>
+    page.reopen({ modules: target.value, agent: YOU, camera: false }),
+  );
   on("late", "change", ({ target }) => page.reopen({ late: Number(target.value) }));
   on("camera", "change", ({ target }) => page.reopen({ camera: target.checked }));
   on("clear", "click", () => {
@@ -180,7 +192,7 @@ export function connect(page) {
   const name = () => `${page.scene.task}-scene`;
   on("python", "click", () => {
     const { period, about } = page.shown[0].run;
-    save(`${name()}.py`, toPython(page.scene, period, about?.file), "text/x-python");
+    save(`${name()}.py`, toPython(page.scene, period, about), "text/x-python");
   });
   on("json", "click", () => save(`${name()}.json`, JSON.stringify(page.scene), "application/json"));
   on("csv", "click", () => save(`${name()}.csv`, toCsv(page.shown[0].run.tracks), "text/csv"));
@@ -209,10 +221,12 @@ function takeKey(page, event) {
   if (["INPUT", "SELECT"].includes(tagName)) return;
   if (event.key === " " && ["BUTTON", "SUMMARY"].includes(tagName)) return;
   const angles = { 1: 0, 2: 45, 3: -45, 4: 90 };
+  const drives = page.shown[0]?.run.about?.drives ?? [];
   if (event.key === " ") find("start").click();
   else if (event.key === ".") page.stepOnce();
   else if (event.key === "r" || event.key === "R") page.again();
-  else if (event.key in angles) page.turnAll(radians(angles[event.key]));
+  else if (drives[event.key - 1]) page.turnAll(event.key - 1);
+  else if (event.key in angles && !drives.length) page.turnAll(radians(angles[event.key]));
   else return;
   event.preventDefault();
 }

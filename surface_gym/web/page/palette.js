@@ -20,6 +20,7 @@ export const THEMES = {
     runs: "#343c48",
     stands: "#acb1b9",
     bar: "#ffffff",
+    driven: "#42546c",
     force: "#006d77",
   },
   dark: {
@@ -37,6 +38,7 @@ export const THEMES = {
     runs: "#c6ccd4",
     stands: "#59616c",
     bar: "#ffffff",
+    driven: "#4c6080",
     force: "#5ad1dc",
   },
 };

@@ -8,7 +8,7 @@ import { get, Machine, PlainError } from "./machine.js";
 import { Noise } from "./noise.js";
 import { paintPage } from "./palette.js";
 import { drawAim, listen } from "./pointer.js";
-import { fromFragment, toFragment } from "./scene.js";
+import { fromFragment, isDriven, toFragment } from "./scene.js";
 import { TableRun } from "./table.js";
 import { TaskRun } from "./task.js";
 
@@ -22,7 +22,7 @@ const CAMERA = "-camera"; // ends the name of a task whose parcels a camera sens
 const SLOW = 600; // [ms] of waiting, after which the page says for what
 
 class Playground {
-  /** @param {string[]} modules names of tasks, with and without a camera */
+  /** @param {string[]} modules names of tasks, alone, with a camera, and with driven modules */
   constructor(modules, agents) {
     this.modules = modules;
     this.agents = agents;
@@ -42,11 +42,18 @@ class Playground {
 
   /** Names of the tasks that there are. */
   get tasks() {
-    return this.modules.filter((name) => !name.endsWith(CAMERA));
+    return this.modules.filter((name) => !name.includes("-"));
   }
 
   hasCamera(task) {
     return this.modules.includes(task + CAMERA);
+  }
+
+  /** Kinds of modules that a task may have here; the first is idle. */
+  kinds(task) {
+    const variants = this.modules.filter((name) => name.startsWith(`${task}-`));
+    const kinds = variants.map((name) => name.slice(task.length));
+    return ["idle", ...kinds.filter((kind) => kind !== CAMERA).map((kind) => kind.slice(1))];
   }
 
   /** Show a scene that is checked, at its beginning. */
@@ -55,11 +62,13 @@ class Playground {
     const isTable = scene.task === "table";
     if (scene.camera && !this.hasCamera(scene.task))
       throw new PlainError(`The page has no camera for the task ${scene.task}.`);
+    if (isDriven(scene) && (scene.camera || !this.kinds(scene.task).includes(scene.modules)))
+      throw new PlainError(`The page has no such task with ${scene.modules} modules.`);
     const names = isTable
       ? [null]
       : [
-          scene.agent,
-          ...(find("beside").value && this.scene?.task === scene.task
+          isDriven(scene) ? YOU : scene.agent,
+          ...(find("beside").value && this.scene?.task === scene.task && !isDriven(scene)
             ? [find("beside").value]
             : []),
         ];
@@ -94,8 +103,9 @@ class Playground {
   }
 
   /** Load a task's machine and its noise, if any, or take what was loaded; the second is a copy. */
-  async _load({ task, camera = false }, copy) {
-    const file = camera ? task + CAMERA : task;
+  async _load(scene, copy) {
+    const { task, camera = false } = scene;
+    const file = isDriven(scene) ? `${task}-${scene.modules}` : camera ? task + CAMERA : task;
     const key = `${file} ${copy}`;
     if (!this.machines.has(key)) {
       const name = task === "table" ? "the table" : `the task ${task}`;
@@ -291,14 +301,14 @@ class Playground {
     );
   }
 
-  /** Turn modules to an angle [rad], by default that of the form. */
+  /** Turn modules to an angle [rad], by default that of the form; driven ones have a choice. */
   turn(run, modules, angle = chosenAngle()) {
     if (run instanceof TableRun) {
       run.set({ axis: modules.map((module) => [module, angle]) });
     } else {
-      const { orientations } = run.about;
+      const { orientations, drives } = run.about;
       const apart = orientations.map((each) => Math.abs(Math.sin(each - angle)));
-      const choice = apart.indexOf(Math.min(...apart));
+      const choice = drives.length ? angle : apart.indexOf(Math.min(...apart));
       this._takeOver(run);
       for (const module of modules) run.want(run.partOf(module), choice);
     }

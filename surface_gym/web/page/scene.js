@@ -59,8 +59,14 @@ const MARK = "1."; // before a scene in an address: how it is packed
  * @property {number[][]} stuck row and column of modules
  * @property {number} late control periods by which axes are
  * @property {boolean} [camera] whether a camera senses parcels; otherwise sensors are exact
+ * @property {string} [modules] their kind; default: idle
  * @property {[number, number[][]][]} commands a period, and the modules and choices set from it on
  */
+
+/** Return whether a scene's modules are driven. */
+export function isDriven({ modules = "idle" }) {
+  return modules !== "idle";
+}
 
 /** Make a table to begin with. @returns {TableScene} */
 export function emptyTable({ rows = 10, columns = 24, angle = Math.PI / 2 } = {}) {
@@ -214,6 +220,8 @@ function checkTask(scene) {
   checkWhole("late", scene.late, 0, 10);
   if (![true, false, undefined].includes(scene.camera))
     throw new PlainError(`camera must be true or false, got ${shown(scene.camera)}.`);
+  if (!/^[a-z]{1,20}$/.test(scene.modules ?? "idle"))
+    throw new PlainError(`modules must be the name of a kind, got ${shown(scene.modules)}.`);
   let last = 0;
   for (const command of checkArray("commands", scene.commands, 0, MOST_CHANGES)) {
     const [period, turns] = checkArray("commands", command, 2);
@@ -293,10 +301,11 @@ async function unzipped(bytes) {
 
 /**
  * Write a scene as a Python script that gives the same run, of so many control periods in a task.
- * @param {string} [file] with the class of a task of the reader's own
+ * @param {{file?: string, rolling?: number}} [about] the file of a task of the reader's own, and the
+ *   choice by which parcels roll on
  */
-export function toPython(scene, periods = 0, file = "") {
-  return scene.task === "table" ? tableScript(scene) : taskScript(scene, periods, file);
+export function toPython(scene, periods = 0, { file = "", rolling = 3 } = {}) {
+  return scene.task === "table" ? tableScript(scene) : taskScript(scene, periods, file, rolling);
 }
 
 function tableScript(scene) {
@@ -365,7 +374,7 @@ function sceneScript(scene) {
   ].join("\n");
 }
 
-function taskScript(scene, periods, file) {
+function taskScript(scene, periods, file, rolling) {
   const stuck = scene.stuck.map(tuple);
   const id = `SmartSurface/${scene.task[0].toUpperCase()}${scene.task.slice(1)}-v0`;
   const made = file
@@ -374,6 +383,7 @@ function taskScript(scene, periods, file) {
   const faults = [
     ...(stuck.length ? [`actuators=Actuators(stuck=(${stuck.join(", ")},))`] : []),
     ...(scene.camera ? ["sensors=Camera()"] : []),
+    ...(isDriven(scene) ? [`modules="${scene.modules}"`] : []),
   ];
   const commands = scene.commands.map(
     ([period, turns]) =>
@@ -396,10 +406,10 @@ function taskScript(scene, periods, file) {
     "",
     `env = ${[made, ...faults].join(", ")})`,
     `observation, info = env.reset(seed=${scene.seed})`,
-    "commands = {  # by the control period: modules and the orientations they turn to",
+    "commands = {  # by the control period: modules and their choices",
     ...commands,
     "}",
-    "action = np.full(env.action_space.shape, 3)  # 90 deg: parcels roll on",
+    `action = np.full(env.action_space.shape, ${rolling})  # parcels roll on`,
     "rewards = 0.0",
     `for period in range(${periods}):`,
     "    for module, choice in commands.get(period, {}).items():",

@@ -4,7 +4,6 @@ import { frictionForces, PlainError } from "./machine.js";
 import { thinned } from "./tracks.js";
 
 const CORNERS = 32; // of a parcel, at most
-export const ROLLING = 3; // the choice of 90 deg
 
 /** An environment of a task, from the start of a seed on. */
 export class TaskRun {
@@ -37,7 +36,7 @@ export class TaskRun {
     this._stick();
     this.rotor = machine.view("bodies.rotor").slice(modules * row, modules * (row + 1));
     this.obeys = machine.view("bodies.obeys").slice(modules * row, modules * (row + 1));
-    this.wanted = new Int32Array(machine.view("surfaces.command").length).fill(ROLLING);
+    this.wanted = new Int32Array(machine.view("surfaces.command").length).fill(this.about.rolling);
     this.commanded = this.wanted.slice();
     this.queue = Array.from({ length: scene.late }, () => this.wanted.slice());
     this.planned = scene.commands;
@@ -155,7 +154,8 @@ export class TaskRun {
     }
     const seen = traces ? this.tracks.filter(({ number }) => this.now.has(number - 1)) : [];
     const ways = seen.map(({ motion, colour }) => ({ points: thinned(motion), colour }));
-    return { time: this.time, axes: this._axes(), parcels, traces: ways };
+    const drives = this.about.drives.length ? this._drives() : null;
+    return { time: this.time, axes: this._axes(), drives, parcels, traces: ways };
   }
 
   readings() {
@@ -202,6 +202,19 @@ export class TaskRun {
       this.machine.view("surfaces.direction"),
     ];
     return Float32Array.from(axis, (place) => Math.atan2(way[2 * place + 1], way[2 * place]));
+  }
+
+  /** Compute the velocities [m/s] in x and y of driven modules' surfaces; of idle ones NaN. */
+  _drives() {
+    const [axis, way, drive] = ["axis", "direction", "drive"].map((name) =>
+      this.machine.view(`surfaces.${name}`),
+    );
+    return Array.from(axis, (place) => {
+      const [cosine, sine] = [way[2 * place], way[2 * place + 1]];
+      const [along, across, isDriven] = drive.subarray(3 * place, 3 * place + 3);
+      if (!isDriven) return [Number.NaN, Number.NaN];
+      return [cosine * along - sine * across, sine * along + cosine * across];
+    });
   }
 
   /** Collect motion and look of the parcels there are, by number, and where a camera has them. */
