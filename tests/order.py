@@ -91,14 +91,18 @@ OF_INFOS = (
     "[gymnasium-by_gymnasium-SmartSurface/"
 )
 # Pages whose code compiles kernels that no other test needs.
-PAGES_AT_NIGHT = ("sensors.md", "material-flow.md")
+PAGES_AT_NIGHT = ("sensors.md", "material-flow.md", "identification.md")
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
     "tests/cuda/test_kernels.py::TestPtx::test_every_task_compiles",
     "tests/agents/export/test_kernels.py::test_states_are_equal_to_the_bit_on_the_baseline",
     # A kernel of streams takes twenty seconds to compile; others hold each part of these.
-    *(f"tests/flow/test_env.py::{test}[modules, presence" for test in OF_FLOWS),
+    *(
+        f"tests/flow/test_env.py::{test}[{actions}, presence"
+        for test in OF_FLOWS
+        for actions in ("modules", "parcels")
+    ),
     "tests/agents/planning/test_receding_horizon.py::test_what_is_planned_happens[lab",
     "tests/flow/test_module_parallel_env.py::TestTasks::test_pettingzoos_checks_pass[sequence",
     *(
@@ -129,11 +133,13 @@ NIGHTLY = (
             "test_a_surface_is_found_within_the_intervals",
             "test_runs_that_coast_do_not_tell",
             "test_an_uneven_surface_is_not_explained",
-            "test_delays_of_pictures_and_of_axes_only_have_one_effect[free1",
-            "test_delays_of_pictures_and_of_axes_only_have_one_effect[free3",
-            "test_delays_of_pictures_and_of_axes_only_have_one_effect[free5",
+            *(
+                f"test_delays_of_pictures_and_of_axes_only_have_one_effect[free{k}"
+                for k in (0, 1, 3, 4, 5)
+            ),
         )
     ),
+    "tests/agents/runtime/test_recording.py::test_a_log_tells_the_friction_of_the_machine",
     "tests/web/test_camera.py::test_a_stream_is_sensed_as_in_python",
     *(
         f"tests/agents/benchmark/test_results.py::test_a_sample_comes_out_the_same[{task}"
@@ -159,7 +165,10 @@ NIGHTLY = (
     OF_STREAMS[0],
     *(
         f"{OF_STREAMS[1]}[{task}"
-        for task in ("slow", "stop", "flow", "singulate", "merge", "sequence")
+        for task in (
+            *("slow", "stop", "track", "orient"),
+            *("flow", "singulate", "merge", "sequence"),
+        )
     ),
     "tests/web/test_camera.py::test_an_episode_is_sensed_as_in_python",
     *OF_SLOPES,
@@ -195,6 +204,7 @@ NIGHTLY = (
             "Sort-v0-quadrants",
         )
     ),
+    "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do[turning",
     *(
         f"tests/test_axes.py::TestSeenAxes::test_the_rest_is_as_without[{k}"
         for k in ("modules", "window")
@@ -232,6 +242,7 @@ NIGHTLY = (
         for task in ("slow", "track", "orient", "stop")
     ),
     "tests/web/test_agents.py::test_a_run_on_a_slope_acts_as_in_python",
+    "tests/web/test_agents.py::test_without_agents_a_task_on_a_slope_has_the_player_and_layouts",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'stuck'",
     "tests/web/test_rules.py::test_a_rule_runs_as_in_python[orient",
     # An algorithm's run is resumed: PPO's, DQN's and those on streams without sensors by day.
