@@ -361,7 +361,7 @@ class ControlLoop:
 
     def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
-        if isinstance(message, protocol.Frame):
+        if isinstance(message, (protocol.Frame, protocol.Detections)):
             self._correct(message)
         elif isinstance(message, protocol.ParcelEntry):
             self._enter(message)
@@ -374,9 +374,9 @@ class ControlLoop:
         """Return whether the estimate can start from a message's time [s]."""
         return -MAX_EARLY <= self._clock.now() - moment <= MAX_AHEAD
 
-    def _correct(self, frame: protocol.Frame) -> None:
+    def _correct(self, frame: protocol.Frame | protocol.Detections) -> None:
         self.counts.frames += 1
-        if frame.number is None:
+        if isinstance(frame, protocol.Frame) and frame.number is None:
             return
         try:
             used = self._is_timely(frame.taken_at) and self._estimator.correct(frame)
@@ -417,9 +417,7 @@ class ControlLoop:
             return
         self._open.remove(departed.number)
         count_name(self.counts.parcels, departed.outcome)
-        entered = self._estimator.entered
-        if entered is not None and entered.number == departed.number:
-            self._estimator.clear()
+        if self._estimator.depart(departed.number):
             self._sent.clear()
 
     def _acknowledge(self, answer: protocol.AxesAcknowledgement) -> None:

@@ -20,6 +20,7 @@ from surface_gym import checks
 from surface_gym.machine.messages import (
     Angles,
     AxesAcknowledgement,
+    Detections,
     Frame,
     Message,
     ParcelDeparture,
@@ -29,6 +30,8 @@ from surface_gym.machine.messages import (
     axes_to_fields,
     from_fields,
     from_line,
+    gate_from_fields,
+    gate_to_fields,
     numbers,
     text,
     to_fields,
@@ -40,9 +43,11 @@ __all__ = [
     "AxesAcknowledgement",
     "Connection",
     "ConnectionLost",
+    "Detections",
     "Device",
     "DeviceLost",
     "Frame",
+    "GatedDevice",
     "Message",
     "ParcelDeparture",
     "ParcelEntry",
@@ -53,6 +58,8 @@ __all__ = [
     "check_proof",
     "from_fields",
     "from_line",
+    "gate_from_fields",
+    "gate_to_fields",
     "hello",
     "make_nonce",
     "prove",
@@ -98,6 +105,13 @@ class Device(Protocol):
         Returns:
             The number of the command, for a later acknowledgement.
         """
+
+
+class GatedDevice(Device, Protocol):
+    """Interface of a machine of a stream with a gate."""
+
+    def open_gate(self, begin: float, end: float) -> None:
+        """Let one parcel in between two times [s], as soon as there is room."""
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
@@ -297,3 +311,11 @@ class SocketDevice:
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None
         return self._command
+
+    def open_gate(self, begin: float, end: float) -> None:
+        if self._connection is None:
+            raise DeviceLost("not connected")
+        try:
+            self._connection.send(to_line(gate_to_fields(begin, end)))
+        except (ConnectionLost, ValueError) as error:
+            raise DeviceLost(str(error)) from None

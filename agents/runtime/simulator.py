@@ -134,8 +134,8 @@ class SimulatedMachine:
             self._number,
             self._now,
             _known_parcel(state),
-            _triple(known[:3]),
-            _triple(known[3:]),
+            triple(known[:3]),
+            triple(known[3:]),
             tuple(state.goal.tolist()),
             math.atan2(state.surface[GRAVITY_X], state.surface[GRAVITY_NORMAL]),
             state.path.copy() if len(state.path) else None,
@@ -162,7 +162,7 @@ class SimulatedMachine:
         axes = None
         if self._options.encoders:
             axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return wire.Frame(self._now, self._number, _triple(pose), axes)
+        return wire.Frame(self._now, self._number, triple(pose), axes)
 
 
 def _known_parcel(state: EnvState) -> sg.Parcel:
@@ -177,7 +177,7 @@ def _known_parcel(state: EnvState) -> sg.Parcel:
     return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
 
 
-def _triple(values: NDArray[np.float64]) -> wire.Triple:
+def triple(values: NDArray[np.float64]) -> wire.Triple:
     first, second, third = values.tolist()
     return (first, second, third)
 
