@@ -139,7 +139,7 @@ class AxisHistory(ABC):
             return False
         self._advance(SEEN, max(self._at, taken_at - MAX_AHEAD), taken_at, looks)
         self._at = taken_at
-        while self._commands and self._commands[0].at <= self._at:
+        while self._commands and self._commands[0].at < self._at:
             self._commands.popleft()
         return True
 

@@ -203,6 +203,9 @@ class SimulatedClock:
         self._now = max(self._now, moment)
 
 
+EARLY = 1e-6  # [s] of a message that is due now, with round-off
+
+
 class SimulatedDevice:
     """A simulated machine in the same process, as a device."""
 
@@ -219,9 +222,9 @@ class SimulatedDevice:
 
     def read(self) -> list[wire.Message]:
         now = self._clock.now()
-        self._outbox += self._world.advance(now)
+        self._outbox += self._world.advance(now - 0.5 * self._world.dt)  # the physics is at `now`
         self._outbox.sort(key=itemgetter(0))
-        due = bisect_right(self._outbox, now, key=itemgetter(0))
+        due = bisect_right(self._outbox, now + EARLY, key=itemgetter(0))
         messages = [message for _, message in self._outbox[:due]]
         del self._outbox[:due]
         return messages
