@@ -25,6 +25,7 @@ from .tracker import SteeredBatch, steered_config, unchanged_turn
 ONLY = np.zeros(1, dtype=np.int64)  # index of the only surface
 SHUT = (math.inf, math.inf)
 TOUCHING = 0.02  # [s] parcels that pushed each other this long ago still touch
+MERGED_FOR = 0.2  # [s] for which two touching parcels are seen as one
 
 
 class SimulatedStream:
@@ -51,7 +52,7 @@ class SimulatedStream:
         self._limits = controller.AxisLimits(self.shape, None)
         generator, self._noise = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
         self._batch.seed(0, generator)
-        self._options = options
+        self._options, self._seed = options, seed
         self._now = begun
         self._step = 0
         self._opens = SHUT  # [s] from when to when the gate lets one parcel in
@@ -166,6 +167,12 @@ class SimulatedStream:
     def _parcel(self, arrival: int) -> sg.Parcel:
         return self._batch.parcel_of(int(self.streams.body[0, arrival]))
 
+    def _are_merged(self, one: int, other: int) -> bool:
+        """Return whether the camera takes two touching parcels for one, for a while."""
+        pair = self.streams.number[0, [one, other]].tolist()
+        draw = np.random.default_rng((self._seed, *pair, int(self._now / MERGED_FOR)))
+        return bool(draw.random() < self._options.merged)
+
     def _detect(self) -> tuple[wire.Triple, ...]:
         """Return the poses that the camera finds: some are lost, false, or of two parcels."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
@@ -179,7 +186,7 @@ class SimulatedStream:
         found = []
         since = self.streams.steps[0] - self.streams.touched_at[0][np.ix_(rows, rows)]
         for one, other in np.argwhere(np.triu(since * self.dt <= TOUCHING, 1)).tolist():
-            if rng.random() < options.merged and is_seen[one] and is_seen[other]:
+            if is_seen[one] and is_seen[other] and self._are_merged(rows[one], rows[other]):
                 is_seen[[one, other]] = False
                 found.append(0.5 * (poses[one] + poses[other]))
         found += list(poses[is_seen])

@@ -486,8 +486,12 @@ class StreamTracker(AxisHistory):
         self._move_by(i, begun, until, looks)
 
     def _move_by(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move a stream forward in equal steps, at most as long as the package's step."""
-        steps = math.ceil((until - begun) / self._params.timing.dt - 1e-6)
+        """Move a stream forward in equal steps, at most as long as the package's step.
+
+        Steps of NOW are twice as long, since its errors do not accumulate.
+        """
+        longest = self._params.timing.dt * (1.0 if i == SEEN else 2.0)
+        steps = math.ceil((until - begun) / longest - 1e-6)
         if steps > 0:
             self._streams.clock[i] = begun - self._begun
             self._run(i, (until - begun) / steps, steps, looks)
@@ -508,6 +512,7 @@ class StreamTracker(AxisHistory):
         self._step(params, *self._arrays[1:], *scratches, np.array([i]))
 
 
+@lru_cache(maxsize=MOST_ARRIVALS)
 def unchanged_turn(base: Base) -> float:
     """Return the smallest turn [rad] that leaves a base unchanged; 0 for a disc."""
     if isinstance(base, Disc):
