@@ -6,8 +6,10 @@ differ from the tracker's model.
 """
 
 import time
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -21,15 +23,10 @@ from benchmarks.figure import Figure, figure_table
 from surface_gym.agents import library
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import find_rules
-from surface_gym.agents.runtime import controller as runtime
+from surface_gym.agents.runtime import controller as runtime, protocol
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.protocol import Detections
 from surface_gym.agents.runtime.stream_loop import StreamLoop
-from surface_gym.agents.runtime.stream_simulator import (
-    SimulatedClock,
-    SimulatedDevice,
-    SimulatedStream,
-)
+from surface_gym.agents.runtime.stream_simulator import SimulatedStream
 from surface_gym.agents.runtime.tracker import StreamTracker
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
@@ -47,6 +44,7 @@ MERGED = 0.1  # [-] of touching pairs
 DURATION = 3600.0  # [s] of the task, longer than any run
 VARIED = sg.Randomisation(friction=0.2, com_offset=0.1)
 FULL = 28  # parcels from which on a period counts as one of 30
+EARLY = 1e-6  # [s] of a message that is due now, with round-off
 BRAKE, ROLL = 0, 3  # choices of the default orientations
 
 
@@ -64,6 +62,51 @@ class TrackingOptions:
     """Seed of the first stream."""
 
 
+class SimulatedClock:
+    """A clock that only waiting moves, so that runs do not depend on the computer."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep_until(self, moment: float) -> None:
+        self._now = max(self._now, moment)
+
+
+class SimulatedDevice:
+    """A simulated machine in the same process, as a device."""
+
+    def __init__(self, world: SimulatedStream, clock: runtime.Clock) -> None:
+        self._world, self._clock = world, clock
+        self._outbox: list[tuple[float, protocol.Message]] = []
+        self._command = 0
+
+    def connect(self) -> None:
+        """Nothing is to be connected."""
+
+    def close(self) -> None:
+        """Nothing is to be closed."""
+
+    def read(self) -> list[protocol.Message]:
+        now = self._clock.now()
+        self._outbox += self._world.advance(now - 0.5 * self._world.dt)  # the physics is at `now`
+        self._outbox.sort(key=itemgetter(0))
+        due = bisect_right(self._outbox, now + EARLY, key=itemgetter(0))
+        messages = [message for _, message in self._outbox[:due]]
+        del self._outbox[:due]
+        return messages
+
+    def set_axes(self, angles: protocol.Angles) -> int:
+        self._command += 1
+        self._outbox.append((self._clock.now(), self._world.set_axes(self._command, angles)))
+        return self._command
+
+    def open_gate(self, begin: float, end: float) -> None:
+        self._world.open_gate(begin, end)
+
+
 class TimedTracker(StreamTracker):
     """A tracker that measures its time: from the pictures of a period to its observation."""
 
@@ -72,7 +115,7 @@ class TimedTracker(StreamTracker):
         self.spent = 0.0  # [s] CPU time of this period
         self.periods: list[tuple[int, float]] = []  # parcels, and CPU time [s]
 
-    def correct(self, picture: Detections) -> bool:
+    def correct(self, picture: protocol.Detections) -> bool:
         begun = time.thread_time()
         used = super().correct(picture)
         self.spent += time.thread_time() - begun
@@ -156,6 +199,7 @@ class CrowdController:
 
 
 def make_config(task: str, latency: float = LATE, **given: Any) -> EnvConfig:
+    """Return the configuration of a stream with a camera."""
     camera = sg.sensors.Camera(latency=latency, drop=SHARE)
     return EnvConfig(task, actions="parcels", sensors=camera, duration=DURATION, **given)
 

@@ -23,7 +23,14 @@ from surface_gym.layouts import ROLLING
 from ..base import Controller
 from ..rules import find_rules
 from . import protocol
-from .estimator import MAX_AHEAD, MAX_COMMANDS, Resolver, StateEstimator, within_right_angles
+from .estimator import (
+    MAX_AHEAD,
+    MAX_COMMANDS,
+    Estimator,
+    Resolver,
+    StateEstimator,
+    within_right_angles,
+)
 from .report import Counts, Latencies, count_name
 
 Command = NDArray[Any]  # (size,) choices, or angles [rad]
@@ -249,9 +256,9 @@ class ControlLoop:
     def __init__(
         self,
         device: protocol.Device,
-        estimator: StateEstimator,
+        estimator: Estimator,
         policy: Decider,
-        fixed: tuple[Arranger, Resolver],
+        fixed: tuple[Arranger, Resolver | None],
         limits: AxisLimits,
         bounds: spaces.Box,
         clock: Clock,
@@ -389,6 +396,7 @@ class ControlLoop:
             self.counts.frames_unused += 1
 
     def _enter(self, entered: protocol.ParcelEntry) -> None:
+        assert isinstance(self._estimator, StateEstimator)
         before = self._estimator.entered
         if before is not None and entered.number == before.number:
             self.counts.unused += 1

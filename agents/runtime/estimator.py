@@ -96,12 +96,14 @@ class Resolver:
     surfaces: st.SurfaceState  # the estimator's surfaces, with buffers for these commands
 
 
-class AxisHistory(ABC):
-    """The commands of axes since the latest picture, which move the environments SEEN and NOW."""
+class Estimator(ABC):
+    """Base class of estimators, which predict by the commands of axes since the latest picture."""
 
     _surfaces: st.SurfaceState
     _axis_speed: float  # [rad/s]
+    config: EnvConfig  # the policy's environment as the estimator assumes it
     shape: tuple[int, int]  # (rows, columns) of the widest zone
+    entered: Any  # what entered; None: nothing to control
 
     def __init__(self) -> None:
         self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
@@ -154,6 +156,30 @@ class AxisHistory(ABC):
         self._move_on(i, begun, until, looks)
 
     @abstractmethod
+    def clear(self) -> None:
+        """Forget all parcels."""
+
+    @abstractmethod
+    def depart(self, number: int) -> bool:
+        """Forget the parcel if only it has this number; return whether it has."""
+
+    @abstractmethod
+    def correct(self, picture: Any) -> bool:
+        """Correct the estimate by a picture; return whether it was used."""
+
+    @abstractmethod
+    def observe(self, now: float) -> NDArray[np.float32]:
+        """Return the task's observation at a time [s]: a copy."""
+
+    @abstractmethod
+    def resolver(self, kind: actions.ActionKind) -> Resolver:
+        """Compile the resolver of commands of a kind of action."""
+
+    @abstractmethod
+    def resolve(self, resolver: Any, command: NDArray[Any]) -> Angles:
+        """Return the zone's axes (rows, columns) [rad] for a command (size,)."""
+
+    @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move an environment forward, and correct it by the picture if it `looks`."""
 
@@ -162,7 +188,7 @@ class AxisHistory(ABC):
         """Return the axes (rows, columns) [rad] of the zone's modules."""
 
 
-class StateEstimator(AxisHistory):
+class StateEstimator(Estimator):
     """Estimator of the state of the parcel on the surface.
 
     Raises:

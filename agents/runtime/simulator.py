@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ import surface_gym as sg
 from surface_gym import actions
 from surface_gym.config import EnvConfig
 from surface_gym.core import batch
+from surface_gym.flow.base import StreamTask
 from surface_gym.parcel import Base
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
 from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
@@ -30,6 +32,9 @@ from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 from ..library import find_task
 from . import controller, estimator, protocol as wire
 from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
+
+if TYPE_CHECKING:
+    from .stream_simulator import SimulatedStream
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
@@ -92,6 +97,13 @@ class SimulatedMachine:
         """Let time [s] pass without motion, after the physics fell too far behind the clock."""
         self._now += seconds
         self._enters += seconds
+
+    def greet(self) -> list[wire.Message]:
+        """Return no messages: control resumes with the next parcel."""
+        return []
+
+    def open_gate(self, begin: float, end: float) -> None:
+        raise ValueError(f"gate must be that of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
         fault = self._limits.fault(angles)
@@ -178,6 +190,7 @@ def _known_parcel(state: EnvState) -> sg.Parcel:
 
 
 def triple(values: NDArray[np.float64]) -> wire.Triple:
+    """Return values (3,) as a tuple."""
     first, second, third = values.tolist()
     return (first, second, third)
 
@@ -199,7 +212,11 @@ class MachineServer:
     """
 
     def __init__(
-        self, world: SimulatedMachine, task: str, listener: socket.socket, token: str | None = None
+        self,
+        world: "SimulatedMachine | SimulatedStream",
+        task: str,
+        listener: socket.socket,
+        token: str | None = None,
     ) -> None:
         self._world = world
         self._task = task
@@ -249,6 +266,7 @@ class MachineServer:
             self._drop()
             self._connection = connection
             self._send(wire.to_line(wire.hello(self._task, self._world.shape)))
+            self._greet()
             return
         nonce = wire.make_nonce()
         self._newcomers.append(_Newcomer(connection, nonce, now + wire.GREETING_TIMEOUT))
@@ -276,13 +294,22 @@ class MachineServer:
             else:
                 self._drop()
                 self._connection = each.connection
+                self._greet()
+
+    def _greet(self) -> None:
+        for message in self._world.greet():
+            self._send_message(message)
 
     def _set_axes(self) -> None:
         if self._connection is None:
             return
         try:
             for line in self._connection.lines():
-                command, angles = wire.axes_from_fields(wire.from_line(line), self._world.shape)
+                fields = wire.from_line(line)
+                if fields["kind"] == "gate":
+                    self._world.open_gate(*wire.gate_from_fields(fields))
+                    continue
+                command, angles = wire.axes_from_fields(fields, self._world.shape)
                 answer = self._world.set_axes(command, angles)
                 self.refused += bool(answer.refused)
                 self._send_message(answer)
@@ -318,20 +345,34 @@ def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], 
 
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
     """Return the configuration of the simulated environment."""
-    return EnvConfig(
-        task=find_task(config.task), preset=config.preset, control_period=config.control_period
-    )
+    task, world = find_task(config.task), config.world
+    given: dict[str, Any] = {"preset": config.preset, "control_period": config.control_period}
+    if isinstance(task, StreamTask):
+        given |= {"actions": "parcels", "gate": world.gate}
+        if world.most is not None:
+            given["max_parcels"] = world.most
+        if world.rate is not None:
+            given["stream"] = task.stream.with_rate(world.rate)
+    return EnvConfig(task=task, **given)
+
+
+def make_world(config: SimulatorConfig, begun: float) -> "SimulatedMachine | SimulatedStream":
+    """Make the machine of a configuration, which begins at a time [s]."""
+    from .stream_simulator import SimulatedStream
+
+    env_config = make_env_config(config)
+    kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
+    return kind(env_config, config.seed, begun, config.world)
 
 
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
-    env_config = make_env_config(config)
     clock = controller.WallClock()
-    world = SimulatedMachine(env_config, config.seed, clock.now(), config.world)
+    world = make_world(config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
     listener = socket.create_server((HOST, config.port))
-    server = MachineServer(world, env_config.task.name, listener, token)
+    server = MachineServer(world, make_env_config(config).task.name, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))

@@ -9,15 +9,7 @@ from surface_gym.flow.base import MOST_PARCELS
 from surface_gym.layouts import ROLLING
 
 from . import protocol
-from .controller import (
-    AxisLimits,
-    Clock,
-    Command,
-    ControlLoop,
-    Decider,
-    LoopConfig,
-    Observation,
-)
+from .controller import AxisLimits, Clock, Command, ControlLoop, Decider, LoopConfig, Observation
 from .estimator import MAX_AHEAD
 from .report import count_name
 from .tracker import StreamTracker
@@ -71,8 +63,6 @@ class StreamLoop(ControlLoop):
         try:
             if not entered.waits and not self._is_timely(entered.at):
                 raise ValueError(f"at must be within {MAX_AHEAD:g} s of now, got another time")
-            if self._tracker.entered is None:
-                self._policy.reset()
             self._tracker.enter(entered)
         except ValueError as error:
             self.counts.unfit += 1
@@ -80,6 +70,10 @@ class StreamLoop(ControlLoop):
             return
         if entered.number not in self._open:
             self._open.append(entered.number)
+
+    def _lose(self, fault: str) -> None:
+        super()._lose(fault)
+        self._policy.reset()
 
     def _decide(self, observation: Observation) -> Command | None:
         command = super()._decide(observation)

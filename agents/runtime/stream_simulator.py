@@ -1,9 +1,7 @@
 """A simulated machine of a stream: its camera reports poses without identity."""
 
 import math
-from bisect import bisect_right
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +18,7 @@ from . import controller, protocol as wire
 from .config import WorldOptions
 from .estimator import device_camera
 from .simulator import triple
-from .tracker import SteeredBatch, steered_config, unchanged_turn
+from .steered import SteeredBatch, steered_config, unchanged_turn
 
 ONLY = np.zeros(1, dtype=np.int64)  # index of the only surface
 SHUT = (math.inf, math.inf)
@@ -40,9 +38,8 @@ class SimulatedStream:
         self._camera = device_camera(env_config.sensors)
         self.dt = env_config.timing.dt
         self._every = self._camera.frame_steps(self.dt)
-        self._latency = self._camera.latency
-        if self._latency is None:
-            self._latency = self._every * self.dt
+        delays = (options.late, self._camera.latency, self._every * self.dt)
+        self._latency = next(each for each in delays if each is not None)
         task = replace(env_config.stream_task, duration=min(options.shift, checks.EPISODE))
         config = replace(env_config, task=task)
         self._batch = SteeredBatch(steered_config(config, control_period=self.dt), 1)
@@ -109,7 +106,6 @@ class SimulatedStream:
     def advance(self, until: float) -> list[tuple[float, wire.Message]]:
         """Simulate until a time [s]; return messages with the time [s] at which each is due."""
         messages: list[tuple[float, wire.Message]] = []
-        assert self._latency is not None
         while self._now <= until:
             begin, end = self._opens
             if self._batch.config.stream_task.gate:
@@ -129,15 +125,8 @@ class SimulatedStream:
 
     def _report(self) -> list[wire.Message]:
         """Return messages of the parcels that came to the gate, entered or departed in a step."""
-        streams, messages = self.streams, list[wire.Message]()
-        if self._batch.config.stream_task.gate:
-            for arrival in range(self._due, int(streams.due[0])):
-                start = streams.start[0, arrival, :6].copy()
-                cosine, sine = math.cos(start[2]), math.sin(start[2])
-                x, y = self._parcel(arrival).com_offset
-                start[:2] -= cosine * x - sine * y, sine * x + cosine * y
-                at = self._begun + float(streams.time[0, arrival])
-                messages.append(self._entry(arrival, at, start, waits=True))
+        streams = self.streams
+        messages = self._waiting(self._due)
         self._due = int(streams.due[0])
         arrivals = np.where(streams.present[0], streams.number[0], fs.NOBODY)
         for row in np.flatnonzero(self._arrivals != arrivals).tolist():
@@ -149,6 +138,27 @@ class SimulatedStream:
                 messages.append(self._entry(come, self._now, self._batch.parcels.truth[row]))
         self._arrivals = arrivals
         return messages
+
+    def _waiting(self, first: int) -> list[wire.Message]:
+        """Return the entries of parcels at the gate, from an arrival on."""
+        streams, messages = self.streams, list[wire.Message]()
+        if self._batch.config.stream_task.gate:
+            for arrival in range(first, int(streams.due[0])):
+                start = streams.start[0, arrival, :6].copy()
+                cosine, sine = math.cos(start[2]), math.sin(start[2])
+                x, y = self._parcel(arrival).com_offset
+                start[:2] -= cosine * x - sine * y, sine * x + cosine * y
+                at = self._begun + float(streams.time[0, arrival])
+                messages.append(self._entry(arrival, at, start, waits=True))
+        return messages
+
+    def greet(self) -> list[wire.Message]:
+        """Return entries of the parcels that wait or are on the surface, for a new controller."""
+        rows = np.flatnonzero(self.streams.present[0])
+        truth = self._batch.parcels.truth
+        return self._waiting(int(self.streams.coming[0])) + [
+            self._entry(int(self.streams.number[0, row]), self._now, truth[row]) for row in rows
+        ]
 
     def _entry(
         self, arrival: int, at: float, start: Array, waits: bool = False
@@ -180,7 +190,7 @@ class SimulatedStream:
         spread = [self._camera.position_noise] * 2 + [self._camera.angle_noise]
         poses = truth + np.array(spread) * rng.standard_normal(truth.shape)
         for k, row in enumerate(rows.tolist()):
-            turn = unchanged_turn(self._parcel(int(self.streams.number[0, row])).base) or math.tau
+            turn = unchanged_turn(self._parcel(int(self.streams.number[0, row]))) or math.tau
             poses[k, 2] -= turn * round(poses[k, 2] / turn)
         is_seen = rng.random(len(rows)) >= max(options.lost, self._camera.drop)
         found = []
@@ -195,51 +205,3 @@ class SimulatedStream:
             place = rng.uniform((low, right, -math.pi), (high, left, math.pi))
             found.append(place)
         return tuple(triple(found[k]) for k in rng.permutation(len(found)))
-
-
-class SimulatedClock:
-    """A clock that only waiting moves, so that runs do not depend on the computer."""
-
-    def __init__(self) -> None:
-        self._now = 0.0
-
-    def now(self) -> float:
-        return self._now
-
-    def sleep_until(self, moment: float) -> None:
-        self._now = max(self._now, moment)
-
-
-EARLY = 1e-6  # [s] of a message that is due now, with round-off
-
-
-class SimulatedDevice:
-    """A simulated machine in the same process, as a device."""
-
-    def __init__(self, world: SimulatedStream, clock: controller.Clock) -> None:
-        self._world, self._clock = world, clock
-        self._outbox: list[tuple[float, wire.Message]] = []
-        self._command = 0
-
-    def connect(self) -> None:
-        """Nothing is to be connected."""
-
-    def close(self) -> None:
-        """Nothing is to be closed."""
-
-    def read(self) -> list[wire.Message]:
-        now = self._clock.now()
-        self._outbox += self._world.advance(now - 0.5 * self._world.dt)  # the physics is at `now`
-        self._outbox.sort(key=itemgetter(0))
-        due = bisect_right(self._outbox, now + EARLY, key=itemgetter(0))
-        messages = [message for _, message in self._outbox[:due]]
-        del self._outbox[:due]
-        return messages
-
-    def set_axes(self, angles: wire.Angles) -> int:
-        self._command += 1
-        self._outbox.append((self._clock.now(), self._world.set_axes(self._command, angles)))
-        return self._command
-
-    def open_gate(self, begin: float, end: float) -> None:
-        self._world.open_gate(begin, end)

@@ -22,32 +22,21 @@ from scipy.optimize import linear_sum_assignment
 
 from surface_gym import checks, state as st
 from surface_gym.actions import ActionKind
-from surface_gym.compiler.jit import compile_for, compiled, kernel_function
+from surface_gym.compiler.jit import compile_for, compiled
 from surface_gym.config import EnvConfig
 from surface_gym.core.kernel import EnvParams
 from surface_gym.flow import claims, kernel, state as fs
-from surface_gym.flow.batch import StreamBatch, stream_functions
+from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.entry import count_due, occupy, put
-from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Base, Disc, Parcel
-from surface_gym.physics.types import RADIUS, STATE_SIZE, Array, Integers
+from surface_gym.physics.types import RADIUS, Array, Integers
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import Camera, kalman
-from surface_gym.sensors.base import Physics
-from surface_gym.sensors.camera import ENTRY, EVERY, MODEL
-from surface_gym.state import EnvState, Timing
+from surface_gym.sensors import kalman
+from surface_gym.sensors.camera import EVERY
+from surface_gym.state import Timing
 
-from .estimator import (
-    MAX_AHEAD,
-    NOW,
-    SEEN,
-    AxisHistory,
-    Resolver,
-    device_camera,
-    within_right_angles,
-    zone_angles,
-)
+from .estimator import MAX_AHEAD, NOW, SEEN, Estimator, Resolver, within_right_angles, zone_angles
 from .protocol import Angles, Detections, ParcelEntry
+from .steered import SteeredBatch, steered_config, unchanged_turn
 
 SIZE = kalman.SIZE
 COVARIANCE = slice(kalman.COVARIANCE, kalman.COVARIANCE + SIZE * SIZE)
@@ -61,97 +50,7 @@ TOGETHER = 0.06  # [m] of a pose from the middle of two parcels that it shows as
 LOST_AFTER = 3  # pictures without a parcel after which it may be elsewhere
 GONE_AFTER = 50  # pictures without a parcel after which it is no longer on the line
 MOST_ARRIVALS = 512  # parcels that are remembered
-SYMMETRIES = 12  # maximum number of turns that leave a base unchanged
 UNKNOWN_TURN = 1e3  # [rad] standard deviation of a disc's angle
-
-
-@dataclass(frozen=True)
-class Detector(Camera):
-    """The sensor of a tracked stream: it predicts each parcel's covariance beside the physics."""
-
-    sensor_size = kalman.LAST
-
-    @staticmethod
-    @kernel_function
-    def begin(numbers: Array, state: EnvState) -> None:
-        """Set the covariance to that of the entry; the estimate is the state of the physics."""
-        state.noise_row[0] = 0
-        kalman.begin(numbers, ENTRY, state)
-
-    @staticmethod
-    @kernel_function
-    def update(numbers: Array, state: EnvState, physics: Physics) -> None:
-        """Predict the covariance over a physics step, unless the frame period is 0."""
-        if numbers[EVERY] > 0.0:
-            for k in range(STATE_SIZE):
-                state.sensor_state[k] = state.com[k]
-            kalman.predict(numbers, MODEL, state, physics)
-
-    @staticmethod
-    @kernel_function
-    def read(numbers: Array, state: EnvState) -> None:
-        """Write the physics' pose and velocity."""
-        for k in range(SIZE):
-            state.sensed[k] = state.truth[k]
-
-
-class SteeredBatch(StreamBatch):
-    """Streams whose modules turn to `surfaces.target` instead of obeying commands.
-
-    Only the gate obeys its command. Axes take time to turn.
-    """
-
-    def make_kernel(self) -> Any:
-        functions = stream_functions(self.config)
-        return kernel.make_stream_kernel(functions._replace(part_of=claims.part_of_none))
-
-    def steer(self, i: int, angles: Angles | float) -> None:
-        """Set the targets (rows, columns) [rad] of a zone's modules that are not stuck."""
-        first_row, rows, first, columns = self.bodies.zone[0]
-        zone = np.s_[first_row : first_row + rows, first : first + columns]
-        obeys = self.streams.obeys[i if len(self.streams.obeys) > 1 else 0][zone]
-        target = self.surfaces.target[i][zone]
-        target[:] = np.where(obeys, angles, target)
-
-    def take(self, parcel: Parcel) -> int:
-        """Return the body table's row of a parcel, used once more."""
-        return self._pool.take(parcel)
-
-    def give_back(self, rows: list[int]) -> None:
-        """Give back rows of the body table, one use each."""
-        self._pool.give_back(rows)
-
-    def parcel_of(self, row: int) -> Parcel:
-        """Return the parcel of a row of the body table."""
-        return self._pool.parcel(row)
-
-    def straighten(self) -> None:
-        """Set all axes to the conveyor's."""
-        for angles in (self.surfaces.angle, self.surfaces.target, self.streams.commanded):
-            angles[:] = ROLLING
-
-
-def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
-    """Return the configuration of a `SteeredBatch` for a machine of a policy's stream.
-
-    Raises:
-        ValueError: modules are driven, or the take-away stops at times that no message tells.
-    """
-    task = config.stream_task
-    if config.module_kind.drives:
-        raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
-    if getattr(task, "demand", None) is not None:
-        raise ValueError(f"demand must be None in real time, got {task.demand!r}")
-    camera = device_camera(config.sensors)
-    speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
-    # The model of an adaptive camera expects less error, since it learns friction and load.
-    detector = Detector(
-        latency=camera.latency, position_noise=camera.position_noise, entry=camera.entry,
-        angle_noise=camera.angle_noise, drop=camera.drop, frame_rate=camera.frame_rate,
-        friction_error=camera.friction_error,
-    )  # fmt: skip
-    actuators = replace(config.actuators, axis_speed=speed)
-    return replace(config, sensors=detector, **{"actuators": actuators, **changed})
 
 
 @dataclass
@@ -163,7 +62,7 @@ class _Birth:
     slot: int  # its row; NOBODY: none is free
 
 
-class StreamTracker(AxisHistory):
+class StreamTracker(Estimator):
     """Estimator of the parcels on a surface, from pictures without identity.
 
     Args:
@@ -204,7 +103,9 @@ class StreamTracker(AxisHistory):
         self._batch = batch = SteeredBatch(self.config, 2, compiles=False)
         batch.straighten()
         offered = within_right_angles(batch.params.acting.orientations)
-        self._params = batch.params._replace(acting=batch.params.acting._replace(orientations=offered))
+        self._params = batch.params._replace(
+            acting=batch.params.acting._replace(orientations=offered)
+        )
         self._stream_params = batch.stream_params._replace(duration=math.inf, patience=math.inf)
         self._surfaces, self._parcels = batch.surfaces, batch.parcels
         self._streams = batch.streams
@@ -256,8 +157,8 @@ class StreamTracker(AxisHistory):
         most = np.array([exits - 1, inlets - 1, checks.EPISODE])
         if (goal < 0.0).any() or (goal > most).any() or (goal % 1.0).any():
             raise ValueError(
-                f"goal must be the indices of one of {exits} exits and {inlets} inlets, and a place "
-                f"in the order, got {entered.goal}"
+                f"goal must be indices of one of {exits} exits and {inlets} inlets, and a place in "
+                f"the order, got {entered.goal}"
             )
         parcel = replace(entered.parcel, com_offset=(0.0, 0.0))  # the load's position is unknown
         self.config.stream_task.check_stream(
@@ -330,7 +231,7 @@ class StreamTracker(AxisHistory):
                 parcel = self._batch.parcel_of(int(self._streams.body[SEEN, birth.column]))
                 self._is_clear[birth.slot], self._missed[birth.slot] = False, 0
                 self._hidden[birth.slot] = False
-                self._period[birth.slot] = unchanged_turn(parcel.base)
+                self._period[birth.slot] = unchanged_turn(parcel)
 
     def _assign(self, poses: Array) -> None:
         """Assign poses (poses, 3) to the parcels of SEEN, and correct these."""
@@ -416,7 +317,7 @@ class StreamTracker(AxisHistory):
         seen = streams.present[SEEN, slots]
         streams.present[NOW, slots] &= ~self._hidden
         self._advance(NOW, self._at, min(now, self._at + MAX_AHEAD), looks=False)
-        self._run(NOW, 0.001, 0, looks=False)
+        self._run(NOW, 0.001, 0)
         shown = streams.present[NOW, slots]
         # What has departed by the prediction stays so, even if the next picture disagrees.
         self._hidden = seen & ~shown
@@ -478,14 +379,15 @@ class StreamTracker(AxisHistory):
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move a stream forward, with the parcels that enter."""
+        del looks
         for birth in self._births:
             if birth.slot >= 0 and begun <= birth.at < until:
-                self._move_by(i, begun, birth.at, looks)
+                self._move_by(i, begun, birth.at)
                 begun = birth.at
                 self._enter(*self._arrays, i, birth.slot, birth.column)
-        self._move_by(i, begun, until, looks)
+        self._move_by(i, begun, until)
 
-    def _move_by(self, i: int, begun: float, until: float, looks: bool) -> None:
+    def _move_by(self, i: int, begun: float, until: float) -> None:
         """Move a stream forward in equal steps, at most as long as the package's step.
 
         Steps of NOW are twice as long, since its errors do not accumulate.
@@ -494,35 +396,20 @@ class StreamTracker(AxisHistory):
         steps = math.ceil((until - begun) / longest - 1e-6)
         if steps > 0:
             self._streams.clock[i] = begun - self._begun
-            self._run(i, (until - begun) / steps, steps, looks)
+            self._run(i, (until - begun) / steps, steps)
 
     @property
     def _arrays(self) -> tuple[Any, ...]:
         return self._params, self._stream_params, *self._batch.arguments[2:-3]
 
-    def _run(self, i: int, length: float, steps: int, looks: bool) -> None:
+    def _run(self, i: int, length: float, steps: int) -> None:
         """Run a number of physics steps of a length [s]; SEEN predicts covariances too."""
         acting = self._params.acting._replace(turn=self._axis_speed * length)
         sensor = self._params.sensor.copy()
         sensor[EVERY] = 1.0 if i == SEEN else 0.0
-        params = self._params._replace(
-            timing=Timing(length, steps), acting=acting, sensor=sensor
-        )
+        params = self._params._replace(timing=Timing(length, steps), acting=acting, sensor=sensor)
         scratches = self._batch.arguments[-3:-1]
         self._step(params, *self._arrays[1:], *scratches, np.array([i]))
-
-
-@lru_cache(maxsize=MOST_ARRIVALS)
-def unchanged_turn(base: Base) -> float:
-    """Return the smallest turn [rad] that leaves a base unchanged; 0 for a disc."""
-    if isinstance(base, Disc):
-        return 0.0
-    corners = (base.outline - np.array(base.centroid)) @ np.array([1.0, 1.0j])
-    for count in range(SYMMETRIES, 1, -1):
-        turned = corners * np.exp(2j * math.pi / count)
-        if np.abs(turned[:, np.newaxis] - corners).min(axis=1).max() < 1e-3 * base.reach:
-            return math.tau / count
-    return math.tau
 
 
 @lru_cache(maxsize=16)
