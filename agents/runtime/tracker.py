@@ -28,7 +28,7 @@ from surface_gym.core.kernel import EnvParams
 from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.entry import count_due, occupy, put
-from surface_gym.physics.types import RADIUS, Array, Integers
+from surface_gym.physics.types import RADIUS, Array, Booleans, Integers
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import kalman
 from surface_gym.sensors.camera import EVERY
@@ -50,6 +50,7 @@ TOGETHER = 0.06  # [m] of a pose from the middle of two parcels that it shows as
 LOST_AFTER = 3  # pictures without a parcel after which it may be elsewhere
 GONE_AFTER = 50  # pictures without a parcel after which it is no longer on the line
 MOST_ARRIVALS = 512  # parcels that are remembered
+MOST_ENTERING = 64  # parcels that wait for a row; others are not tracked
 UNKNOWN_TURN = 1e3  # [rad] standard deviation of a disc's angle
 
 
@@ -146,7 +147,7 @@ class StreamTracker(Estimator):
         pose = checks.pose("pose", entered.pose, (3,))
         velocity = checks.velocity("velocity", entered.velocity, (3,))
         self._streams.start[:, column] = (*pose, *velocity, 0.0, 0.0)
-        if not entered.waits:
+        if not entered.waits and len(self._births) < MOST_ENTERING:
             self._births.append(_Birth(entered.at, column, fs.NOBODY))
             self._births.sort(key=lambda birth: birth.at)
 
@@ -175,7 +176,9 @@ class StreamTracker(Estimator):
         streams.body[:, column] = batch.take(parcel)
         streams.exit[:, column], streams.inlet[:, column] = int(goal[0]), int(goal[1])
         streams.order[:, column] = order
-        streams.time[:, column] = entered.at - self._begun
+        # Without a gate, the stream would let in whatever is due.
+        gated = self.config.stream_task.gate
+        streams.time[:, column] = entered.at - self._begun if gated else np.inf
         for name, value in (("entered", np.nan), ("departed", np.nan), ("past", False)):
             getattr(streams, name)[:, column] = value
         streams.arrivals[:] = column + 1
@@ -239,6 +242,8 @@ class StreamTracker(Estimator):
         states = parcels.state[: self._slots]
         streams.present[SEEN, : self._slots] &= np.isfinite(states[:, :SIZE]).all(axis=1)
         rows = np.flatnonzero(streams.present[SEEN, : self._slots])
+        is_merged, merged = self._find_merged(rows, poses)
+        poses = poses[~is_merged]
         spread = parcels.sensor_state[rows, COVARIANCE].reshape(-1, SIZE, SIZE)
         gap = poses - states[rows, np.newaxis, :3]
         period = self._period[rows, np.newaxis]
@@ -259,11 +264,12 @@ class StreamTracker(Estimator):
             smaller = spread[one] - gain @ spread[one, :3, :]
             smaller = 0.5 * (smaller + smaller.transpose(0, 2, 1))
             parcels.sensor_state[rows[one], COVARIANCE] = smaller.reshape(-1, SIZE * SIZE)
-        unseen, stray = np.delete(rows, one), np.delete(poses, other, axis=0)
+        unseen, strays = np.delete(rows, one), np.delete(poses, other, axis=0)
+        unseen = unseen[~np.isin(unseen, merged)]
         self._missed[rows[one]] = 0
         self._missed[unseen] += 1
         self._widen(unseen, UNSEEN**2)
-        self._find_again(unseen, stray)
+        self._find_again(unseen, strays)
 
     def _widen(self, rows: Integers, variance: Array) -> None:
         """Add variances (6,) to the covariances of some rows."""
@@ -273,7 +279,6 @@ class StreamTracker(Estimator):
     def _find_again(self, unseen: Integers, strays: Array) -> None:
         """Move parcels that were unseen for long to unexplained poses that stay, or drop them."""
         streams, states = self._streams, self._parcels.state
-        strays = strays[~self._show_two(strays)]
         before, self._strays = self._strays, strays
         apart = np.linalg.norm(strays[:, np.newaxis, :2] - before[:, :2], axis=2)
         strays = strays[apart.min(axis=1, initial=math.inf) < STEADY]
@@ -297,17 +302,24 @@ class StreamTracker(Estimator):
             while place[SEEN] < streams.arrivals[SEEN] and streams.past[SEEN, place[SEEN]]:
                 place[SEEN] += 1
 
-    def _show_two(self, strays: Array) -> Any:
-        """Return (strays,) whether a pose shows two touching parcels as one."""
-        rows = np.flatnonzero(self._streams.present[SEEN, : self._slots])
+    def _find_merged(self, rows: Integers, poses: Array) -> tuple[Booleans, Integers]:
+        """Find poses that show two touching parcels as one.
+
+        Returns:
+            (poses,) whether a pose does so, and the rows of the parcels.
+        """
         centre = self._parcels.state[rows, :2]
-        body = self._batch.bodies.body[self._parcels.body[rows]]
+        radius = self._batch.bodies.body[self._parcels.body[rows], RADIUS]
         one, other = np.triu_indices(len(rows), 1)
         apart = np.linalg.norm(centre[one] - centre[other], axis=1)
-        near = apart < body[one, RADIUS] + body[other, RADIUS]
-        middle = 0.5 * (centre[one[near]] + centre[other[near]])
-        away = np.linalg.norm(strays[:, np.newaxis, :2] - middle, axis=2)
-        return away.min(axis=1, initial=math.inf) < TOGETHER
+        near = apart < radius[one] + radius[other]
+        one, other = one[near], other[near]
+        middle = 0.5 * (centre[one] + centre[other])
+        away = np.linalg.norm(poses[:, np.newaxis, :2] - middle, axis=2) < TOGETHER
+        alone = np.linalg.norm(poses[:, np.newaxis, :2] - centre, axis=2) > TOGETHER
+        away &= alone.all(axis=1)[:, np.newaxis]
+        seen = away.any(axis=0)
+        return away.any(axis=1), rows[np.concatenate([one[seen], other[seen]])]
 
     def observe(self, now: float) -> NDArray[np.float32]:
         """Return the task's table (rows, features) at a time [s]: a copy."""
@@ -429,6 +441,7 @@ def make_enter(functions: kernel.StreamFunctions) -> Any:
         arrival: int,
     ) -> None:
         view = kernel.view_surface(params, stream_params, surfaces, parcels, bodies, streams, i)
+        streams.time[i, arrival] = min(streams.time[i, arrival], streams.clock[i])
         count_due(streams, i)
         put(view, slot, arrival)
         occupy(view, slot, arrival)
