@@ -368,7 +368,7 @@ class ControlLoop:
 
     def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
-        if isinstance(message, (protocol.Frame, protocol.Detections)):
+        if isinstance(message, protocol.Frame):
             self._correct(message)
         elif isinstance(message, protocol.ParcelEntry):
             self._enter(message)

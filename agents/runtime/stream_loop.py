@@ -59,6 +59,14 @@ class StreamLoop(ControlLoop):
         """Return False: a stream has no pauses, so that others wait for the end of a period."""
         return False
 
+    def _handle(self, message: protocol.Message) -> None:
+        if isinstance(message, protocol.Detections):
+            self._correct(message)
+        elif isinstance(message, protocol.Frame):
+            self.counts.unused += 1
+        else:
+            super()._handle(message)
+
     def _enter(self, entered: protocol.ParcelEntry) -> None:
         try:
             if not entered.waits and not self._is_timely(entered.at):

@@ -9,9 +9,11 @@ import pytest
 import surface_gym as sg
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.runtime import protocol
-from surface_gym.agents.runtime.steered import unchanged_turn
+from surface_gym.agents.runtime.steered import steered_config, unchanged_turn
 from surface_gym.agents.runtime.tracker import GONE_AFTER, MOST_ARRIVALS
-from surface_gym.flow.state import NOBODY
+from surface_gym.config import EnvConfig
+from surface_gym.flow.state import CORRECT, NOBODY
+from surface_gym.flow.take_away import Stops
 from surface_gym.flow.task import COLUMN
 from tests.agents.runtime import streams
 from tests.agents.runtime.streams import CONFIG, entry, fresh, picture
@@ -219,11 +221,7 @@ def test_a_parcel_too_large_for_the_line_is_refused() -> None:
         fresh().enter(replace(entry(), parcel=sg.Parcel(sg.Rectangle(9.0, 0.2))))
 
 
-def test_driven_modules_and_stops_without_notice_are_refused() -> None:
-    from surface_gym.agents.runtime.steered import steered_config
-    from surface_gym.config import EnvConfig
-    from surface_gym.flow.take_away import Stops
-
+def test_driven_modules_and_a_take_away_that_stops_are_refused() -> None:
     with pytest.raises(ValueError, match="demand must be None"):
         steered_config(EnvConfig("singulate", demand=Stops()))
     with pytest.raises(ValueError, match="modules must be idle"):
@@ -231,8 +229,6 @@ def test_driven_modules_and_stops_without_notice_are_refused() -> None:
 
 
 def test_a_rule_delivers_as_with_known_parcels() -> None:
-    from surface_gym.flow.state import CORRECT
-
     rule = find_rules("flow")[0].make(CONFIG)
     swapped = []
 
