@@ -66,7 +66,7 @@ class SimulatedStream:
 
     def _reset(self) -> None:
         """Begin an episode on an empty surface."""
-        self._first += int(self._batch.streams.arrivals[0])
+        self._first += int(self._batch.streams.due[0])
         self._batch.straighten()
         self._batch.reset(ONLY)
         self._begun, self._due = self._now, 0
@@ -167,7 +167,8 @@ class SimulatedStream:
         streams, entry = self.streams, self._camera.entry
         spread = [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
         known = start + np.array(spread) * self._noise.standard_normal(6)
-        goal = (streams.exit[0, arrival], streams.inlet[0, arrival], streams.order[0, arrival])
+        order = self._first + int(streams.order[0, arrival])
+        goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
         parcel = replace(self._parcel(arrival), com_offset=(0.0, 0.0), inertia=None)
         return wire.ParcelEntry(
             self._first + arrival, at, parcel, triple(known[:3]), triple(known[3:]),

@@ -28,6 +28,7 @@ from surface_gym.core.kernel import EnvParams
 from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.entry import count_due, occupy, put
+from surface_gym.flow.stream import Stream
 from surface_gym.physics.types import RADIUS, Array, Booleans, Integers
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import kalman
@@ -51,7 +52,7 @@ TOGETHER = 0.06  # [m] of a pose from the middle of two parcels that it shows as
 LOST_AFTER = 3  # pictures without a parcel after which it may be elsewhere
 GONE_AFTER = 50  # pictures without a parcel after which it is no longer on the line
 MOST_ARRIVALS = 512  # parcels that are remembered
-MOST_ENTERING = 64  # parcels that wait for a row; others are not tracked
+MOST_ENTERING = 64  # parcels that wait for a row
 UNKNOWN_TURN = 1e3  # [rad] standard deviation of a disc's angle
 
 
@@ -128,8 +129,14 @@ class StreamTracker(Estimator):
         self.entered = None
 
     def depart(self, number: int) -> bool:
-        """Return False: a machine need not know which parcel departed."""
-        del number
+        """Forget a parcel that waits; others depart where the task says so. Return False."""
+        column, streams = self._columns.get(number), self._streams
+        entering = [birth.column for birth in self._births]
+        if column is None or column in entering or not math.isnan(streams.entered[SEEN, column]):
+            return False
+        streams.entered[SEEN, column] = streams.clock[SEEN]
+        streams.tally[SEEN, fs.ENTERED] += 1
+        self._let_go(column)
         return False
 
     def enter(self, entered: ParcelEntry) -> None:
@@ -140,15 +147,17 @@ class StreamTracker(Estimator):
         """
         if self.entered is None:
             self._begin(entered.at)
+        if len(self._births) >= MOST_ENTERING:
+            raise ValueError(f"entered must be at most {MOST_ENTERING} without a row, got more")
+        pose = checks.pose("pose", entered.pose, (3,))
+        velocity = checks.velocity("velocity", entered.velocity, (3,))
         column = self._columns.get(entered.number)
         if column is None:
             column = self._add(entered)
         elif entered.waits or not math.isnan(self._streams.entered[SEEN, column]):
             raise ValueError(f"number must be a new one of each parcel, got {entered.number} twice")
-        pose = checks.pose("pose", entered.pose, (3,))
-        velocity = checks.velocity("velocity", entered.velocity, (3,))
         self._streams.start[:, column] = (*pose, *velocity, 0.0, 0.0)
-        if not entered.waits and len(self._births) < MOST_ENTERING:
+        if not entered.waits:
             self._births.append(_Birth(entered.at, column, fs.NOBODY))
             self._births.sort(key=lambda birth: birth.at)
 
@@ -163,9 +172,7 @@ class StreamTracker(Estimator):
                 f"the order, got {entered.goal}"
             )
         parcel = replace(entered.parcel, com_offset=(0.0, 0.0))  # the load's position is unknown
-        self.config.stream_task.check_stream(
-            replace(self.config.stream_task.stream, parcels=(parcel,)), self.config
-        )
+        self.config.stream_task.check_stream(Stream(parcels=(parcel,)), self.config)
         if self._streams.arrivals[SEEN] >= MOST_ARRIVALS:
             self._forget()
         batch, column = self._batch, int(self._streams.arrivals[SEEN])
@@ -190,7 +197,7 @@ class StreamTracker(Estimator):
         """Remove the oldest arrivals that have departed."""
         streams = self._streams
         departed = np.append(~np.isnan(streams.departed[SEEN]), False)
-        count = int(min(departed.argmin(), streams.next_place[SEEN], streams.coming[SEEN]))
+        count = int(min(departed.argmin(), streams.next_place[SEEN]))
         if count == 0:
             raise ValueError(f"entered must be at most {MOST_ARRIVALS} parcels at once, got more")
         self._batch.give_back(streams.body[SEEN, :count].tolist())
@@ -198,8 +205,8 @@ class StreamTracker(Estimator):
             values = getattr(streams, name)
             values[:, :-count] = values[:, count:].copy()
         for name in ("order", "number", "arrivals", "coming", "due", "next_place"):
-            getattr(streams, name)[:] -= count
-        np.maximum(streams.number, fs.NOBODY, out=streams.number)
+            values = getattr(streams, name)
+            np.maximum(values - count, fs.NOBODY if name == "number" else 0, out=values)
         streams.tally[:, fs.ENTERED] -= count
         kept = {number: each - count for number, each in self._columns.items()}
         self._columns = {number: each for number, each in kept.items() if each >= 0}
@@ -241,17 +248,17 @@ class StreamTracker(Estimator):
         """Assign poses (poses, 3) to the parcels of SEEN, and correct these."""
         streams, parcels = self._streams, self._parcels
         states = parcels.state[: self._slots]
-        streams.present[SEEN, : self._slots] &= np.isfinite(states[:, :SIZE]).all(axis=1)
         rows = np.flatnonzero(streams.present[SEEN, : self._slots])
         is_merged, merged = self._find_merged(rows, poses)
         poses = poses[~is_merged]
         spread = parcels.sensor_state[rows, COVARIANCE].reshape(-1, SIZE, SIZE)
         gap = poses - states[rows, np.newaxis, :3]
-        period = self._period[rows, np.newaxis]
+        period, is_disc = self._period[rows, np.newaxis], self._period[rows] == 0.0
+        period[is_disc] = math.tau
         gap[..., 2] -= period * np.round(gap[..., 2] / period)
-        gap[self._period[rows] == 0.0, :, 2] = 0.0
+        gap[is_disc, :, 2] = 0.0
         doubt = spread[:, :3, :3] + self._noise
-        doubt[self._period[rows] == 0.0, 2, 2] += UNKNOWN_TURN**2
+        doubt[is_disc, 2, 2] += UNKNOWN_TURN**2
         inverse = np.linalg.inv(doubt)
         away = np.einsum("nmi,nij,nmj->nm", gap, inverse, gap)
         size = np.linalg.slogdet(doubt)[1]
@@ -295,13 +302,18 @@ class StreamTracker(Estimator):
                 self._parcels.sensor_state[row, COVARIANCE] = np.diag(RESCUED**2).ravel()
                 self._missed[row] = 0
         for row in lost[self._missed[lost] >= GONE_AFTER]:
-            column = streams.number[SEEN, row]
+            column = int(streams.number[SEEN, row])
             streams.present[SEEN, row], streams.number[SEEN, row] = False, fs.NOBODY
-            streams.departed[SEEN, column] = streams.clock[SEEN]
-            streams.past[SEEN, streams.order[SEEN, column]] = True
-            place = streams.next_place
-            while place[SEEN] < streams.arrivals[SEEN] and streams.past[SEEN, place[SEEN]]:
-                place[SEEN] += 1
+            self._let_go(column)
+
+    def _let_go(self, column: int) -> None:
+        """Note that an arrival has gone where nobody saw it."""
+        streams = self._streams
+        streams.departed[SEEN, column] = streams.clock[SEEN]
+        streams.past[SEEN, streams.order[SEEN, column]] = True
+        place = streams.next_place
+        while place[SEEN] < streams.arrivals[SEEN] and streams.past[SEEN, place[SEEN]]:
+            place[SEEN] += 1
 
     def _find_merged(self, rows: Integers, poses: Array) -> tuple[Booleans, Integers]:
         """Find poses that show two touching parcels as one.

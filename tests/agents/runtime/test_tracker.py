@@ -66,6 +66,16 @@ def test_an_angle_may_be_off_by_a_turn_that_leaves_the_base_unchanged() -> None:
     assert held.estimates[0, 2] == pytest.approx(0.05, abs=0.01)
 
 
+def test_the_angle_of_a_disc_does_not_matter() -> None:
+    held = fresh()
+    held.enter(replace(entry(), parcel=sg.Parcel(sg.Disc(0.15))))
+    for k in range(1, 6):
+        held.correct(protocol.Detections(FRAME * k, ((0.2 + FRAME * k, 1.002, 2.0 * k),)))
+    held.observe(0.1)
+    np.testing.assert_allclose(held.estimates[0, :2], (0.3, 1.002), atol=0.002)
+    assert abs(held.estimates[0, 2]) < 0.05
+
+
 @pytest.mark.parametrize(
     ("base", "turn"),
     [
@@ -191,6 +201,18 @@ def test_a_long_run_remembers_a_bounded_number_of_parcels() -> None:
     assert (held.numbers >= 0).sum() == 1
     assert held.numbers.max() == number + 1
     assert held._streams.time.shape[1] <= 2 * MOST_ARRIVALS
+
+
+def test_parcels_that_leave_the_gate_or_never_enter_are_forgotten() -> None:
+    held = fresh()
+    for number in range(2 * MOST_ARRIVALS + 5):
+        held.enter(entry(number, waits=True))
+        held.depart(number)
+        with pytest.raises(ValueError, match="pose"):
+            held.enter(replace(entry(10**6 + number), pose=(math.nan, 0.0, 0.0)))
+    held.enter(entry(10**7, 0.01))
+    held.observe(0.02)
+    assert held.numbers.max() == 10**7
 
 
 @pytest.mark.parametrize(
