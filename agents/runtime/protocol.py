@@ -16,6 +16,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surface_gym import checks
 from surface_gym.machine.messages import (
     Angles,
@@ -66,6 +69,7 @@ __all__ = [
     "text",
     "to_fields",
     "to_line",
+    "triple",
 ]
 
 VERSION = 1  # version of the protocol, equal on both sides
@@ -112,6 +116,12 @@ class GatedDevice(Device, Protocol):
 
     def open_gate(self, begin: float, end: float) -> None:
         """Let one parcel in between two times [s], as soon as there is room."""
+
+
+def triple(values: NDArray[np.float64]) -> Triple:
+    """Return values (3,) of a pose or a velocity for a message."""
+    first, second, third = values.tolist()
+    return (first, second, third)
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,7 @@ from surface_gym.state import GRAVITY_NORMAL, GRAVITY_X, RUNNING, EnvState
 from ..library import find_task
 from . import controller, estimator, protocol as wire
 from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
-
-if TYPE_CHECKING:
-    from .stream_simulator import SimulatedStream
+from .stream_simulator import SimulatedStream
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
@@ -146,8 +144,8 @@ class SimulatedMachine:
             self._number,
             self._now,
             _known_parcel(state),
-            triple(known[:3]),
-            triple(known[3:]),
+            wire.triple(known[:3]),
+            wire.triple(known[3:]),
             tuple(state.goal.tolist()),
             math.atan2(state.surface[GRAVITY_X], state.surface[GRAVITY_NORMAL]),
             state.path.copy() if len(state.path) else None,
@@ -174,7 +172,7 @@ class SimulatedMachine:
         axes = None
         if self._options.encoders:
             axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return wire.Frame(self._now, self._number, triple(pose), axes)
+        return wire.Frame(self._now, self._number, wire.triple(pose), axes)
 
 
 def _known_parcel(state: EnvState) -> sg.Parcel:
@@ -187,12 +185,6 @@ def _known_parcel(state: EnvState) -> sg.Parcel:
         apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
         base = sg.Polygon(corners[apart])
     return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
-
-
-def triple(values: NDArray[np.float64]) -> wire.Triple:
-    """Return values (3,) as a tuple."""
-    first, second, third = values.tolist()
-    return (first, second, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +205,7 @@ class MachineServer:
 
     def __init__(
         self,
-        world: "SimulatedMachine | SimulatedStream",
+        world: SimulatedMachine | SimulatedStream,
         task: str,
         listener: socket.socket,
         token: str | None = None,
@@ -356,10 +348,8 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
     return EnvConfig(task=task, **given)
 
 
-def make_world(config: SimulatorConfig, begun: float) -> "SimulatedMachine | SimulatedStream":
+def make_world(config: SimulatorConfig, begun: float) -> SimulatedMachine | SimulatedStream:
     """Make the machine of a configuration, which begins at a time [s]."""
-    from .stream_simulator import SimulatedStream
-
     env_config = make_env_config(config)
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)

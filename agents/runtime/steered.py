@@ -35,7 +35,7 @@ class Detector(Camera):
     @staticmethod
     @kernel_function
     def begin(numbers: Array, state: EnvState) -> None:
-        """Set the covariance to that of the entry; the estimate is the state of the physics."""
+        """Set the entry's covariance; the estimate is the state of the physics."""
         state.noise_row[0] = 0
         kalman.begin(numbers, ENTRY, state)
 

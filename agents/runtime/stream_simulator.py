@@ -17,7 +17,6 @@ from surface_gym.state import RUNNING
 from . import controller, protocol as wire
 from .config import WorldOptions
 from .estimator import device_camera
-from .simulator import triple
 from .steered import SteeredBatch, steered_config, unchanged_turn
 
 ONLY = np.zeros(1, dtype=np.int64)  # index of the only surface
@@ -171,7 +170,7 @@ class SimulatedStream:
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
         parcel = replace(self._parcel(arrival), com_offset=(0.0, 0.0), inertia=None)
         return wire.ParcelEntry(
-            self._first + arrival, at, parcel, triple(known[:3]), triple(known[3:]),
+            self._first + arrival, at, parcel, wire.triple(known[:3]), wire.triple(known[3:]),
             tuple(map(float, goal)), waits=waits,
         )  # fmt: skip
 
@@ -205,4 +204,4 @@ class SimulatedStream:
         for _ in range(rng.poisson(options.false * len(rows))):
             place = rng.uniform((low, right, -math.pi), (high, left, math.pi))
             found.append(place)
-        return tuple(triple(found[k]) for k in rng.permutation(len(found)))
+        return tuple(wire.triple(found[k]) for k in rng.permutation(len(found)))
