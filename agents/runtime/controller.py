@@ -253,6 +253,8 @@ class LoopConfig:
 class ControlLoop:
     """Runs a policy on a device."""
 
+    pictures: type[protocol.Frame | protocol.Detections] = protocol.Frame  # others are not used
+
     def __init__(
         self,
         device: protocol.Device,
@@ -368,7 +370,7 @@ class ControlLoop:
 
     def _handle(self, message: protocol.Message) -> None:
         self._wait = self._config.first_wait
-        if isinstance(message, protocol.Frame):
+        if isinstance(message, (protocol.Frame, protocol.Detections)):
             self._correct(message)
         elif isinstance(message, protocol.ParcelEntry):
             self._enter(message)
@@ -382,6 +384,9 @@ class ControlLoop:
         return -MAX_EARLY <= self._clock.now() - moment <= MAX_AHEAD
 
     def _correct(self, frame: protocol.Frame | protocol.Detections) -> None:
+        if not isinstance(frame, self.pictures):
+            self.counts.unused += 1
+            return
         self.counts.frames += 1
         if isinstance(frame, protocol.Frame) and frame.number is None:
             return

@@ -37,6 +37,8 @@ class StreamLoop(ControlLoop):
     otherwise all parcels roll on to the end.
     """
 
+    pictures = protocol.Detections
+
     def __init__(
         self,
         device: protocol.GatedDevice,
@@ -58,14 +60,6 @@ class StreamLoop(ControlLoop):
     def has_parcel(self) -> bool:
         """Return False: a stream has no pauses, so that others wait for the end of a period."""
         return False
-
-    def _handle(self, message: protocol.Message) -> None:
-        if isinstance(message, protocol.Detections):
-            self._correct(message)
-        elif isinstance(message, protocol.Frame):
-            self.counts.unused += 1
-        else:
-            super()._handle(message)
 
     def _enter(self, entered: protocol.ParcelEntry) -> None:
         try:

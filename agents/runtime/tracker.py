@@ -248,6 +248,8 @@ class StreamTracker(Estimator):
         """Assign poses (poses, 3) to the parcels of SEEN, and correct these."""
         streams, parcels = self._streams, self._parcels
         states = parcels.state[: self._slots]
+        is_broken = ~np.isfinite(states[:, :SIZE]).all(axis=1)
+        self._drop(np.flatnonzero(streams.present[SEEN, : self._slots] & is_broken))
         rows = np.flatnonzero(streams.present[SEEN, : self._slots])
         is_merged, merged = self._find_merged(rows, poses)
         poses = poses[~is_merged]
@@ -286,7 +288,7 @@ class StreamTracker(Estimator):
 
     def _find_again(self, unseen: Integers, strays: Array) -> None:
         """Move parcels that were unseen for long to unexplained poses that stay, or drop them."""
-        streams, states = self._streams, self._parcels.state
+        states = self._parcels.state
         before, self._strays = self._strays, strays
         apart = np.linalg.norm(strays[:, np.newaxis, :2] - before[:, :2], axis=2)
         strays = strays[apart.min(axis=1, initial=math.inf) < STEADY]
@@ -301,10 +303,14 @@ class StreamTracker(Estimator):
                 states[row, 2] += turn - period * round(turn / period)
                 self._parcels.sensor_state[row, COVARIANCE] = np.diag(RESCUED**2).ravel()
                 self._missed[row] = 0
-        for row in lost[self._missed[lost] >= GONE_AFTER]:
-            column = int(streams.number[SEEN, row])
-            streams.present[SEEN, row], streams.number[SEEN, row] = False, fs.NOBODY
-            self._let_go(column)
+        self._drop(lost[self._missed[lost] >= GONE_AFTER])
+
+    def _drop(self, rows: Integers) -> None:
+        """Forget the parcels in some rows."""
+        number = self._streams.number[SEEN]
+        for row in rows:
+            self._let_go(int(number[row]))
+            self._streams.present[SEEN, row], number[row] = False, fs.NOBODY
 
     def _let_go(self, column: int) -> None:
         """Note that an arrival has gone where nobody saw it."""

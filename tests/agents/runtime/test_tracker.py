@@ -215,6 +215,17 @@ def test_parcels_that_leave_the_gate_or_never_enter_are_forgotten() -> None:
     assert held.numbers.max() == 10**7
 
 
+def test_an_estimate_that_is_no_number_is_dropped() -> None:
+    held = fresh()
+    held.enter(entry())
+    held.enter(entry(1, x=0.6))
+    held.correct(picture(0.02, (0.22, 1.0), (0.62, 1.0)))
+    held._parcels.state[0, 3] = math.nan
+    held.correct(picture(0.04, (0.24, 1.0), (0.64, 1.0)))
+    assert np.isfinite(held.observe(0.05)).all()
+    assert held.numbers.tolist() == [NOBODY, 1, *[NOBODY] * 6]
+
+
 @pytest.mark.parametrize(
     ("changed", "name"),
     [
