@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .estimator import StateEstimator
     from .protocol import Device
 
+Machine = tuple[tuple[str, int], str | None]  # host and port, and the shared token
 EXCITATION = "excitation"  # name of a controller that is no policy
 READY_TIMEOUT = 300.0  # [s] maximum time until fixed layouts are ready, including compilation
 SHOW_EVERY = 1.0  # [s] between updates of the progress
@@ -38,8 +39,6 @@ COLLECT_EVERY = 5.0  # [s] between garbage collections
 
 def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
     """Load the policy of a command."""
-    from surface_gym.config import EnvConfig
-
     from .. import library
 
     if config.name in library.names():
@@ -49,11 +48,9 @@ def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
         policy = library.read(config.name, custom)
     else:
         raise ValueError(
-            f"name must be a folder or one of {', '.join(library.names())}, {EXCITATION}, "
-            f"got {config.name!r}"
+            f"name must be a folder, a rule of a stream as 'flow: event rule', or one of "
+            f"{', '.join(library.names())}, {EXCITATION}, got {config.name!r}"
         )
-    if EnvConfig(**{"task": policy.card.task, **policy.env_kwargs}).task.is_stream:
-        raise ValueError(f"name must be of one parcel at a time, got {config.name!r}")
     return policy
 
 
@@ -67,12 +64,21 @@ def make_env_config(policy: "TrainedPolicy", preset: str) -> "EnvConfig":
 
 def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
     """Load the controller of a command and its environment."""
-    if config.name != EXCITATION:
-        policy = load_policy(config)
-        return policy, make_env_config(policy, config.preset)
     from surface_gym.config import EnvConfig
 
-    from ..library import find_task
+    from ..library import find_task, load, names
+    from ..rules import RULES
+
+    if config.name in RULES and find_task(RULES[config.name].task).is_stream:
+        rule = RULES[config.name]
+        env_config = EnvConfig(rule.task, actions=rule.actions, preset=config.preset)
+        return rule.make(env_config), env_config
+    if config.name != EXCITATION:
+        policy = load_policy(config)
+        env_config = make_env_config(policy, config.preset)
+        if env_config.task.is_stream and config.name in names():
+            return load(config.name, config.seed, env_config), env_config
+        return policy, env_config
     from .recording import ExcitationController
 
     if config.task is None:
@@ -105,7 +111,16 @@ def open_log(
 
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
+    of_stream: list[str] = []
+    if env_config.task.is_stream:
+        world, task = config.world, env_config.stream_task
+        options = {name: getattr(world, name) for name in ("late", "lost", "false", "merged")}
+        options |= {"shift": world.shift, "rate": world.rate, "most": task.max_parcels}
+        for name, value in options.items():
+            of_stream += [f"--world.{name}", repr(value)]
+        of_stream.append("--world.gate" if task.gate else "--world.no-gate")
     return [
+        *of_stream,
         *("--task", config.task or env_config.task.name),
         *("--preset", config.preset),
         *("--control-period", repr(env_config.control_period)),
@@ -117,12 +132,11 @@ def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[
 
 def run_agent(config: RuntimeConfig, console: "Console") -> None:
     """Run an agent and write a report."""
-    from . import controller
-    from .estimator import StateEstimator
-    from .protocol import SocketDevice
     from .simulator import SimulatorProcess
 
     policy, env_config = load_controller(config)
+    if env_config.task.is_stream and config.log is not None:
+        raise ValueError(f"log must be left out for a stream of parcels, got {str(config.log)!r}")
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         token: str | None
@@ -137,26 +151,67 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
             if token is None:
                 console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
-        estimator = StateEstimator(env_config)
-        arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
-        kind = controller.FixedLayouts(estimator.config).kind
-        decider = controller.Decider(policy, env_config)
-        bounds = env_config.observation_space()
-        device = SocketDevice(address, env_config.task.name, estimator.shape, token)
-        loop = controller.ControlLoop(
-            open_log(config, device, estimator, stack),
-            estimator,
-            decider,
-            (arranger, estimator.resolver(kind)),
-            controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
-            bounds,
-            controller.WallClock(),
-            controller.LoopConfig(env_config.control_period, config.watchdog),
-        )
-        decider.decide(bounds.low.clip(-1.0, 1.0))  # warm-up, since the first decision is slow
-        if not arranger.wait_until_ready(READY_TIMEOUT):
-            raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
+        make = make_stream_loop if env_config.task.is_stream else make_loop
+        loop = make(config, policy, env_config, (address, token), stack)
         run_and_report(loop, config, env_config, console)
+
+
+def make_loop(
+    config: RuntimeConfig, policy: "Controller", env_config: "EnvConfig",
+    machine: Machine, stack: ExitStack,
+) -> "ControlLoop":  # fmt: skip
+    """Make the loop of a policy for one parcel at a time, ready to run."""
+    from . import controller
+    from .estimator import StateEstimator
+    from .protocol import SocketDevice
+
+    estimator = StateEstimator(env_config)
+    arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
+    kind = controller.FixedLayouts(estimator.config).kind
+    decider = controller.Decider(policy, env_config)
+    bounds = env_config.observation_space()
+    device = SocketDevice(machine[0], env_config.task.name, estimator.shape, machine[1])
+    loop = controller.ControlLoop(
+        open_log(config, device, estimator, stack),
+        estimator,
+        decider,
+        (arranger, estimator.resolver(kind)),
+        controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
+        bounds,
+        controller.WallClock(),
+        controller.LoopConfig(env_config.control_period, config.watchdog),
+    )
+    decider.decide(bounds.low.clip(-1.0, 1.0))  # warm-up, since the first decision is slow
+    if not arranger.wait_until_ready(READY_TIMEOUT):
+        raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
+    return loop
+
+
+def make_stream_loop(
+    config: RuntimeConfig, policy: "Controller", env_config: "EnvConfig",
+    machine: Machine, stack: ExitStack,
+) -> "ControlLoop":  # fmt: skip
+    """Make the loop of a policy for a stream, ready to run."""
+    from . import controller
+    from .protocol import SocketDevice
+    from .stream_loop import StreamLoop
+    from .tracker import StreamTracker
+
+    del stack
+    tracker = StreamTracker(env_config)
+    decider = controller.Decider(policy, env_config)
+    bounds = env_config.observation_space()
+    decider.decide(0.0 * bounds.low)  # warm-up: an empty table
+    decider.reset()
+    return StreamLoop(
+        SocketDevice(machine[0], env_config.task.name, tracker.shape, machine[1]),
+        tracker,
+        decider,
+        controller.AxisLimits(tracker.shape, controller.allowed_angles(env_config)),
+        bounds,
+        controller.WallClock(),
+        controller.LoopConfig(env_config.control_period, config.watchdog),
+    )
 
 
 def run_and_report(

@@ -21,9 +21,23 @@ class WorldOptions:
 
     pause: float = 0.3  # [s] from a parcel's departure to the next entry
     encoders: bool = False  # whether frames include the angles of the axes
+    # [s] from a picture of a stream to its message; None: as the preset's camera
+    late: float | None = None
+    lost: float = 0.0  # [-] probability of a stream's parcel to be missing in a picture
+    false: float = 0.0  # [-] mean number of false poses in a picture, per parcel on the surface
+    merged: float = 0.0  # [-] probability of two touching parcels to be seen as one
+    shift: float = 3600.0  # [s] until a stream begins anew, on an empty surface
+    rate: float | None = None  # [parcels/h] of a stream; None: the task's
+    gate: bool = False  # whether the controller lets a stream's parcels in
+    most: int | None = None  # maximum parcels on the surface; None: the task's
 
     def __post_init__(self) -> None:
         checks.not_negative("pause", self.pause)
+        for name in ("lost", "false", "merged"):
+            checks.within(name, getattr(self, name), 0.0, 1.0)
+        if self.late is not None:
+            checks.not_negative("late", self.late, 1.0)
+        checks.positive("shift", self.shift, most=checks.EPISODE)
 
 
 @dataclass(frozen=True)

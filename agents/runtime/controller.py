@@ -24,7 +24,7 @@ from surface_gym.layouts import ROLLING
 from ..base import Controller
 from ..rules import find_rules
 from . import protocol
-from .estimator import MAX_COMMANDS, Resolver, StateEstimator, within_right_angles
+from .estimator import MAX_COMMANDS, Estimator, Resolver, StateEstimator, within_right_angles
 from .protocol import MAX_EARLY, MAX_LATE
 from .report import Counts, Latencies, count_name
 
@@ -249,12 +249,14 @@ class LoopConfig:
 class ControlLoop:
     """Runs a policy on a device."""
 
+    pictures: type[protocol.Frame | protocol.Detections] = protocol.Frame  # others are not used
+
     def __init__(
         self,
         device: protocol.Device,
-        estimator: StateEstimator,
+        estimator: Estimator,
         policy: Decider,
-        fixed: tuple[Arranger, Resolver],
+        fixed: tuple[Arranger, Resolver | None],
         limits: AxisLimits,
         bounds: spaces.Box,
         clock: Clock,
@@ -342,7 +344,7 @@ class ControlLoop:
             return False
         self.counts.attempts += 1
         try:
-            with _faults_of_device():
+            with faults_of_device():
                 self._device.connect()
         except protocol.DeviceLost:
             self._next_attempt = now + self._wait
@@ -368,7 +370,7 @@ class ControlLoop:
     def _read(self, until: float) -> None:
         """Handle the device's messages until a time [s]; the rest waits for the next period."""
         if not self._inbox:
-            with _faults_of_device():
+            with faults_of_device():
                 self._inbox.extend(self._device.read())
             if len(self._inbox) > MAX_MESSAGES:
                 raise protocol.DeviceLost(
@@ -379,10 +381,10 @@ class ControlLoop:
             self._handle(self._inbox.popleft())
 
     def _handle(self, message: protocol.Message) -> None:
-        with _faults_of_device():
+        with faults_of_device():
             protocol.check_message(message, self._estimator.shape)
         self._wait, self._quiet = self._config.first_wait, 0
-        if isinstance(message, protocol.Frame):
+        if isinstance(message, (protocol.Frame, protocol.Detections)):
             self._correct(message)
         elif isinstance(message, protocol.ParcelEntry):
             self._enter(message)
@@ -395,9 +397,12 @@ class ControlLoop:
         """Return whether the estimate can start from a message's time [s]."""
         return -MAX_EARLY <= self._clock.now() - moment <= MAX_LATE
 
-    def _correct(self, frame: protocol.Frame) -> None:
+    def _correct(self, frame: protocol.Frame | protocol.Detections) -> None:
+        if not isinstance(frame, self.pictures):
+            self.counts.unused += 1
+            return
         self.counts.frames += 1
-        if frame.number is None:
+        if isinstance(frame, protocol.Frame) and frame.number is None:
             return
         if self._is_timely(frame.taken_at) and self._estimator.correct(frame):
             self._latest_arrival = self._clock.now()
@@ -406,6 +411,7 @@ class ControlLoop:
             self.counts.frames_unused += 1
 
     def _enter(self, entered: protocol.ParcelEntry) -> None:
+        assert isinstance(self._estimator, StateEstimator)
         before = self._estimator.entered
         if before is not None and _describe(entered) == _describe(before):
             self.counts.unused += 1
@@ -436,9 +442,7 @@ class ControlLoop:
             return
         self._open.remove(departed.number)
         count_name(self.counts.parcels, departed.outcome)
-        entered = self._estimator.entered
-        if entered is not None and entered.number == departed.number:
-            self._estimator.clear()
+        if self._estimator.depart(departed.number):
             self._sent.clear()
 
     def _acknowledge(self, answer: protocol.AxesAcknowledgement) -> None:
@@ -481,7 +485,7 @@ class ControlLoop:
             return
         turn = self._estimator.longest_turn(angles)
         decided = self._clock.now()
-        with _faults_of_device():
+        with faults_of_device():
             number = self._device.set_axes(angles)
             checks.integer("command", number, least=0)
         self._estimator.note_sent(number, self._clock.now())
@@ -524,7 +528,7 @@ class ControlLoop:
 
 
 @contextmanager
-def _faults_of_device() -> Iterator[None]:
+def faults_of_device() -> Iterator[None]:
     """Make a driver's error, or a value that it must not give, the loss of the device."""
     try:
         yield

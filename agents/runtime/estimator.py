@@ -9,6 +9,7 @@ Physics, filter and observations are the package's own; the functions at the end
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -94,7 +95,99 @@ class Resolver:
     surfaces: st.SurfaceState  # the estimator's surfaces, with buffers for these commands
 
 
-class StateEstimator:
+class Estimator(ABC):
+    """Base class of estimators, which predict by the commands of axes since the latest picture."""
+
+    _surfaces: st.SurfaceState
+    _axis_speed: float  # [rad/s]
+    config: EnvConfig  # the policy's environment as the estimator assumes it
+    shape: tuple[int, int]  # (rows, columns) of the widest zone
+    entered: Any  # what entered; None: nothing to control
+
+    def __init__(self) -> None:
+        self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
+        self._at = 0.0  # [s] time of the environment SEEN
+
+    def note_sent(self, number: int, at: float) -> None:
+        """Record that the last resolved axes were sent, and turn from a time [s]."""
+        self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
+
+    def acknowledge(self, number: int, at: float) -> None:
+        """Record the time [s] at which the device began to turn the axes of a command."""
+        earliest = self._at
+        for command in self._commands:
+            if command.number == number:
+                command.at = at
+            earliest = command.at = max(earliest, command.at)
+
+    def drop_command(self, number: int) -> None:
+        kept = [each for each in self._commands if each.number != number]
+        self._commands = deque(kept, maxlen=MAX_COMMANDS)
+
+    def axes(self) -> Angles:
+        """Return the zone's axes (rows, columns) [rad] at the last observed time."""
+        return self._zone_angles(self._surfaces.angle[NOW])
+
+    def longest_turn(self, angles: Angles) -> float:
+        """Return the time [s] until all modules of the zone have turned to angles [rad]."""
+        apart = angles - self.axes()
+        apart -= math.pi * np.floor(apart / math.pi + 0.5)
+        return float(np.abs(apart).max()) / self._axis_speed
+
+    def _see(self, taken_at: float, looks: bool) -> bool:
+        """Move SEEN to the time [s] of a picture; return False for one out of order."""
+        if taken_at < self._at + MIN_APART:
+            return False
+        self._advance(SEEN, max(self._at, taken_at - MAX_LATE), taken_at, looks)
+        self._at = taken_at
+        while self._commands and self._commands[0].at < self._at:
+            self._commands.popleft()
+        return True
+
+    def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
+        """Move an environment forward, with the commands in between."""
+        for command in self._commands:
+            if command.at >= until:
+                break
+            self._move_on(i, begun, command.at, looks=False)
+            begun = max(begun, command.at)
+            self._surfaces.target[i] = command.target
+        self._move_on(i, begun, until, looks)
+
+    @abstractmethod
+    def clear(self) -> None:
+        """Forget all parcels."""
+
+    @abstractmethod
+    def depart(self, number: int) -> bool:
+        """Forget the parcel if only it has this number; return whether it has."""
+
+    @abstractmethod
+    def correct(self, picture: Any) -> bool:
+        """Correct the estimate by a picture; return whether it was used."""
+
+    @abstractmethod
+    def observe(self, now: float) -> NDArray[np.float32]:
+        """Return the task's observation at a time [s]: a copy."""
+
+    @abstractmethod
+    def resolver(self, kind: actions.ActionKind) -> Resolver:
+        """Compile the resolver of commands of a kind of action."""
+
+    @abstractmethod
+    def resolve(self, resolver: Any, command: NDArray[Any]) -> Angles:
+        """Return the zone's axes (rows, columns) [rad] for a command (size,)."""
+
+    @abstractmethod
+    def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
+        """Move an environment forward, and correct it by the picture if it `looks`."""
+
+    @abstractmethod
+    def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:
+        """Return the axes (rows, columns) [rad] of the zone's modules."""
+
+
+class StateEstimator(Estimator):
     """Estimator of the state of the parcel on the surface.
 
     Raises:
@@ -102,6 +195,7 @@ class StateEstimator:
     """
 
     def __init__(self, config: EnvConfig) -> None:
+        super().__init__()
         if config.module_kind.drives:
             raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
         self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
@@ -120,8 +214,6 @@ class StateEstimator:
         line, kind = self.config.chosen_line, self.config.action_kind
         self._plan = BodyPlan((), self._placement, len(BOTH), (line.rows, line.columns))
         self._scratch = make_scratch()
-        self._commands: deque[_Command] = deque(maxlen=MAX_COMMANDS)
-        self._at = 0.0  # [s] time of the environment SEEN
         self.shape = (kind.rows, kind.columns)  # shape of the widest zone
         self.entered: ParcelEntry | None = None
         # Any parcel, for compilation.
@@ -179,6 +271,13 @@ class StateEstimator:
     def clear(self) -> None:
         self.entered = None
 
+    def depart(self, number: int) -> bool:
+        """Forget the parcel if it has a number; return whether it has."""
+        if self.entered is None or self.entered.number != number:
+            return False
+        self.clear()
+        return True
+
     def correct(self, frame: Frame) -> bool:
         """Correct the estimate by a frame, and return whether it was used.
 
@@ -188,13 +287,9 @@ class StateEstimator:
         axes = None if frame.axes is None else checks.array("axes", frame.axes, self.shape)
         if self.entered is None or frame.number != self.entered.number:
             return False
-        if frame.taken_at < self._at + MIN_APART:
-            return False
         self._parcels.truth[SEEN, :3] = pose
-        self._advance(SEEN, max(self._at, frame.taken_at - MAX_LATE), frame.taken_at, looks=True)
-        self._at = frame.taken_at
-        while self._commands and self._commands[0].at <= self._at:
-            self._commands.popleft()
+        if not self._see(frame.taken_at, looks=True):
+            return False
         if axes is not None:
             body = int(self._parcels.body[SEEN])
             self._use_axes(self._surfaces, self._plan.bodies, body, SEEN, np.array(axes))
@@ -216,16 +311,6 @@ class StateEstimator:
         """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
         return self._parcels.sensed[NOW].copy()
 
-    def axes(self) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] at the last observed time."""
-        return self._zone_angles(self._surfaces.angle[NOW])
-
-    def longest_turn(self, angles: Angles) -> float:
-        """Return the time [s] until all modules of the zone have turned to angles [rad]."""
-        apart = angles - self.axes()
-        apart -= math.pi * np.floor(apart / math.pi + 0.5)
-        return float(np.abs(apart).max()) / self._axis_speed
-
     def resolver(self, kind: actions.ActionKind) -> Resolver:
         """Compile the resolver of commands of a kind of action."""
         dtype = np.float64 if kind.continuous else np.int64
@@ -242,32 +327,6 @@ class StateEstimator:
         resolver.surfaces.command[NOW] = command
         resolver.obey(self._params, resolver.surfaces, self._parcels, self._plan.bodies, NOW)
         return self._zone_angles(self._surfaces.target[NOW])
-
-    def note_sent(self, number: int, at: float) -> None:
-        """Record that the last resolved axes were sent, and turn from a time [s]."""
-        self._commands.append(_Command(number, at, self._surfaces.target[NOW].copy()))
-
-    def acknowledge(self, number: int, at: float) -> None:
-        """Record the time [s] at which the device began to turn the axes of a command."""
-        earliest = self._at
-        for command in self._commands:
-            if command.number == number:
-                command.at = at
-            earliest = command.at = max(earliest, command.at)
-
-    def drop_command(self, number: int) -> None:
-        kept = [each for each in self._commands if each.number != number]
-        self._commands = deque(kept, maxlen=MAX_COMMANDS)
-
-    def _advance(self, i: int, begun: float, until: float, looks: bool) -> None:
-        """Move an environment forward, with the commands in between."""
-        for command in self._commands:
-            if command.at >= until:
-                break
-            self._move_on(i, begun, command.at, looks=False)
-            begun = max(begun, command.at)
-            self._surfaces.target[i] = command.target
-        self._move_on(i, begun, until, looks)
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move an environment forward in equal steps, at most as long as the package's step."""

@@ -16,12 +16,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surface_gym import checks
 from surface_gym.machine.messages import (
     MAX_EARLY,
     MAX_LATE,
     Angles,
     AxesAcknowledgement,
+    Detections,
     Frame,
     Message,
     ParcelDeparture,
@@ -32,6 +36,8 @@ from surface_gym.machine.messages import (
     check_message,
     from_fields,
     from_line,
+    gate_from_fields,
+    gate_to_fields,
     numbers,
     text,
     to_fields,
@@ -45,9 +51,11 @@ __all__ = [
     "AxesAcknowledgement",
     "Connection",
     "ConnectionLost",
+    "Detections",
     "Device",
     "DeviceLost",
     "Frame",
+    "GatedDevice",
     "Message",
     "ParcelDeparture",
     "ParcelEntry",
@@ -59,12 +67,15 @@ __all__ = [
     "check_proof",
     "from_fields",
     "from_line",
+    "gate_from_fields",
+    "gate_to_fields",
     "hello",
     "make_nonce",
     "prove",
     "text",
     "to_fields",
     "to_line",
+    "triple",
 ]
 
 VERSION = 1  # version of the protocol, equal on both sides
@@ -104,6 +115,19 @@ class Device(Protocol):
         Returns:
             The number of the command, for a later acknowledgement.
         """
+
+
+class GatedDevice(Device, Protocol):
+    """Interface of a machine of a stream with a gate."""
+
+    def open_gate(self, begin: float, end: float) -> None:
+        """Let one parcel in between two times [s], as soon as there is room."""
+
+
+def triple(values: NDArray[np.float64]) -> Triple:
+    """Return values (3,) of a pose or a velocity for a message."""
+    first, second, third = values.tolist()
+    return (first, second, third)
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
@@ -306,3 +330,11 @@ class SocketDevice:
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None
         return self._command
+
+    def open_gate(self, begin: float, end: float) -> None:
+        if self._connection is None:
+            raise DeviceLost("not connected")
+        try:
+            self._connection.send(to_line(gate_to_fields(begin, end)))
+        except (ConnectionLost, ValueError) as error:
+            raise DeviceLost(str(error)) from None

@@ -23,6 +23,7 @@ import surface_gym as sg
 from surface_gym import actions
 from surface_gym.config import EnvConfig
 from surface_gym.core import batch
+from surface_gym.flow.base import StreamTask
 from surface_gym.parcel import Base
 from surface_gym.physics.step import tilt_of_gravity
 from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
@@ -31,6 +32,7 @@ from surface_gym.state import GRAVITY_COLUMNS, RUNNING, EnvState
 from ..library import find_task
 from . import controller, estimator, protocol as wire
 from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
+from .stream_simulator import SimulatedStream
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
@@ -94,6 +96,13 @@ class SimulatedMachine:
         self._now += seconds
         self._enters += seconds
 
+    def greet(self) -> list[wire.Message]:
+        """Return no messages: control resumes with the next parcel."""
+        return []
+
+    def open_gate(self, begin: float, end: float) -> None:
+        raise ValueError(f"gate must be that of a stream, got times {begin:g} to {end:g} s")
+
     def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
         fault = self._limits.fault(angles)
         if not fault:
@@ -136,8 +145,8 @@ class SimulatedMachine:
             self._number,
             self._now,
             _known_parcel(state),
-            _triple(known[:3]),
-            _triple(known[3:]),
+            wire.triple(known[:3]),
+            wire.triple(known[3:]),
             tuple(state.goal.tolist()),
             tilt,
             state.path.copy() if len(state.path) else None,
@@ -165,7 +174,7 @@ class SimulatedMachine:
         axes = None
         if self._options.encoders:
             axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return wire.Frame(self._now, self._number, _triple(pose), axes)
+        return wire.Frame(self._now, self._number, wire.triple(pose), axes)
 
 
 def _known_parcel(state: EnvState) -> sg.Parcel:
@@ -178,11 +187,6 @@ def _known_parcel(state: EnvState) -> sg.Parcel:
         apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
         base = sg.Polygon(corners[apart])
     return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
-
-
-def _triple(values: NDArray[np.float64]) -> wire.Triple:
-    first, second, third = values.tolist()
-    return (first, second, third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +206,11 @@ class MachineServer:
     """
 
     def __init__(
-        self, world: SimulatedMachine, task: str, listener: socket.socket, token: str | None = None
+        self,
+        world: SimulatedMachine | SimulatedStream,
+        task: str,
+        listener: socket.socket,
+        token: str | None = None,
     ) -> None:
         self._world = world
         self._task = task
@@ -283,17 +291,23 @@ class MachineServer:
             connection.send(wire.to_line(answer if is_free else {"kind": "busy"}))
         except wire.ConnectionLost:
             is_free = False
-        if is_free:
-            self._connection = connection
-        else:
+        if not is_free:
             connection.close()
+            return
+        self._connection = connection
+        for message in self._world.greet():
+            self._send_message(message)
 
     def _set_axes(self) -> None:
         if self._connection is None:
             return
         try:
             for line in self._connection.lines():
-                command, angles = wire.axes_from_fields(wire.from_line(line), self._world.shape)
+                fields = wire.from_line(line)
+                if fields["kind"] == "gate":
+                    self._world.open_gate(*wire.gate_from_fields(fields))
+                    continue
+                command, angles = wire.axes_from_fields(fields, self._world.shape)
                 answer = self._world.set_axes(command, angles)
                 self.refused += bool(answer.refused)
                 self._send_message(answer)
@@ -329,20 +343,32 @@ def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], 
 
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
     """Return the configuration of the simulated environment."""
-    return EnvConfig(
-        task=find_task(config.task), preset=config.preset, control_period=config.control_period
-    )
+    task, world = find_task(config.task), config.world
+    given: dict[str, Any] = {"preset": config.preset, "control_period": config.control_period}
+    if isinstance(task, StreamTask):
+        given |= {"actions": "parcels", "gate": world.gate}
+        if world.most is not None:
+            given["max_parcels"] = world.most
+        if world.rate is not None:
+            given["stream"] = task.stream.with_rate(world.rate)
+    return EnvConfig(task=task, **given)
+
+
+def make_world(config: SimulatorConfig, begun: float) -> SimulatedMachine | SimulatedStream:
+    """Make the machine of a configuration, which begins at a time [s]."""
+    env_config = make_env_config(config)
+    kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
+    return kind(env_config, config.seed, begun, config.world)
 
 
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
-    env_config = make_env_config(config)
     clock = controller.WallClock()
-    world = SimulatedMachine(env_config, config.seed, clock.now(), config.world)
+    world = make_world(config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
     listener = socket.create_server((HOST, config.port))
-    server = MachineServer(world, env_config.task.name, listener, token)
+    server = MachineServer(world, make_env_config(config).task.name, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, lambda: config.parent in (None, os.getppid()))

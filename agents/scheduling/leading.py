@@ -182,11 +182,14 @@ def follow_parcels(tables: Singles, orders: Orders, book: Book) -> None:
             _turn(book.booked[i], True)
             _turn(book.entered[i], True)
             book.entered[i, BOOKED - 1] = LONG_AGO
+        entered = book.pending[i] and not stayed
         for row in range(orders.parcels):
+            # A row of a machine may pass to the entered parcel without having been empty.
+            is_new = entered and read(tables[i, row], COLUMN.time) < orders.period - 0.5 * orders.dt
             if not _is_there(tables[i, row]):
                 book.rows[i, row] = NOBODY
-            elif book.rows[i, row] == NOBODY:
-                if book.pending[i] and not stayed:
+            elif book.rows[i, row] == NOBODY or is_new:
+                if entered:
                     book.rows[i, row] = book.booked[i, 0]
                 else:  # on the line before the scheduler began
                     kind = recognise(tables[i, row], orders.signature)

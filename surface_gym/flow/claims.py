@@ -119,6 +119,12 @@ def part_of_owner(view: StreamView, row: int, column: int) -> int:
     return HALVES * slot + (1 if x < view.parcels.sensed[view.first + slot, ph.X] else 0)
 
 
+@inlined
+def part_of_none(view: StreamView, row: int, column: int) -> int:
+    """Return no part: every module keeps its target."""
+    return -1
+
+
 # The axis angle [rad] set by a part of the command.
 
 

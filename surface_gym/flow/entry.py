@@ -55,7 +55,7 @@ def bars(other: EnvState, state: EnvState, gap: float) -> bool:
 
 
 @inlined
-def _put(view: StreamView, slot: int, arrival: int) -> None:
+def put(view: StreamView, slot: int, arrival: int) -> None:
     """Write an arrival to the row of a free slot."""
     parcels, streams, i = view.parcels, view.streams, view.i
     row = view.first + slot
@@ -87,7 +87,7 @@ def show_waiting(view: StreamView) -> None:
         if arrival >= streams.due[i]:
             streams.number[i, slot] = fs.NOBODY
             continue
-        _put(view, slot, arrival)
+        put(view, slot, arrival)
         streams.number[i, slot] = arrival
         view.parcels.clock[view.first + slot] = streams.time[i, arrival] - streams.clock[i]
         state = view_parcel(view, slot)
@@ -97,7 +97,7 @@ def show_waiting(view: StreamView) -> None:
 
 
 @inlined
-def _occupy(view: StreamView, slot: int, arrival: int) -> None:
+def occupy(view: StreamView, slot: int, arrival: int) -> None:
     """Mark a slot as used by the arrival in its row."""
     streams, i = view.streams, view.i
     streams.number[i, slot] = arrival
@@ -148,9 +148,9 @@ def entering(has_room: Function) -> Any:
         while open_inlets > 0 and arrival < streams.due[i]:
             inlet = 1 << streams.inlet[i, arrival]
             if barred & inlet == 0 and math.isnan(streams.entered[i, arrival]):
-                _put(view, slot, arrival)
+                put(view, slot, arrival)
                 if is_clear(view, slot):
-                    _occupy(view, slot, arrival)
+                    occupy(view, slot, arrival)
                     return slot
                 barred |= inlet
                 open_inlets -= 1

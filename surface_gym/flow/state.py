@@ -213,6 +213,9 @@ def _arrivals(surfaces: int, room: int, results: int) -> dict[str, np.ndarray]:
     }
 
 
+ARRIVALS = tuple(_arrivals(1, 1, 0))  # names of the arrays with one column per arrival
+
+
 @dataclass(frozen=True)
 class FlowStatistics:
     """Statistics of one episode, or of its part after a warm-up; NaN without events."""

@@ -1,8 +1,8 @@
 """Messages between a machine and its controller, and their format as lines of JSON.
 
 Times are [s] of one monotonic clock. Poses refer to the centroid of a parcel's base. Each line has
-a `kind`: "entered", "frame", "taken" or "left" from the machine, and "axes" to it. Lines are fully
-validated; reading them runs no code.
+a `kind`: "entered", "frame", "detections", "taken" or "left" from the machine, and "axes" or "gate"
+to it. Lines are fully validated; reading them runs no code.
 """
 
 import json
@@ -22,6 +22,7 @@ MAX_NUMBER = 2**53  # maximum number of a parcel or a command
 MAX_VERTICES = 256  # maximum vertices of a base
 MAX_LATE = 1.0  # [s] maximum time from an event, such as a picture, to its message
 MAX_EARLY = 0.05  # [s] maximum time of a message before its event
+MAX_DETECTIONS = 512  # maximum poses of a picture: twice the most parcels on a line
 
 Angles = NDArray[np.float64]  # (rows, columns) [rad] of the zone's modules, row by row from y < 0
 Triple = tuple[float, float, float]
@@ -36,10 +37,22 @@ class ParcelEntry:
     parcel: Parcel  # base and mass; the load is assumed even
     pose: Triple  # [m, m, rad] roughly, from the conveyor and its guides
     velocity: Triple  # [m/s, m/s, rad/s] roughly
-    goal: tuple[float, ...]  # the task's goal, as in its starts
+    # the task's goal, as in its starts; of a stream: exit, inlet and place in the order, as indices
+    goal: tuple[float, ...]
     tilt: float = 0.0  # [rad] tilt of the surface, downhill towards `tilt_direction`
     path: NDArray[np.float64] | None = None  # (PATH_POINTS,) [m] y of the path to follow
     tilt_direction: float = 0.0  # [rad] downhill direction, anti-clockwise from +x
+    # whether it waits at a stream's gate: since `at`, to enter with this pose and velocity
+    waits: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """A picture of a stream's camera: poses without names, possibly incomplete or false."""
+
+    taken_at: float  # [s]
+    # [m, m, rad] in any order; an angle is known up to turns that leave the base unchanged
+    poses: tuple[Triple, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +83,7 @@ class ParcelDeparture:
     metrics: dict[str, float] = field(default_factory=dict)  # the task's metrics, as in `info`
 
 
-Message = ParcelEntry | Frame | AxesAcknowledgement | ParcelDeparture
+Message = ParcelEntry | Frame | Detections | AxesAcknowledgement | ParcelDeparture
 
 
 def to_line(fields: dict[str, Any]) -> bytes:
@@ -99,6 +112,9 @@ def to_fields(message: Message) -> dict[str, Any]:
             "pose": list(message.pose),
             "axes": None if message.axes is None else message.axes.tolist(),
         }
+    if isinstance(message, Detections):
+        poses = [list(pose) for pose in message.poses]
+        return {"kind": "detections", "taken": message.taken_at, "poses": poses}
     if isinstance(message, ParcelEntry):
         return {
             "kind": "entered",
@@ -113,6 +129,7 @@ def to_fields(message: Message) -> dict[str, Any]:
             "tilt": message.tilt,
             "path": None if message.path is None else message.path.tolist(),
             "tilt_direction": message.tilt_direction,
+            **({"waits": True} if message.waits else {}),
         }
     if isinstance(message, AxesAcknowledgement):
         return {
@@ -148,6 +165,16 @@ def _frame(fields: dict[str, Any], shape: tuple[int, int]) -> Frame:
     )
 
 
+def _detections(fields: dict[str, Any], _shape: tuple[int, int]) -> Detections:
+    poses = fields["poses"]
+    if not isinstance(poses, list) or len(poses) > MAX_DETECTIONS:
+        raise ValueError(f"poses must be a list of at most {MAX_DETECTIONS}, got {poses!r:.80}")
+    return Detections(
+        taken_at=checks.number("taken", fields["taken"]),
+        poses=tuple(_triple("poses", each, checks.pose) for each in poses),
+    )
+
+
 def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelEntry:
     path = fields["path"]
     return ParcelEntry(
@@ -160,6 +187,7 @@ def _entered(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelEntry:
         tilt=checks.within("tilt", fields["tilt"], -0.5 * math.pi, 0.5 * math.pi),
         path=None if path is None else numbers("path", path, (None,)),
         tilt_direction=checks.angle("tilt_direction", fields.get("tilt_direction", 0.0)),
+        waits=checks.one_of("waits", fields.get("waits", False), (False, True)),
     )
 
 
@@ -185,6 +213,7 @@ def _departed(fields: dict[str, Any], _shape: tuple[int, int]) -> ParcelDepartur
 _READERS: dict[str, Callable[[dict[str, Any], tuple[int, int]], Message]] = {
     "entered": _entered,
     "frame": _frame,
+    "detections": _detections,
     "taken": _acknowledged,
     "left": _departed,
 }
@@ -208,6 +237,17 @@ def axes_from_fields(fields: dict[str, Any], shape: tuple[int, int]) -> tuple[in
     checks.one_of("kind", fields["kind"], ("axes",))
     number = _count("command", fields.get("command"))
     return number, numbers("angles", fields.get("angles"), shape)
+
+
+def gate_to_fields(begin: float, end: float) -> dict[str, Any]:
+    """Return the fields of a command that lets one parcel in between two times [s]."""
+    return {"kind": "gate", "begin": begin, "end": end}
+
+
+def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
+    """Return the times [s] from when to when the gate lets one parcel in."""
+    checks.one_of("kind", fields["kind"], ("gate",))
+    return checks.number("begin", fields.get("begin")), checks.number("end", fields.get("end"))
 
 
 def text(name: str, value: Any) -> str:

@@ -4,6 +4,7 @@ import json
 import math
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ def there_and_back(message: Any) -> Any:
     [
         protocol.Frame(1.25),
         protocol.Frame(1.25, 3, (0.1, 1.0, 0.2)),
+        protocol.Detections(1.25),
+        protocol.Detections(1.25, ((0.1, 1.0, 0.2), (0.5, 1.1, -0.2))),
         protocol.AxesAcknowledgement(7, 2.5),
         protocol.AxesAcknowledgement(7, 2.5, "out of range"),
         protocol.ParcelDeparture(3, "success", {"stop_error": 0.001}),
@@ -56,6 +59,13 @@ def test_axes_come_out_as_they_went_in() -> None:
     np.testing.assert_array_equal(back, axes)
 
 
+def test_a_gate_s_times_come_out_as_they_went_in() -> None:
+    fields = protocol.from_line(to_line(protocol.gate_to_fields(1.5, 1.75)))
+    assert protocol.gate_from_fields(fields) == (1.5, 1.75)
+    with pytest.raises(ValueError, match="end"):
+        protocol.gate_from_fields({"kind": "gate", "begin": 0.0, "end": None})
+
+
 @pytest.mark.parametrize("base", [sg.Rectangle(0.3, 0.2), sg.Disc(0.15), TRIANGLE])
 def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
     path = np.linspace(0.0, 1.0, 4)
@@ -71,6 +81,8 @@ def test_a_parcel_has_the_same_base_around_its_centroid(base) -> None:
         tilt_direction=2.0,
     )
     back = there_and_back(sent)
+    assert not back.waits
+    assert there_and_back(replace(sent, waits=True)).waits
     assert (back.number, back.at, back.pose, back.velocity) == (2, 1.5, sent.pose, sent.velocity)
     assert (back.goal, back.parcel.mass) == ((0.5,), 3.0)
     assert (back.tilt, back.tilt_direction) == (0.1, 2.0)
@@ -97,6 +109,7 @@ ENTERED = protocol.to_fields(
     protocol.ParcelEntry(0, 0.0, sg.Parcel(sg.Disc(0.1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ())
 )
 ACKNOWLEDGED = protocol.to_fields(protocol.AxesAcknowledgement(0, 0.0))
+DETECTED = protocol.to_fields(protocol.Detections(0.0))
 DEPARTED = protocol.to_fields(protocol.ParcelDeparture(0, "missed"))
 
 
@@ -113,6 +126,10 @@ DEPARTED = protocol.to_fields(protocol.ParcelDeparture(0, "missed"))
         (ENTERED, {"tilt": 3.0}, "tilt"), (ENTERED, {"tilt_direction": 90.0}, "tilt_direction"),
         (ENTERED, {"path": [None]}, "path"),
         (ACKNOWLEDGED, {"command": 0.5}, "command"), (ACKNOWLEDGED, {"refused": 3}, "refused"),
+        (ENTERED, {"waits": 1}, "waits"), (DETECTED, {"taken": True}, "taken"),
+        (DETECTED, {"poses": {}}, "poses"), (DETECTED, {"poses": [[0.0, 1.0]]}, "poses"),
+        (DETECTED, {"poses": [[0.0, 1.0, 0.0]] * 513}, "poses must be a list of at most 512"),
+        (DETECTED, {"poses": [[0.0, 1e9, 0.0]]}, "poses"),
         (DEPARTED, {"outcome": 0}, "outcome"), (DEPARTED, {"figures": []}, "figures"),
         (DEPARTED, {"figures": {"error": "large"}}, "error"),
     ],

@@ -262,10 +262,7 @@ def test_a_report_is_written_whatever_ends_the_run(tmp_path, monkeypatch) -> Non
         ("stop-ppo", {"minutes": 0.0}, "minutes"),
         ("stop-ppo", {"watchdog": -1.0}, "watchdog"),
         ("stop-ppo", {"address": "nowhere"}, "address"),
-        ("nobody", {}, "name must be a folder or one of"),
-        ("flow-schedule", {}, "parcel"),
-        ("merge-parcels", {}, "parcel"),
-        ("merge-local", {}, "parcel"),
+        ("nobody", {}, "name must be a folder, a rule of a stream"),
     ],
 )
 def test_what_is_not_allowed_is_refused(name, given, message) -> None:

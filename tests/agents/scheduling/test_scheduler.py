@@ -157,6 +157,24 @@ class TestMemory:
         action, _ = controller.predict(table, None)
         assert action[0, 6] == find_orientation(config, -0.25 * np.pi)
 
+    def test_a_row_may_pass_to_the_entered_parcel_without_being_empty(self) -> None:
+        config = gated(CROWD)
+        controller = Scheduler(config)
+        time, rows = COLUMN.time.place, config.stream_task.max_parcels
+        table = np.zeros((1, config.stream_task.rows, 29), dtype=np.float32)
+        table[0, [0, rows], COLUMN.present.place] = 1.0
+        table[0, 0, time] = 1.0
+        _, state = controller.predict(table, None)
+        before = state.rows[0, 0]
+        assert state.pending[0]
+        booked = (before + 1) % len(controller.library.maneuvers.kind)
+        state.booked[0, 0] = booked  # another maneuver than the row's
+        for seconds, expected in ((1.0, before), (0.02, booked)):
+            table[0, rows] = 0.0
+            table[0, 0, time] = seconds / COLUMN.time.scale
+            _, after = controller.predict(table, state)
+            assert after.rows[0, 0] == expected
+
 
 class TestTrial:
     @pytest.mark.parametrize("first", range(5))
