@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlparse
 
 from surface_gym.cli import parse_options
 
 from ..yaml_file import current_option
-from .config import RuntimeConfig, find_token, parse_address
+from .config import OPC_UA, RuntimeConfig, find_token, parse_address
 from .report import RunConditions, make_report, show_report, write_report
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ..library import TrainedPolicy
     from .controller import ControlLoop
     from .estimator import StateEstimator
+    from .mqtt import TelemetryDevice
     from .protocol import Device
 
 EXCITATION = "excitation"  # name of a controller that is no policy
@@ -103,6 +105,37 @@ def open_log(
     )
 
 
+def open_device(
+    address: str, token: str | None, config: RuntimeConfig, task: str, shape: tuple[int, int]
+) -> "Device":
+    """Return the device at an address."""
+    from .protocol import SocketDevice
+
+    if not address.startswith(OPC_UA):
+        return SocketDevice(parse_address(address), task, shape, token)
+    from .opcua import USER, OpcUaDevice, OpcUaSecurity
+
+    if token is None:
+        raise ValueError("token must be given, by --token-file or SURFACE_GYM_TOKEN, got none")
+    security = OpcUaSecurity(token, urlparse(address).username or USER, config.certificates)
+    return OpcUaDevice(address, task, shape, security, config.nodes)
+
+
+def open_telemetry(
+    config: RuntimeConfig, device: "Device", task: str, stack: ExitStack
+) -> "TelemetryDevice | None":
+    """Return the device with telemetry of its messages, if it is asked for."""
+    if config.mqtt is None:
+        return None
+    from .mqtt import BrokerOptions, Telemetry, TelemetryDevice
+
+    host, port = parse_address(config.mqtt)
+    options = BrokerOptions(host, port, config.mqtt_user, config.mqtt_password_file, config.mqtt_ca)
+    telemetry = Telemetry(options, task)
+    stack.callback(telemetry.close)
+    return TelemetryDevice(device, telemetry)
+
+
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
     return [
@@ -119,40 +152,47 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     """Run an agent and write a report."""
     from . import controller
     from .estimator import StateEstimator
-    from .protocol import SocketDevice
     from .simulator import SimulatorProcess
 
     policy, env_config = load_controller(config)
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        token: str | None
-        if config.address is None:
+        address, token = config.address, find_token(config.token_file)
+        if address is None:
             console.print("starting the simulator")
             arguments = simulator_arguments(config, env_config)
             log = config.out / "simulator.log"
             simulator = stack.enter_context(SimulatorProcess(arguments, log))
-            address, token = simulator.address, simulator.token
-        else:
-            address, token = parse_address(config.address), find_token(config.token_file)
-            if token is None:
-                console.print("no token: whoever answers at the address is taken for the machine")
+            address, token = "{}:{}".format(*simulator.address), simulator.token
+        elif token is None:
+            console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
         estimator = StateEstimator(env_config)
         arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
         kind = controller.FixedLayouts(estimator.config).kind
         decider = controller.Decider(policy, env_config)
         bounds = env_config.observation_space()
-        device = SocketDevice(address, env_config.task.name, estimator.shape, token)
+        task = env_config.task.name
+        device = open_device(address, token, config, task, estimator.shape)
+        device = open_log(config, device, estimator, stack)
+        telemetry = open_telemetry(config, device, task, stack)
         loop = controller.ControlLoop(
-            open_log(config, device, estimator, stack),
+            telemetry or device,
             estimator,
             decider,
             (arranger, estimator.resolver(kind)),
             controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
             bounds,
             controller.WallClock(),
-            controller.LoopConfig(env_config.control_period, config.watchdog),
+            controller.LoopConfig(
+                env_config.control_period,
+                config.watchdog,
+                # An OPC UA device connects in its own thread; an attempt only asks whether it has.
+                longest_wait=0.2 if address.startswith(OPC_UA) else 1.0,
+            ),
         )
+        if telemetry is not None:
+            telemetry.counts, telemetry.latencies = loop.counts, loop.latencies
         decider.decide(bounds.low.clip(-1.0, 1.0))  # warm-up, since the first decision is slow
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")

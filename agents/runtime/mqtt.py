@@ -1,0 +1,163 @@
+"""Telemetry of a run to an MQTT broker, for dashboards; nothing is ever received from it."""
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+from paho.mqtt import client as paho
+
+from .config import LOOPBACK, read_secret
+from .protocol import Angles, Device, Message, to_fields
+from .report import STAGES, Counts, Latencies, percentiles
+
+TOPIC = "surface-gym"  # beginning of all topics
+REPORT_EVERY = 1.0  # [s]
+RECENT = 250  # latest durations of which percentiles are shown
+MAX_QUEUE = 64  # maximum number of reports waiting for the broker; older ones are dropped
+MAX_SENT = 16  # maximum number of reports that the broker has not read
+# [bytes] that a broker may send: it only confirms a connection, and that it is alive
+MAX_RECEIVED = 4096
+KEEP_ALIVE = 10  # [s]
+STATES = ("frame", "detections")  # messages with poses, of which the latest is shown
+
+
+@dataclass(frozen=True)
+class BrokerOptions:
+    """Where the broker is, and how it is proven."""
+
+    host: str
+    port: int
+    user: str | None = None
+    password_file: Path | None = None
+    ca: Path | None = None  # certificate of the broker's authority; None: loopback without TLS
+
+    def __post_init__(self) -> None:
+        if self.ca is None and self.host not in LOOPBACK:
+            raise ValueError(
+                f"mqtt_ca must be given for hosts other than {LOOPBACK[0]}, got none for "
+                f"{self.host!r}"
+            )
+
+
+class _Client(paho.Client):
+    """A client that leaves a broker that sends more than confirmations."""
+
+    received = 0  # [bytes] since the connection
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        self.received += bufsize
+        if self.received > MAX_RECEIVED:
+            self.received = 0
+            raise ConnectionError("broker must only confirm, got more")
+        return super()._sock_recv(bufsize)
+
+
+class Telemetry:
+    """Reports to a broker; calls return at once, and what the broker does not read is dropped.
+
+    Args:
+        options: the broker.
+        task: name of the run's task, part of the topics.
+    """
+
+    def __init__(self, options: BrokerOptions, task: str) -> None:
+        self._topic = f"{TOPIC}/{task}"
+        self._client = _Client(paho.CallbackAPIVersion.VERSION2)
+        self._client.enable_logger(None)
+        if options.user is not None:
+            password = options.password_file and read_secret(
+                "mqtt_password_file", options.password_file
+            )
+            self._client.username_pw_set(options.user, password)
+        if options.ca is not None:
+            self._client.tls_set(str(options.ca))
+        self._sent: deque[paho.MQTTMessageInfo] = deque()
+        self._client.on_connect = lambda *_: self._sent.clear()
+        self._client.reconnect_delay_set(1, 30)
+        self._queue: deque[tuple[str, Callable[[], Any]]] = deque(maxlen=MAX_QUEUE)
+        self._wake, self._is_closed = Event(), False
+        self._client.connect_async(options.host, options.port, KEEP_ALIVE)
+        self._client.loop_start()
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def publish(self, name: str, compute: Callable[[], Any]) -> None:
+        """Publish data under a topic's name; they are computed in the telemetry's thread."""
+        self._queue.append((name, compute))
+        self._wake.set()
+
+    def close(self) -> None:
+        self._is_closed = True
+        self._wake.set()
+
+    def _run(self) -> None:
+        while not self._is_closed:
+            self._wake.wait()
+            self._wake.clear()
+            while self._queue:
+                self._send(*self._queue.popleft())
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _send(self, name: str, compute: Callable[[], Any]) -> None:
+        while self._sent and self._sent[0].is_published():
+            self._sent.popleft()
+        if len(self._sent) >= MAX_SENT or not self._client.is_connected():
+            return
+        payload = json.dumps(compute(), separators=(",", ":"))
+        info = self._client.publish(f"{self._topic}/{name}", payload)
+        if info.rc == paho.MQTT_ERR_SUCCESS:
+            self._sent.append(info)
+
+
+class TelemetryDevice:
+    """A `Device` that reports messages of another device, and once per second counts and times."""
+
+    def __init__(
+        self, device: Device, telemetry: Telemetry, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._device, self._telemetry, self._now = device, telemetry, now
+        self._latest: dict[str, Any] | None = None  # the latest poses
+        self._reported = now()
+        self.counts, self.latencies = Counts(), Latencies()  # of the loop, once there is one
+
+    def connect(self) -> None:
+        self._report()
+        self._device.connect()
+
+    def close(self) -> None:
+        self._device.close()
+
+    def read(self) -> list[Message]:
+        self._report()
+        messages = self._device.read()
+        for message in messages:
+            fields = to_fields(message)
+            if fields["kind"] in STATES:
+                self._latest = fields
+            elif fields["kind"] != "taken":
+                self._telemetry.publish(fields["kind"], partial(dict, fields))
+        return messages
+
+    def set_axes(self, angles: Angles) -> int:
+        return self._device.set_axes(angles)
+
+    def _report(self) -> None:
+        now = self._now()
+        if now - self._reported < REPORT_EVERY:
+            return
+        self._reported = now
+        counts, latest = asdict(self.counts), self._latest
+        times = {name: getattr(self.latencies, name)[-RECENT:] for name in STAGES}
+        self._telemetry.publish("counts", lambda: counts)
+        self._telemetry.publish(
+            "latencies", lambda: {name: percentiles(each) for name, each in times.items()}
+        )
+        if latest is not None:
+            self._telemetry.publish("parcels", lambda: latest)

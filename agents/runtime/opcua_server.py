@@ -1,0 +1,267 @@
+"""A machine as an OPC UA server: variables to read, and axes that one client may write.
+
+asyncua alone lets anybody in, takes any value of several writers, and reads any amount. Here a user
+and a password are required, the first client that writes axes owns them until its session ends, and
+a write is only accepted if its shape, numbers, sequence and time are valid.
+"""
+
+import asyncio
+import hmac
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from asyncua import Server, ua
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import SimpleRoleRuleset, User, UserRole
+from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+from asyncua.server.user_managers import UserManager
+
+from surface_gym import checks
+from surface_gym.machine.messages import MAX_NUMBER, to_line
+
+from . import opcua, protocol
+from .opcua import ARRAYS, AXES, CLOCK, HELLO, LIMITS, MAX_CHUNK, MESSAGES, NAMESPACE, RECENT
+
+MAX_LATE = 0.25  # [s] maximum age of a command
+MAX_EARLY = 0.05  # [s] maximum by which a command's time may be ahead of the machine's clock
+RIGHT_ANGLE = 0.5 * math.pi + 1e-9  # [rad] largest angle of an axis
+MAX_CONNECTIONS = 16
+GREETING_TIMEOUT = 2.0  # [s] from the connection to a session with a password
+SESSION_TIMEOUTS = (1000.0, 5000.0)  # [ms] least and greatest, from the last sign of life
+MAX_PENDING = 64  # maximum number of requests of a client at a time
+
+SetAxes = Callable[[int, protocol.Angles], protocol.AxesAcknowledgement]
+Code = ua.StatusCodes
+
+
+class _Users(UserManager):
+    def __init__(self, security: opcua.OpcUaSecurity) -> None:
+        self._security = security
+        self._peer = security.certificates and security.file("peer.der").read_bytes()
+
+    def get_user(
+        self, _server: Any, username: Any = None, password: Any = None, certificate: Any = None
+    ) -> User | None:
+        """Return the user if name and password are right, and the certificate is the known one."""
+        given = f"{username}\0{password}".encode()
+        right = f"{self._security.user}\0{self._security.password}".encode()
+        known = self._peer is None or certificate == self._peer
+        return (
+            User(UserRole.User, username) if hmac.compare_digest(given, right) and known else None
+        )
+
+
+class _Permissions(SimpleRoleRuleset):
+    """Users read, write and subscribe; the library's other services are refused."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("Call", "HistoryRead", "RegisterNodes", "TransferSubscriptions"):
+            identity = ua.NodeId(getattr(ua.ObjectIds, f"{name}Request_Encoding_DefaultBinary"))
+            self._permission_dict[UserRole.User].discard(identity)
+
+
+class _AxesSession(InternalSession):
+    """A client's session; each write is checked."""
+
+    async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
+        if not self.external:
+            return await super().write(params)
+        return [
+            ua.StatusCode(await self.iserver.write_axes(self, each)) for each in params.NodesToWrite
+        ]
+
+    async def close_session(self, delete_subs: bool = True) -> None:
+        await super().close_session(delete_subs)
+        self.iserver.release(self)
+
+
+class _Guard(InternalServer):
+    """The services behind all connections, and the owner of the axes."""
+
+    def __init__(
+        self,
+        users: UserManager,
+        shape: tuple[int, int],
+        set_axes: SetAxes,
+        now: Callable[[], float],
+    ) -> None:
+        super().__init__(users)
+        self._shape, self._set_axes, self._now = shape, set_axes, now
+        self._owner: InternalSession | None = None
+        self._sequence = -1  # the latest of the owner
+        self.axes = ua.NodeId()
+        self.accepted: Callable[[protocol.AxesAcknowledgement], Any]
+        self.max_connections = MAX_CONNECTIONS
+        self.max_pending_activation_seconds = GREETING_TIMEOUT
+        self.min_session_timeout_ms, self.max_session_timeout_ms = SESSION_TIMEOUTS
+        self.max_pending_messages_per_connection = MAX_PENDING
+        self.max_unacked_messages_per_subscription = MAX_PENDING
+        self.max_monitored_item_queue_size = opcua.QUEUE
+        self.max_subscriptions = MAX_CONNECTIONS
+        self.allow_remote_admin = False
+
+    def create_session(self, name: str, **options: Any) -> InternalSession:
+        return _AxesSession(self, self.aspace, self.subscription_service, name, **options)
+
+    def lookup_external_session(self, auth_token: ua.NodeId) -> None:
+        """Never continue a session: the library would do so before it checks the password."""
+
+    def register_server(self, *_: Any) -> None:
+        raise ServiceError(Code.BadServiceUnsupported)  # it needs no password, and would be kept
+
+    def release(self, session: InternalSession) -> None:
+        if self._owner is session:
+            self._owner, self._sequence = None, -1
+
+    async def write_axes(self, session: InternalSession, value: ua.WriteValue) -> int:
+        """Turn the axes, or return why not."""
+        if value.NodeId != self.axes or value.AttributeId != ua.AttributeIds.Value:
+            return Code.BadNotWritable
+        if self._owner not in (None, session):
+            return Code.BadUserAccessDenied
+        code = self._fault(value)
+        if code != Code.Good:
+            return code
+        sequence, _, *angles = value.Value.Value.Value
+        answer = self._set_axes(int(sequence), np.reshape(angles, self._shape))
+        if answer.refused:
+            return Code.BadOutOfRange
+        self._owner, self._sequence = session, int(sequence)
+        await self.aspace.write_attribute_value(value.NodeId, value.AttributeId, value.Value)
+        await self.accepted(answer)
+        return Code.Good
+
+    def _fault(self, value: ua.WriteValue) -> int:
+        given = value.Value.Value
+        rows, columns = self._shape
+        if given is None or given.VariantType != ua.VariantType.Double or value.IndexRange:
+            return Code.BadTypeMismatch
+        if not isinstance(given.Value, list) or len(given.Value) != 2 + rows * columns:
+            return Code.BadTypeMismatch
+        array = np.array(given.Value, dtype=np.float64)
+        if not np.isfinite(array).all() or np.abs(array[2:]).max() > RIGHT_ANGLE:
+            return Code.BadOutOfRange
+        sequence, late = array[0], self._now() - array[1]
+        if not sequence.is_integer() or not self._sequence < sequence <= MAX_NUMBER:
+            return Code.BadSequenceNumberInvalid
+        return Code.Good if -MAX_EARLY <= late <= MAX_LATE else Code.BadInvalidTimestamp
+
+
+class _Peer(OPCUAProtocol):
+    """A connection that is closed if it sends too much, with its session."""
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if len(self._buffer) > MAX_CHUNK and self.transport is not None:
+            self.transport.abort()
+
+    def connection_lost(self, ex: BaseException | None) -> None:
+        super().connection_lost(ex)
+        if self.processor is not None and self.processor.session is not None:
+            closing = self.processor.session.close_session(True)
+            self.closing_tasks.append(asyncio.ensure_future(closing))
+
+
+class _Listener(BinaryServer):
+    def _make_protocol(self) -> OPCUAProtocol:
+        return _Peer(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
+
+
+class OpcUaServer(Server):
+    """An OPC UA server of a machine.
+
+    Args:
+        task: task of the machine.
+        shape: (rows, columns) of its widest zone.
+        security: user, password and certificates.
+        set_axes: turns the axes by the number of a command and angles [rad], and answers.
+        now: clock [s] of the machine.
+        host, port: where to listen; port 0 is any free one.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        shape: tuple[int, int],
+        security: opcua.OpcUaSecurity,
+        set_axes: SetAxes,
+        now: Callable[[], float],
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        security.check_host(host)
+        opcua.harden()
+        self._guard = _Guard(_Users(security), shape, set_axes, now)
+        super().__init__(self._guard)
+        self._security, self._machine_clock = security, now
+        self._greeting = to_line(protocol.hello(task, shape)).decode().strip()
+        self._size = shape[0] * shape[1]
+        self._sequences = dict.fromkeys((*ARRAYS, MESSAGES), 0)
+        self._recent: deque[str] = deque(maxlen=RECENT)
+        self._nodes: dict[str, ua.NodeId] = {}
+        self.host = host
+        self.set_endpoint(f"opc.tcp://{host}:{port}/")
+        self.limits = LIMITS
+
+    @property
+    def port(self) -> int:
+        assert self.bserver is not None
+        return self.bserver.port
+
+    async def start(self) -> None:
+        await self.init()
+        policy = ua.SecurityPolicyType.NoSecurity
+        if self._security.certificates is not None:
+            policy = ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
+            await self.load_certificate(self._security.file("own.der"))
+            await self.load_private_key(self._security.file("own.pem"))
+        self.set_security_policy([policy], _Permissions())
+        self.set_identity_tokens([ua.UserNameIdentityToken])
+        await self._add_nodes()
+        await self._setup_server_nodes()
+        await self.iserver.start()
+        host, port = self._get_bind_socket_info()
+        self.bserver = _Listener(self.iserver, host or "", port or 0, self.limits)
+        self.bserver.set_policies(self._policies)
+        await self.bserver.start()
+
+    async def _add_nodes(self) -> None:
+        index = await self.register_namespace(NAMESPACE)
+        parent = await self.get_objects_node().add_object(index, "Surface")
+        double, text = ua.VariantType.Double, ua.VariantType.String
+        values = {
+            HELLO: ua.Variant(self._greeting, text),
+            CLOCK: ua.Variant(0.0, double),
+            AXES: ua.Variant([0.0] * (2 + self._size), double),
+            **{layout.node: ua.Variant([0.0], double) for layout in ARRAYS.values()},
+            MESSAGES: ua.Variant([], text, is_array=True),
+        }
+        for name, value in values.items():
+            node = await parent.add_variable(ua.NodeId(name, index), f"{index}:{name}", value)
+            self._nodes[name] = node.nodeid
+        self._guard.axes = self._nodes[AXES]
+        await self.get_node(self._guard.axes).set_writable()
+        self.iserver.set_attribute_value_callback(
+            self._nodes[CLOCK], lambda *_: ua.DataValue(ua.Variant(self._machine_clock(), double))
+        )
+        self._guard.accepted = lambda answer: self.publish(protocol.to_fields(answer))
+
+    async def publish(self, fields: dict[str, Any]) -> None:
+        """Show a message's fields to all clients."""
+        values = opcua.to_numbers(fields)
+        kind = MESSAGES if values is None else checks.one_of("kind", fields["kind"], tuple(ARRAYS))
+        self._sequences[kind] += 1
+        sequence = self._sequences[kind]
+        if values is None:
+            self._recent.append(f"{sequence} {to_line(fields).decode().strip()}")
+            shown = ua.Variant(list(self._recent), ua.VariantType.String)
+        else:
+            shown = ua.Variant([float(sequence), *map(float, values)], ua.VariantType.Double)
+        name = MESSAGES if values is None else ARRAYS[kind].node
+        await self.iserver.write_attribute_value(self._nodes[name], ua.DataValue(shown))
