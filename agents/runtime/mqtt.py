@@ -5,9 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 
 from paho.mqtt import client as paho
@@ -19,11 +17,11 @@ from .report import STAGES, Counts, Latencies, percentiles
 TOPIC = "surface-gym"  # beginning of all topics
 REPORT_EVERY = 1.0  # [s]
 RECENT = 250  # latest durations of which percentiles are shown
-MAX_QUEUE = 64  # maximum number of reports waiting for the broker; older ones are dropped
 MAX_SENT = 16  # maximum number of reports that the broker has not read
 # [bytes] that a broker may send: it only confirms a connection, and that it is alive
 MAX_RECEIVED = 4096
 KEEP_ALIVE = 10  # [s]
+LONGEST_WAIT = 30  # [s] between attempts to connect
 STATES = ("frame", "detections")  # messages with poses, of which the latest is shown
 
 
@@ -69,51 +67,35 @@ class Telemetry:
     def __init__(self, options: BrokerOptions, task: str) -> None:
         self._topic = f"{TOPIC}/{task}"
         self._client = _Client(paho.CallbackAPIVersion.VERSION2)
-        self._client.enable_logger(None)
         if options.user is not None:
-            password = options.password_file and read_secret(
-                "mqtt_password_file", options.password_file
-            )
+            file = options.password_file
+            password = None if file is None else read_secret("mqtt_password_file", file)
             self._client.username_pw_set(options.user, password)
         if options.ca is not None:
             self._client.tls_set(str(options.ca))
-        self._sent: deque[paho.MQTTMessageInfo] = deque()
-        self._client.on_connect = lambda *_: self._sent.clear()
-        self._client.reconnect_delay_set(1, 30)
-        self._queue: deque[tuple[str, Callable[[], Any]]] = deque(maxlen=MAX_QUEUE)
-        self._wake, self._is_closed = Event(), False
+        self._client.reconnect_delay_set(1, LONGEST_WAIT)
         self._client.connect_async(options.host, options.port, KEEP_ALIVE)
-        self._client.loop_start()
-        self._thread = Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._client.loop_start()  # a thread, which alone waits for the broker
+        self._sent: deque[paho.MQTTMessageInfo] = deque()
 
-    def publish(self, name: str, compute: Callable[[], Any]) -> None:
-        """Publish data under a topic's name; they are computed in the telemetry's thread."""
-        self._queue.append((name, compute))
-        self._wake.set()
+    def publish(self, name: str, data: Any) -> None:
+        """Publish data under a topic's name, or drop them."""
+        while self._sent and _is_gone(self._sent[0]):
+            self._sent.popleft()
+        if len(self._sent) < MAX_SENT and self._client.is_connected():
+            payload = json.dumps(data, separators=(",", ":"))
+            self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
 
     def close(self) -> None:
-        self._is_closed = True
-        self._wake.set()
-
-    def _run(self) -> None:
-        while not self._is_closed:
-            self._wake.wait()
-            self._wake.clear()
-            while self._queue:
-                self._send(*self._queue.popleft())
         self._client.disconnect()
         self._client.loop_stop()
 
-    def _send(self, name: str, compute: Callable[[], Any]) -> None:
-        while self._sent and self._sent[0].is_published():
-            self._sent.popleft()
-        if len(self._sent) >= MAX_SENT or not self._client.is_connected():
-            return
-        payload = json.dumps(compute(), separators=(",", ":"))
-        info = self._client.publish(f"{self._topic}/{name}", payload)
-        if info.rc == paho.MQTT_ERR_SUCCESS:
-            self._sent.append(info)
+
+def _is_gone(info: paho.MQTTMessageInfo) -> bool:
+    try:
+        return info.is_published()
+    except RuntimeError:  # the connection was lost
+        return True
 
 
 class TelemetryDevice:
@@ -142,7 +124,7 @@ class TelemetryDevice:
             if fields["kind"] in STATES:
                 self._latest = fields
             elif fields["kind"] != "taken":
-                self._telemetry.publish(fields["kind"], partial(dict, fields))
+                self._telemetry.publish(fields["kind"], fields)
         return messages
 
     def set_axes(self, angles: Angles) -> int:
@@ -153,11 +135,10 @@ class TelemetryDevice:
         if now - self._reported < REPORT_EVERY:
             return
         self._reported = now
-        counts, latest = asdict(self.counts), self._latest
-        times = {name: getattr(self.latencies, name)[-RECENT:] for name in STAGES}
-        self._telemetry.publish("counts", lambda: counts)
-        self._telemetry.publish(
-            "latencies", lambda: {name: percentiles(each) for name, each in times.items()}
-        )
-        if latest is not None:
-            self._telemetry.publish("parcels", lambda: latest)
+        times = {name: percentiles(getattr(self.latencies, name)[-RECENT:]) for name in STAGES}
+        for name, data in (
+            ("counts", asdict(self.counts)),
+            ("latencies", times),
+            ("parcels", self._latest),
+        ):
+            self._telemetry.publish(name, data)

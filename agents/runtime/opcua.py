@@ -33,7 +33,7 @@ from .config import LOOPBACK, check_private
 
 NAMESPACE = "urn:surface-gym:machine"
 USER = "surface-gym"  # default user; the password is the token
-HELLO, CLOCK, AXES, MESSAGES = "Hello", "Clock", "Axes", "Messages"
+HELLO, CLOCK, AXES, GATE, MESSAGES = "Hello", "Clock", "Axes", "Gate", "Messages"
 TIMES = ("at", "taken")  # fields of messages with a time [s] of the machine's clock
 RECENT = 16  # number of the latest messages in MESSAGES
 MAX_CHUNK = 1 << 16  # [bytes]
@@ -192,7 +192,8 @@ class _Link:
         self.inbox: deque[protocol.Message] = deque()
         self._last: dict[str, int] = {}  # latest sequence number of each variable
         self._offsets: deque[tuple[float, float]] = deque(maxlen=OFFSETS)
-        self._next: tuple[int, float, protocol.Angles] | None = None  # command to write
+        # by variable, the command to write: its sequence, its times [s], and angles
+        self._next: dict[str, tuple[int, list[float], list[float]]] = {}
         self._loop = asyncio.new_event_loop()
         self._stopped = asyncio.Event()
         self._wake = asyncio.Event()
@@ -202,9 +203,9 @@ class _Link:
     def stop(self) -> None:
         self._call(self._stopped.set)
 
-    def send(self, command: int, angles: protocol.Angles) -> None:
+    def send(self, name: str, sequence: int, times: list[float], angles: list[float]) -> None:
         """Write a command soon; a later one replaces it as long as the machine is busy."""
-        self._next = (command, self._now(), angles)
+        self._next[name] = (sequence, [self._now(), *times], angles)
         self._call(self._wake.set)
 
     def _call(self, function: Callable[[], None]) -> None:
@@ -300,19 +301,19 @@ class _Link:
         return min(self._offsets)[1]
 
     async def _write(self, client: Client, prefix: str) -> None:
-        node = client.get_node(prefix + AXES)
         while True:
             await self._wake.wait()
             self._wake.clear()
-            if self._next is None:
-                continue
-            (command, at, angles), self._next = self._next, None
-            values = [float(command), at - self._offset, *angles.ravel().tolist()]
-            try:  # some PLCs refuse a write with a time of its own
-                await node.write_value(ua.DataValue(ua.Variant(values, ua.VariantType.Double)))
-            except ua.UaStatusCodeError as error:
-                refused = protocol.AxesAcknowledgement(command, self._now(), str(error)[:200])
-                self.inbox.append(refused)
+            while self._next:
+                name, (sequence, times, angles) = self._next.popitem()
+                values = [float(sequence), *(each - self._offset for each in times), *angles]
+                value = ua.DataValue(ua.Variant(values, ua.VariantType.Double))
+                try:  # without a time beside the value, which some PLCs refuse
+                    await client.get_node(prefix + name).write_value(value)
+                except ua.UaStatusCodeError as error:
+                    if name == AXES:
+                        refusal = (sequence, self._now(), str(error)[:200])
+                        self.inbox.append(protocol.AxesAcknowledgement(*refusal))
 
     async def _listen(self, client: Client, prefix: str) -> None:
         kinds = {prefix + layout.node: kind for kind, layout in ARRAYS.items()}
@@ -399,5 +400,10 @@ class OpcUaDevice:
 
     def set_axes(self, angles: protocol.Angles) -> int:
         self._command += 1
-        self._linked().send(self._command, angles.copy())
+        self._linked().send(AXES, self._command, [], angles.ravel().tolist())
         return self._command
+
+    def open_gate(self, begin: float, end: float) -> None:
+        """Let one parcel in between two times [s], if the machine has a gate."""
+        self._command += 1
+        self._linked().send(GATE, self._command, [begin, end], [])

@@ -1,15 +1,16 @@
-"""A machine as an OPC UA server: variables to read, and axes that one client may write.
+"""A machine as an OPC UA server: variables to read, and commands that one client may write.
 
 asyncua alone lets anybody in, takes any value of several writers, and reads any amount. Here a user
-and a password are required, the first client that writes axes owns them until its session ends, and
-a write is only accepted if its shape, numbers, sequence and time are valid.
+and a password are required. The first client that writes a command owns the machine until its
+session ends. A command is only accepted if its length, numbers, sequence and time are valid.
 """
 
 import asyncio
 import hmac
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from surface_gym import checks
 from surface_gym.machine.messages import MAX_NUMBER, to_line
 
 from . import opcua, protocol
-from .opcua import ARRAYS, AXES, CLOCK, HELLO, LIMITS, MAX_CHUNK, MESSAGES, NAMESPACE, RECENT
+from .opcua import ARRAYS, AXES, CLOCK, GATE, HELLO, LIMITS, MAX_CHUNK, MESSAGES, NAMESPACE, RECENT
 
 MAX_LATE = 0.25  # [s] maximum age of a command
 MAX_EARLY = 0.05  # [s] maximum by which a command's time may be ahead of the machine's clock
@@ -66,15 +67,24 @@ class _Permissions(SimpleRoleRuleset):
             self._permission_dict[UserRole.User].discard(identity)
 
 
-class _AxesSession(InternalSession):
+@dataclass
+class _Input:
+    """A variable for commands."""
+
+    size: int  # numbers after the sequence and the time
+    most: float  # greatest absolute number
+    act: Callable[[int, list[float]], Awaitable[bool]]  # obeys a command, or returns False
+    sequence: int = -1  # the owner's latest
+
+
+class _OwnerSession(InternalSession):
     """A client's session; each write is checked."""
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
         if not self.external:
             return await super().write(params)
-        return [
-            ua.StatusCode(await self.iserver.write_axes(self, each)) for each in params.NodesToWrite
-        ]
+        codes = [await self.iserver.command(self, each) for each in params.NodesToWrite]
+        return [ua.StatusCode(code) for code in codes]
 
     async def close_session(self, delete_subs: bool = True) -> None:
         await super().close_session(delete_subs)
@@ -84,19 +94,11 @@ class _AxesSession(InternalSession):
 class _Guard(InternalServer):
     """The services behind all connections, and the owner of the axes."""
 
-    def __init__(
-        self,
-        users: UserManager,
-        shape: tuple[int, int],
-        set_axes: SetAxes,
-        now: Callable[[], float],
-    ) -> None:
+    def __init__(self, users: UserManager, now: Callable[[], float]) -> None:
         super().__init__(users)
-        self._shape, self._set_axes, self._now = shape, set_axes, now
+        self._now = now
         self._owner: InternalSession | None = None
-        self._sequence = -1  # the latest of the owner
-        self.axes = ua.NodeId()
-        self.accepted: Callable[[protocol.AxesAcknowledgement], Any]
+        self.inputs: dict[ua.NodeId, _Input] = {}
         self.max_connections = MAX_CONNECTIONS
         self.max_pending_activation_seconds = GREETING_TIMEOUT
         self.min_session_timeout_ms, self.max_session_timeout_ms = SESSION_TIMEOUTS
@@ -107,7 +109,7 @@ class _Guard(InternalServer):
         self.allow_remote_admin = False
 
     def create_session(self, name: str, **options: Any) -> InternalSession:
-        return _AxesSession(self, self.aspace, self.subscription_service, name, **options)
+        return _OwnerSession(self, self.aspace, self.subscription_service, name, **options)
 
     def lookup_external_session(self, auth_token: ua.NodeId) -> None:
         """Never continue a session: the library would do so before it checks the password."""
@@ -117,38 +119,38 @@ class _Guard(InternalServer):
 
     def release(self, session: InternalSession) -> None:
         if self._owner is session:
-            self._owner, self._sequence = None, -1
+            self._owner = None
+            for each in self.inputs.values():
+                each.sequence = -1
 
-    async def write_axes(self, session: InternalSession, value: ua.WriteValue) -> int:
-        """Turn the axes, or return why not."""
-        if value.NodeId != self.axes or value.AttributeId != ua.AttributeIds.Value:
+    async def command(self, session: InternalSession, value: ua.WriteValue) -> int:
+        """Obey a command, or return why not."""
+        given = self.inputs.get(value.NodeId)
+        if given is None or value.AttributeId != ua.AttributeIds.Value:
             return Code.BadNotWritable
         if self._owner not in (None, session):
             return Code.BadUserAccessDenied
-        code = self._fault(value)
+        code = self._fault(given, value)
         if code != Code.Good:
             return code
-        sequence, _, *angles = value.Value.Value.Value
-        answer = self._set_axes(int(sequence), np.reshape(angles, self._shape))
-        if answer.refused:
+        sequence, _, *values = value.Value.Value.Value
+        self._owner, given.sequence = session, int(sequence)
+        if not await given.act(given.sequence, values):
             return Code.BadOutOfRange
-        self._owner, self._sequence = session, int(sequence)
         await self.aspace.write_attribute_value(value.NodeId, value.AttributeId, value.Value)
-        await self.accepted(answer)
         return Code.Good
 
-    def _fault(self, value: ua.WriteValue) -> int:
-        given = value.Value.Value
-        rows, columns = self._shape
-        if given is None or given.VariantType != ua.VariantType.Double or value.IndexRange:
+    def _fault(self, given: _Input, value: ua.WriteValue) -> int:
+        variant = value.Value.Value
+        if variant is None or variant.VariantType != ua.VariantType.Double or value.IndexRange:
             return Code.BadTypeMismatch
-        if not isinstance(given.Value, list) or len(given.Value) != 2 + rows * columns:
+        if not isinstance(variant.Value, list) or len(variant.Value) != 2 + given.size:
             return Code.BadTypeMismatch
-        array = np.array(given.Value, dtype=np.float64)
-        if not np.isfinite(array).all() or np.abs(array[2:]).max() > RIGHT_ANGLE:
+        array = np.array(variant.Value, dtype=np.float64)
+        if not np.isfinite(array).all() or np.abs(array[2:]).max() > given.most:
             return Code.BadOutOfRange
         sequence, late = array[0], self._now() - array[1]
-        if not sequence.is_integer() or not self._sequence < sequence <= MAX_NUMBER:
+        if not sequence.is_integer() or not given.sequence < sequence <= MAX_NUMBER:
             return Code.BadSequenceNumberInvalid
         return Code.Good if -MAX_EARLY <= late <= MAX_LATE else Code.BadInvalidTimestamp
 
@@ -183,6 +185,7 @@ class OpcUaServer(Server):
         set_axes: turns the axes by the number of a command and angles [rad], and answers.
         now: clock [s] of the machine.
         host, port: where to listen; port 0 is any free one.
+        open_gate: lets one parcel in between two times [s]; None: there is no gate.
     """
 
     def __init__(
@@ -194,14 +197,15 @@ class OpcUaServer(Server):
         now: Callable[[], float],
         host: str = "127.0.0.1",
         port: int = 0,
+        open_gate: Callable[[float, float], None] | None = None,
     ) -> None:
         security.check_host(host)
         opcua.harden()
-        self._guard = _Guard(_Users(security), shape, set_axes, now)
+        self._guard = _Guard(_Users(security), now)
         super().__init__(self._guard)
         self._security, self._machine_clock = security, now
         self._greeting = to_line(protocol.hello(task, shape)).decode().strip()
-        self._size = shape[0] * shape[1]
+        self._shape, self._set_axes, self._open_gate = shape, set_axes, open_gate
         self._sequences = dict.fromkeys((*ARRAYS, MESSAGES), 0)
         self._recent: deque[str] = deque(maxlen=RECENT)
         self._nodes: dict[str, ua.NodeId] = {}
@@ -235,22 +239,37 @@ class OpcUaServer(Server):
         index = await self.register_namespace(NAMESPACE)
         parent = await self.get_objects_node().add_object(index, "Surface")
         double, text = ua.VariantType.Double, ua.VariantType.String
+        rows, columns = self._shape
+        inputs = {AXES: _Input(rows * columns, RIGHT_ANGLE, self._turn)}
+        if self._open_gate is not None:
+            inputs[GATE] = _Input(2, math.inf, self._open)
         values = {
             HELLO: ua.Variant(self._greeting, text),
             CLOCK: ua.Variant(0.0, double),
-            AXES: ua.Variant([0.0] * (2 + self._size), double),
+            **{name: ua.Variant([0.0] * (2 + each.size), double) for name, each in inputs.items()},
             **{layout.node: ua.Variant([0.0], double) for layout in ARRAYS.values()},
             MESSAGES: ua.Variant([], text, is_array=True),
         }
         for name, value in values.items():
             node = await parent.add_variable(ua.NodeId(name, index), f"{index}:{name}", value)
             self._nodes[name] = node.nodeid
-        self._guard.axes = self._nodes[AXES]
-        await self.get_node(self._guard.axes).set_writable()
+            if name in inputs:
+                await node.set_writable()
+                self._guard.inputs[node.nodeid] = inputs[name]
         self.iserver.set_attribute_value_callback(
             self._nodes[CLOCK], lambda *_: ua.DataValue(ua.Variant(self._machine_clock(), double))
         )
-        self._guard.accepted = lambda answer: self.publish(protocol.to_fields(answer))
+
+    async def _turn(self, sequence: int, angles: list[float]) -> bool:
+        answer = self._set_axes(sequence, np.reshape(angles, self._shape))
+        if not answer.refused:
+            await self.publish(protocol.to_fields(answer))
+        return not answer.refused
+
+    async def _open(self, _: int, times: list[float]) -> bool:
+        assert self._open_gate is not None
+        self._open_gate(*times)
+        return True
 
     async def publish(self, fields: dict[str, Any]) -> None:
         """Show a message's fields to all clients."""
