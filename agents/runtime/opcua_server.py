@@ -163,6 +163,10 @@ class _Peer(OPCUAProtocol):
         if len(self._buffer) > MAX_CHUNK and self.transport is not None:
             self.transport.abort()
 
+    async def _process_one_msg(self, header: Any, buf: Any) -> bool:
+        is_gone = self.transport is None or self.transport.is_closing()
+        return not is_gone and await super()._process_one_msg(header, buf)
+
     def connection_lost(self, ex: BaseException | None) -> None:
         super().connection_lost(ex)
         if self.processor is not None and self.processor.session is not None:
