@@ -16,18 +16,18 @@ from .report import STAGES, Counts, Latencies, percentiles
 
 TOPIC = "surface-gym"  # beginning of all topics
 REPORT_EVERY = 1.0  # [s]
-RECENT = 250  # latest durations of which percentiles are shown
+RECENT = 250  # number of the latest durations behind the percentiles
 MAX_SENT = 16  # maximum number of reports that the broker has not read
 # [bytes] that a broker may send: it only confirms a connection, and that it is alive
 MAX_RECEIVED = 4096
 KEEP_ALIVE = 10  # [s]
 LONGEST_WAIT = 30  # [s] between attempts to connect
-STATES = ("frame", "detections")  # messages with poses, of which the latest is shown
+STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Where the broker is, and how it is proven."""
+    """Address of the broker, and what proves both sides."""
 
     host: str
     port: int

@@ -31,7 +31,8 @@ from surface_gym.machine.messages import numbers
 from . import protocol
 from .config import LOOPBACK, check_private
 
-NAMESPACE = "urn:surface-gym:machine"
+NAMESPACE = "urn:surface-gym:machine"  # of the variables, and name of the server
+LOOP = "urn:surface-gym:loop"  # name of the client
 USER = "surface-gym"  # default user; the password is the token
 HELLO, CLOCK, AXES, GATE, MESSAGES = "Hello", "Clock", "Axes", "Gate", "Messages"
 TIMES = ("at", "taken")  # fields of messages with a time [s] of the machine's clock
@@ -54,7 +55,8 @@ class ArrayLayout:
 
     node: str  # name of the variable
     fields: tuple[str, ...]  # in order; a pose has three numbers, others have one, and -1 is none
-    rest: str = ""  # field with all further numbers: "axes" of the zone, or rows of "poses"
+    # field of further numbers: "axes" of the zone, or how many "poses" there are, and their rows
+    rest: str = ""
 
 
 ARRAYS = {
@@ -72,7 +74,8 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
     values: list[float] = []
     for name in layout.fields:
         values += np.ravel(-1.0 if fields[name] is None else fields[name]).tolist()
-    rest = fields[layout.rest] if layout.rest else None
+    rest = fields.get(layout.rest)
+    values += [float(len(rest))] if layout.rest == "poses" else []
     return values + (np.ravel(rest).tolist() if rest is not None else [])
 
 
@@ -87,8 +90,9 @@ def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict
     rest = np.array(values[used:])
     if layout.rest == "axes":
         fields["axes"] = rest.reshape(shape).tolist() if rest.size else None
-    elif layout.rest:
-        fields[layout.rest] = rest.reshape(-1, 3).tolist()
+    elif layout.rest:  # a PLC's array has a fixed length, so that rows may follow the last pose
+        count = checks.integer("count of poses", _scalar("count", values[used : used + 1]), 0)
+        fields[layout.rest] = rest[1 : 1 + 3 * count].reshape(count, 3).tolist()
     elif rest.size:
         raise ValueError(f"{layout.node} must have {used + 1} numbers, got {len(values) + 1}")
     return {**fields, "refused": ""} if kind == "taken" else fields
@@ -108,7 +112,7 @@ def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = numbers(name, value, (None,)).tolist()
-    return checks.integer(name, _scalar("sequence", values[:1]), 0, 2**53), values[1:]
+    return checks.integer(name, _scalar("command", values[:1]), 0, 2**53), values[1:]
 
 
 class _NullArray:
@@ -238,6 +242,7 @@ class _Link:
         client.uaclient = _Transports(TIMEOUT)
         client.uaclient.pre_request_hook = client._wait_until_ready
         client.nodes = Shortcuts(client.uaclient.session)
+        client.application_uri = LOOP
         client.session_timeout = SESSION_TIMEOUT
         client.set_user(self._security.user)
         client.set_password(self._security.password)
@@ -338,7 +343,7 @@ class _Link:
             sequence, values = sequenced(ARRAYS[kind].node, value)
             found = {sequence: from_numbers(kind, values, self._shape)} if values else {}
         else:
-            lines = [str(each).partition(" ") for each in (value or [])[-RECENT:]]
+            lines = [str(each).partition(" ") for each in (value or [])[-RECENT:] if each]
             found = {int(number): protocol.from_line(line.encode()) for number, _, line in lines}
             sequence = max(found, default=0)
         last = self._last.setdefault(kind, sequence)

@@ -224,6 +224,7 @@ class OpcUaServer(Server):
 
     async def start(self) -> None:
         await self.init()
+        await self.set_application_uri(NAMESPACE)
         policy = ua.SecurityPolicyType.NoSecurity
         if self._security.certificates is not None:
             policy = ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt

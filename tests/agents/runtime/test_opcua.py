@@ -217,8 +217,11 @@ def test_rows_of_poses_are_numbers_too() -> None:
         fields = {"kind": "detections", "taken": 2.5, "poses": poses}
         values = opcua.to_numbers(fields)
         assert opcua.from_numbers("detections", values, SHAPE) == fields
-    with pytest.raises(ValueError, match="reshape"):
-        opcua.from_numbers("detections", [2.5, 0.1], SHAPE)
+        # The array of a PLC is as long as for its most parcels.
+        assert opcua.from_numbers("detections", [*values, 7.0, 7.0, 7.0], SHAPE) == fields
+    for wrong in ([2.5], [2.5, 0.5], [2.5, -2.0], [2.5, 2.0, 0.1, 0.1, 0.1]):
+        with pytest.raises(ValueError, match=r"reshape|count of poses must"):
+            opcua.from_numbers("detections", wrong, SHAPE)
     with pytest.raises(ValueError, match="Taken must have 3 numbers"):
         opcua.from_numbers("taken", [1.0, 2.0, 3.0], SHAPE)
 
