@@ -157,15 +157,18 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     policy, env_config = load_controller(config)
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        address, token = config.address, find_token(config.token_file)
+        token: str | None
+        address = config.address
         if address is None:
             console.print("starting the simulator")
             arguments = simulator_arguments(config, env_config)
             log = config.out / "simulator.log"
             simulator = stack.enter_context(SimulatorProcess(arguments, log))
             address, token = "{}:{}".format(*simulator.address), simulator.token
-        elif token is None:
-            console.print("no token: whoever answers at the address is taken for the machine")
+        else:
+            token = find_token(config.token_file)
+            if token is None:
+                console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
         estimator = StateEstimator(env_config)
         arranger = stack.enter_context(controller.ProcessArranger(estimator.config))

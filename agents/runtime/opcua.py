@@ -74,9 +74,9 @@ def to_numbers(fields: dict[str, Any]) -> list[float] | None:
     values: list[float] = []
     for name in layout.fields:
         values += np.ravel(-1.0 if fields[name] is None else fields[name]).tolist()
-    rest = fields.get(layout.rest)
+    rest = [] if fields.get(layout.rest) is None else fields[layout.rest]
     values += [float(len(rest))] if layout.rest == "poses" else []
-    return values + (np.ravel(rest).tolist() if rest is not None else [])
+    return values + np.ravel(rest).tolist()
 
 
 def from_numbers(kind: str, values: list[float], shape: tuple[int, int]) -> dict[str, Any]:
