@@ -9,7 +9,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +41,7 @@ MAX_CHUNK = 1 << 16  # [bytes]
 LIMITS = TransportLimits(MAX_CHUNK, MAX_CHUNK, max_chunk_count=16, max_message_size=1 << 20)
 TIMEOUT = 1.0  # [s] maximum time of an answer
 BEAT = 0.25  # [s] between heartbeats
+SILENCE = 3.0  # [s] from the last heartbeat, or attempt to connect, until a link is given up
 RETRY = 0.05  # [s] between attempts to connect
 PUBLISHING = 5.0  # [ms] requested interval between notifications
 SESSION_TIMEOUT = 2000.0  # [ms] from the last sign of life to the end of a session
@@ -142,8 +143,10 @@ class OpcUaSecurity:
     user: str = USER
     certificates: Path | None = None  # folder with own.der, own.pem and peer.der; None: loopback
 
-    def check_host(self, host: str) -> None:
-        """Raise a ValueError unless the host is this computer, or certificates protect it."""
+    def check(self, host: str) -> None:
+        """Raise an error unless the host is this computer, or certificates protect it."""
+        for name in () if self.certificates is None else ("own.der", "own.pem", "peer.der"):
+            self.file(name).stat()
         if self.certificates is None and host not in LOOPBACK:
             raise ValueError(
                 f"certificates must be given for hosts other than {LOOPBACK[0]}, got none for "
@@ -156,6 +159,19 @@ class OpcUaSecurity:
         if name == "own.pem":
             check_private(name, self.certificates / name)
         return self.certificates / name
+
+
+async def within(seconds: float, work: Awaitable[Any]) -> Any:
+    """Return what work gives within a time [s], or raise a TimeoutError.
+
+    `asyncio.wait_for` would wait longer, for work of the library that ignores its cancellation.
+    """
+    task = asyncio.ensure_future(work)
+    done, _ = await asyncio.wait([task], timeout=seconds)
+    if not done:
+        task.cancel()
+        raise asyncio.TimeoutError(f"no answer within {seconds:g} s")
+    return task.result()
 
 
 class _Transport(UASocketProtocol):
@@ -193,6 +209,7 @@ class _Link:
         self.ready = False  # whether the machine has greeted
         self.fault = ""  # why it has ended
         self.error = "no answer yet"  # why there is no connection yet
+        self.alive = now()  # [s] when it last showed life
         self.inbox: deque[protocol.Message] = deque()
         self._last: dict[str, int] = {}  # latest sequence number of each variable
         self._offsets: deque[tuple[float, float]] = deque(maxlen=OFFSETS)
@@ -225,14 +242,10 @@ class _Link:
             self._loop.close()
 
     async def _connect(self) -> None:
-        while not self._stopped.is_set():
-            try:
+        while not (self._stopped.is_set() or self.fault):
+            self.alive = self._now()
+            with suppress(Exception):  # of the library, as it opens and closes a connection
                 await self._talk()
-            except Exception as error:  # whatever a hostile server makes of the library
-                self.error = str(error) or type(error).__name__
-                if self.ready or not isinstance(error, OSError | asyncio.TimeoutError):
-                    self.fault = self.error
-                    return
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._stopped.wait(), RETRY)
 
@@ -258,13 +271,16 @@ class _Link:
 
         client.connection_lost_callback = on_lost
         try:
-            await asyncio.wait_for(client.connect(), 2.0 * TIMEOUT)
+            await within(2.0 * TIMEOUT, client.connect())
             await self._exchange(client, lost)
+        except Exception as error:  # whatever a hostile server makes of the library
+            self.error = str(error) or type(error).__name__
+            if self.ready or not isinstance(error, OSError | asyncio.TimeoutError):
+                self.fault = self.error
         finally:
-            try:
-                await asyncio.wait_for(client.disconnect(), BEAT)
-            except Exception:
-                client.disconnect_socket()
+            with suppress(Exception):
+                await within(BEAT, client.disconnect())
+            client.disconnect_socket()
 
     async def _exchange(self, client: Client, lost: asyncio.Event) -> None:
         prefix = self._prefix
@@ -282,7 +298,6 @@ class _Link:
         finally:
             for each in waits:
                 each.cancel()
-            await asyncio.gather(*waits, return_exceptions=True)
         for each in done:
             each.result()
         if lost.is_set():
@@ -296,8 +311,8 @@ class _Link:
     async def _beat(self, clock: Any) -> None:
         """Show that this side is there, and compare the clocks; the quickest answer counts."""
         before = self._now()
-        there = checks.number("Clock", await asyncio.wait_for(clock.read_value(), TIMEOUT))
-        after = self._now()
+        there = checks.number("Clock", await within(TIMEOUT, clock.read_value()))
+        after = self.alive = self._now()
         self._offsets.append((after - before, 0.5 * (before + after) - there))
 
     @property
@@ -375,13 +390,16 @@ class OpcUaDevice:
         prefix: str | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        security.check_host(urlparse(url).hostname or "")
+        security.check(urlparse(url).hostname or "")
         harden()
         self._arguments = (url, (task, shape), security, prefix, now)
+        self._now = now
         self._link: _Link | None = None
         self._command = 0
 
     def connect(self) -> None:
+        if self._link is not None and self._is_silent(self._link):
+            self.close()
         if self._link is None:
             self._link = _Link(*self._arguments)
         if not (self._link.ready or self._link.fault):
@@ -392,11 +410,16 @@ class OpcUaDevice:
             self._link.stop()
             self._link = None
 
+    def _is_silent(self, link: _Link) -> bool:
+        return self._now() - link.alive > SILENCE
+
     def _linked(self) -> _Link:
         if self._link is None:
             raise protocol.DeviceLost("not connected")
         if self._link.fault:
             raise protocol.DeviceLost(self._link.fault)
+        if self._is_silent(self._link):
+            raise protocol.DeviceLost(f"the machine must answer within {SILENCE:g} s")
         return self._link
 
     def read(self) -> list[protocol.Message]:

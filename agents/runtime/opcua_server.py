@@ -203,7 +203,7 @@ class OpcUaServer(Server):
         port: int = 0,
         open_gate: Callable[[float, float], None] | None = None,
     ) -> None:
-        security.check_host(host)
+        security.check(host)
         opcua.harden()
         self._guard = _Guard(_Users(security), now)
         super().__init__(self._guard)

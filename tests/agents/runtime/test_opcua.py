@@ -482,6 +482,25 @@ def test_a_machine_that_was_gone_is_there_again(machine, device) -> None:
     np.testing.assert_array_equal(machine.axes[1][1], -AXES)
 
 
+def test_a_link_that_shows_no_life_is_replaced(machine) -> None:
+    """Whatever the library waits for, the loop notices."""
+    ahead = [0.0]
+    device = connected(machine, now=lambda: time.monotonic() + ahead[0])
+    link = device._link
+    ahead[0] += opcua.SILENCE + 1.0
+    with pytest.raises(DeviceLost, match="must answer"):
+        device.read()
+    link.alive = -1e9
+    link._beat = None
+    with suppress(DeviceLost):
+        device.connect()
+    assert device._link is not link
+    connect(device)
+    assert device.read() is not None
+    link.thread.join(PATIENCE)
+    close(device)
+
+
 def make_certificates(folder: Path, names: tuple[str, ...]) -> list[Path]:
     """A folder of certificates for each, where the first two know each other."""
     folders = [folder / name for name in names]
@@ -517,7 +536,10 @@ def test_certificates_encrypt_and_strangers_have_none(tmp_path) -> None:
     machine.close()
     (folders[1] / "own.pem").chmod(0o644)
     with pytest.raises(ValueError, match="mode 600"):
-        whole[1].file("own.pem")
+        OpcUaDevice(machine.url, "stop", SHAPE, whole[1])
+    (folders[0] / "peer.der").unlink()
+    with pytest.raises(FileNotFoundError):
+        OpcUaServer("stop", SHAPE, whole[0], machine.set_axes, time.monotonic)
 
 
 def test_only_this_computer_is_reached_without_certificates() -> None:
