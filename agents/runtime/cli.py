@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlparse
 
 from surface_gym.cli import parse_options
 
 from ..yaml_file import current_option
-from .config import RuntimeConfig, find_token, parse_address
+from .config import OPC_UA, RuntimeConfig, find_token, parse_address
 from .report import RunConditions, make_report, show_report, write_report
 
 if TYPE_CHECKING:
@@ -26,11 +27,12 @@ if TYPE_CHECKING:
 
     from ..base import Controller
     from ..library import TrainedPolicy
-    from .controller import ControlLoop
+    from .controller import ControlLoop, LoopConfig
     from .estimator import StateEstimator
-    from .protocol import Device
+    from .mqtt import TelemetryDevice
+    from .protocol import Device, GatedDevice
 
-Machine = tuple[tuple[str, int], str | None]  # host and port, and the shared token
+Machine = tuple[str, str | None]  # address, and the shared token
 EXCITATION = "excitation"  # name of a controller that is no policy
 READY_TIMEOUT = 300.0  # [s] maximum time until fixed layouts are ready, including compilation
 SHOW_EVERY = 1.0  # [s] between updates of the progress
@@ -109,6 +111,37 @@ def open_log(
     )
 
 
+def open_device(
+    address: str, token: str | None, config: RuntimeConfig, task: str, shape: tuple[int, int]
+) -> "GatedDevice":
+    """Return the device at an address."""
+    from .protocol import SocketDevice
+
+    if not address.startswith(OPC_UA):
+        return SocketDevice(parse_address(address), task, shape, token)
+    from .opcua import USER, OpcUaDevice, OpcUaSecurity
+
+    if token is None:
+        raise ValueError("token must be given, by --token-file or SURFACE_GYM_TOKEN, got none")
+    security = OpcUaSecurity(token, urlparse(address).username or USER, config.certificates)
+    return OpcUaDevice(address, task, shape, security, config.nodes)
+
+
+def open_telemetry(
+    config: RuntimeConfig, device: "Device", task: str, stack: ExitStack
+) -> "TelemetryDevice | None":
+    """Return the device with telemetry of its messages, if it is asked for."""
+    if config.mqtt is None:
+        return None
+    from .mqtt import BrokerOptions, Telemetry, TelemetryDevice
+
+    host, port = parse_address(config.mqtt)
+    options = BrokerOptions(host, port, config.mqtt_user, config.mqtt_password_file, config.mqtt_ca)
+    telemetry = Telemetry(options, task)
+    stack.callback(telemetry.close)
+    return TelemetryDevice(device, telemetry)
+
+
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
     """Return the arguments of the simulator's command, for a policy's environment."""
     of_stream: list[str] = []
@@ -140,14 +173,15 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         token: str | None
-        if config.address is None:
+        address = config.address
+        if address is None:
             console.print("starting the simulator")
             arguments = simulator_arguments(config, env_config)
             log = config.out / "simulator.log"
             simulator = stack.enter_context(SimulatorProcess(arguments, log))
-            address, token = simulator.address, simulator.token
+            address, token = "{}:{}".format(*simulator.address), simulator.token
         else:
-            address, token = parse_address(config.address), find_token(config.token_file)
+            token = find_token(config.token_file)
             if token is None:
                 console.print("no token: whoever answers at the address is taken for the machine")
         console.print("compiling")
@@ -163,24 +197,28 @@ def make_loop(
     """Make the loop of a policy for one parcel at a time, ready to run."""
     from . import controller
     from .estimator import StateEstimator
-    from .protocol import SocketDevice
 
     estimator = StateEstimator(env_config)
     arranger = stack.enter_context(controller.ProcessArranger(estimator.config))
     kind = controller.FixedLayouts(estimator.config).kind
     decider = controller.Decider(policy, env_config)
     bounds = env_config.observation_space()
-    device = SocketDevice(machine[0], env_config.task.name, estimator.shape, machine[1])
+    task = env_config.task.name
+    machine_device = open_device(*machine, config, task, estimator.shape)
+    device = open_log(config, machine_device, estimator, stack)
+    telemetry = open_telemetry(config, device, task, stack)
     loop = controller.ControlLoop(
-        open_log(config, device, estimator, stack),
+        telemetry or device,
         estimator,
         decider,
         (arranger, estimator.resolver(kind)),
         controller.AxisLimits(estimator.shape, controller.allowed_angles(env_config)),
         bounds,
         controller.WallClock(),
-        controller.LoopConfig(env_config.control_period, config.watchdog),
+        make_loop_config(config, env_config),
     )
+    if telemetry is not None:
+        telemetry.attach(loop.counts, loop.latencies)
     decider.decide(bounds.low.clip(-1.0, 1.0))  # warm-up, since the first decision is slow
     if not arranger.wait_until_ready(READY_TIMEOUT):
         raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
@@ -193,25 +231,39 @@ def make_stream_loop(
 ) -> "ControlLoop":  # fmt: skip
     """Make the loop of a policy for a stream, ready to run."""
     from . import controller
-    from .protocol import SocketDevice
     from .stream_loop import StreamLoop
     from .tracker import StreamTracker
 
-    del stack
     tracker = StreamTracker(env_config)
     decider = controller.Decider(policy, env_config)
     bounds = env_config.observation_space()
     decider.decide(0.0 * bounds.low)  # warm-up: an empty table
     decider.reset()
-    return StreamLoop(
-        SocketDevice(machine[0], env_config.task.name, tracker.shape, machine[1]),
+    task = env_config.task.name
+    device = open_device(*machine, config, task, tracker.shape)
+    telemetry = open_telemetry(config, device, task, stack)
+    loop = StreamLoop(
+        telemetry or device,
         tracker,
         decider,
         controller.AxisLimits(tracker.shape, controller.allowed_angles(env_config)),
         bounds,
         controller.WallClock(),
-        controller.LoopConfig(env_config.control_period, config.watchdog),
+        make_loop_config(config, env_config),
     )
+    if telemetry is not None:
+        telemetry.attach(loop.counts, loop.latencies)
+    return loop
+
+
+def make_loop_config(config: RuntimeConfig, env_config: "EnvConfig") -> "LoopConfig":
+    """Return the timing of the loop."""
+    from .controller import LoopConfig
+
+    # An OPC UA device connects in its own thread; an attempt only asks whether it has.
+    is_opc_ua = config.address is not None and config.address.startswith(OPC_UA)
+    longest_wait = 0.2 if is_opc_ua else 1.0
+    return LoopConfig(env_config.control_period, config.watchdog, longest_wait=longest_wait)
 
 
 def run_and_report(

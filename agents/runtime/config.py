@@ -13,6 +13,8 @@ from surface_gym import checks
 TOKEN = "SURFACE_GYM_TOKEN"  # environment variable
 TOKEN_FILE = Path("runs/runtime/token")
 SHORTEST_TOKEN = 16  # characters
+OPC_UA = "opc.tcp://"  # beginning of an address
+LOOPBACK = ("127.0.0.1", "localhost", "::1")  # hosts that are this computer
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,14 @@ class RuntimeConfig:
     preset: str = "lab"
     """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
     address: str | None = None
-    """Address of a running device, host:port; the default starts a simulator."""
+    """Address of a running device, host:port, or opc.tcp://host:port of an OPC UA server; the
+    default starts a simulator."""
     token_file: Path | None = None
     """File with the token of a running device; the default is SURFACE_GYM_TOKEN, or no token."""
+    certificates: Path | None = None
+    """Folder with own.der, own.pem and peer.der, for OPC UA with an encrypted connection."""
+    nodes: str | None = None
+    """Beginning of the OPC UA variables' node ids, e.g. ns=4;s=Surface.; the default is found."""
     watchdog: float = 0.2
     """Seconds without a frame, or without the acknowledgement of a command, after which the fixed
     layout replaces the policy.
@@ -70,14 +77,23 @@ class RuntimeConfig:
     """Options of the simulator."""
     log: Path | None = None
     """New file for all messages, e.g. run.jsonl.gz, from which surface-gym identify learns."""
+    mqtt: str | None = None
+    """Address of an MQTT broker, host:port, for telemetry; see also mqtt-user."""
+    mqtt_user: str | None = None
+    """User at the broker; others than 127.0.0.1 need mqtt-ca."""
+    mqtt_password_file: Path | None = None
+    """File with the user's password, readable by its owner only."""
+    mqtt_ca: Path | None = None
+    """Certificate of the authority that signed the broker's, for a connection by TLS."""
     out: Path = Path("runs/runtime")
     """Folder for report.json and the simulator's log."""
 
     def __post_init__(self) -> None:
         checks.positive("minutes", self.minutes)
         checks.positive("watchdog", self.watchdog)
-        if self.address is not None:
-            parse_address(self.address)
+        for address in (self.address, self.mqtt):
+            if address is not None:
+                parse_address(address)
 
 
 @dataclass(frozen=True)
@@ -92,6 +108,12 @@ class SimulatorConfig:
     """Seconds between decisions; the task's time limit is a number of decisions."""
     port: int = 0
     """Port on this machine; 0: any free port, which is printed."""
+    opcua: int | None = None
+    """Port of an OPC UA server in place of the socket; 0: any free port."""
+    host: str = LOOPBACK[0]
+    """Address where the OPC UA server listens; others than 127.0.0.1 need certificates."""
+    certificates: Path | None = None
+    """Folder with own.der, own.pem and peer.der, for OPC UA with an encrypted connection."""
     seed: int = 0
     """Seed of all random numbers."""
     token_file: Path | None = None
@@ -102,11 +124,26 @@ class SimulatorConfig:
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return the host and the port of "host:port"."""
-    host, colon, port = text.rpartition(":")
+    """Return the host and the port of "host:port" or "opc.tcp://user@host:port/path"."""
+    place = text
+    if text.startswith(OPC_UA):
+        place = text.removeprefix(OPC_UA).partition("/")[0].rpartition("@")[2]
+    host, colon, port = place.rpartition(":")
     if not colon or not host or not re.fullmatch("[0-9]{1,5}", port) or not 0 < int(port) < 65536:
         raise ValueError(f"address must be host:port, got {text!r}")
     return host, int(port)
+
+
+def read_secret(name: str, file: Path) -> str:
+    """Return the text of a file that only its owner can read."""
+    check_private(name, file)
+    return file.read_text().strip()
+
+
+def check_private(name: str, file: Path) -> None:
+    """Raise a ValueError unless only the owner can read a file."""
+    if file.stat().st_mode & 0o077:
+        raise ValueError(f"{name} must have the mode 600, got {file.stat().st_mode:o}")
 
 
 def find_token(file: Path | None, make: bool = False) -> str | None:
@@ -125,9 +162,7 @@ def find_token(file: Path | None, make: bool = False) -> str | None:
             file.parent.mkdir(parents=True, exist_ok=True)
             with open(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as made:
                 made.write(secrets.token_hex() + "\n")
-        if file.stat().st_mode & 0o077:
-            raise ValueError(f"token_file must have the mode 600, got {file.stat().st_mode:o}")
-        token = file.read_text().strip()
+        token = read_secret("token_file", file)
     if len(token) < SHORTEST_TOKEN:
         raise ValueError(
             f"token must have at least {SHORTEST_TOKEN} characters, got {len(token)} of them"

@@ -63,6 +63,7 @@ __all__ = [
     "Triple",
     "axes_from_fields",
     "axes_to_fields",
+    "check_hello",
     "check_message",
     "check_proof",
     "from_fields",
@@ -137,6 +138,16 @@ def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
     """
     fields = {"kind": "hello", "protocol": VERSION, "task": task, "zone": list(shape)}
     return {**fields, "nonce": nonce} if nonce else fields
+
+
+def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> None:
+    """Raise a ValueError unless a device greets with this protocol, task and widest zone."""
+    checks.one_of("kind", fields["kind"], ("hello",))
+    checks.one_of("protocol", fields.get("protocol"), (VERSION,))
+    checks.one_of("task", fields.get("task"), (task,))
+    zone = numbers("zone", fields.get("zone"), (2,))
+    if tuple(zone) != shape:
+        raise ValueError(f"zone must be {shape}, got {fields['zone']}")
 
 
 def make_nonce() -> str:
@@ -302,12 +313,7 @@ class SocketDevice:
 
     def _answer(self, connection: Connection, fields: dict[str, Any]) -> None:
         """Check a greeting, and send the proof of the token if there is one."""
-        checks.one_of("kind", fields["kind"], ("hello",))
-        checks.one_of("protocol", fields.get("protocol"), (VERSION,))
-        checks.one_of("task", fields.get("task"), (self._task,))
-        zone = numbers("zone", fields.get("zone"), (2,))
-        if tuple(zone) != self._shape:
-            raise ValueError(f"zone must be {self._shape}, got {fields['zone']}")
+        check_hello(fields, self._task, self._shape)
         if self._token is None:
             if "nonce" in fields:
                 raise ValueError(

@@ -3,6 +3,7 @@
 Start it by `python -m surface_gym.agents.runtime.simulator`, or by `SimulatorProcess` in Python.
 """
 
+import asyncio
 import heapq
 import os
 import secrets
@@ -10,11 +11,11 @@ import select
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,9 @@ from ..library import find_task
 from . import controller, estimator, protocol as wire
 from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
 from .stream_simulator import SimulatedStream
+
+if TYPE_CHECKING:
+    from .opcua_server import OpcUaServer
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
@@ -198,7 +202,41 @@ class _Newcomer:
     until: float  # [s] deadline of the proof
 
 
-class MachineServer:
+class PacedMachine:
+    """A simulated machine in step with a clock, and its messages until they are due."""
+
+    def __init__(self, world: SimulatedMachine | SimulatedStream) -> None:
+        self._world = world
+        self._outbox: list[tuple[float, int, wire.Message]] = []  # sorted by due time [s]
+        self._count = 0
+        self.refused = 0  # number of invalid commands
+
+    def advance(self, now: float) -> None:
+        """Simulate until a time [s]."""
+        behind = now - self._world.now
+        if behind > MAX_BEHIND:
+            self._world.stand_still(behind)
+        for due, message in self._world.advance(now):
+            self._count += 1
+            heapq.heappush(self._outbox, (due, self._count, message))
+
+    def due(self, now: float) -> Iterator[wire.Message]:
+        """Yield the messages that are due at a time [s]."""
+        while self._outbox and self._outbox[0][0] <= now:
+            yield heapq.heappop(self._outbox)[2]
+
+    def rest(self, now: float) -> float:
+        """Return how long [s] there is nothing to do."""
+        due = self._outbox[0][0] if self._outbox else self._world.now
+        return max(0.0, min(due, self._world.now) - now)
+
+    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
+        answer = self._world.set_axes(command, angles)
+        self.refused += bool(answer.refused)
+        return answer
+
+
+class MachineServer(PacedMachine):
     """Server of a simulated machine: sends its messages over a socket, and receives axis commands.
 
     Only one loop is connected at a time; others are refused until it is gone. With a token, a loop
@@ -212,37 +250,29 @@ class MachineServer:
         listener: socket.socket,
         token: str | None = None,
     ) -> None:
-        self._world = world
+        super().__init__(world)
         self._task = task
         self._token = token
         self._newcomers: list[_Newcomer] = []
         self._listener = listener
         self._listener.setblocking(False)
         self._connection: wire.Connection | None = None
-        self._outbox: list[tuple[float, int, wire.Message]] = []  # sorted by due time [s]
-        self._count = 0
-        self.refused = 0  # number of invalid commands
 
     def step(self, now: float) -> None:
-        behind = now - self._world.now
-        if behind > MAX_BEHIND:
-            self._world.stand_still(behind)
-        for due, message in self._world.advance(now):
-            self._post(due, message)
+        self.advance(now)
         self._set_axes()  # first, since a loop that is gone makes room
         self._accept(now)
         self._admit(now)
-        while self._outbox and self._outbox[0][0] <= now:
-            self._send_message(heapq.heappop(self._outbox)[2])
+        for message in self.due(now):
+            self._send_message(message)
 
     def wait(self, now: float) -> None:
         """Wait from a time [s] until a message is due or arrives."""
-        due = self._outbox[0][0] if self._outbox else self._world.now
         ready: list[socket.socket | wire.Connection] = [self._listener]
         ready += [each.connection for each in self._newcomers]
         if self._connection is not None:
             ready.append(self._connection)
-        select.select(ready, [], [], max(0.0, min(due, self._world.now) - now))
+        select.select(ready, [], [], self.rest(now))
 
     def close(self) -> None:
         self._drop()
@@ -308,15 +338,9 @@ class MachineServer:
                     self._world.open_gate(*wire.gate_from_fields(fields))
                     continue
                 command, angles = wire.axes_from_fields(fields, self._world.shape)
-                answer = self._world.set_axes(command, angles)
-                self.refused += bool(answer.refused)
-                self._send_message(answer)
+                self._send_message(self.set_axes(command, angles))
         except (wire.ConnectionLost, ValueError, RecursionError):
             self._drop()
-
-    def _post(self, due: float, message: wire.Message) -> None:
-        self._count += 1
-        heapq.heappush(self._outbox, (due, self._count, message))
 
     def _send_message(self, message: wire.Message) -> None:
         self._send(wire.to_line(wire.to_fields(message)))
@@ -339,6 +363,25 @@ def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], 
     while goes_on():
         server.step(clock.now())
         server.wait(clock.now())
+
+
+async def serve_opcua(
+    machine: PacedMachine,
+    server: "OpcUaServer",
+    clock: controller.Clock,
+    goes_on: Callable[[], bool],
+) -> None:
+    """Serve by OPC UA in real time while `goes_on()` is true."""
+    await server.start()
+    try:
+        print(f"{LISTENING}{server.host}:{server.port}", flush=True)
+        while goes_on():
+            machine.advance(clock.now())
+            for message in machine.due(clock.now()):
+                await server.publish(wire.to_fields(message))
+            await asyncio.sleep(machine.rest(clock.now()))
+    finally:
+        await server.stop()
 
 
 def make_env_config(config: SimulatorConfig) -> EnvConfig:
@@ -367,11 +410,36 @@ def run_simulator(config: SimulatorConfig) -> None:
     world = make_world(config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
+    assert token is not None
+
+    def goes_on() -> bool:
+        return config.parent in (None, os.getppid())
+
+    if config.opcua is not None:
+        from .opcua import OpcUaSecurity
+        from .opcua_server import OpcUaServer
+
+        security = OpcUaSecurity(token, certificates=config.certificates)
+        machine = PacedMachine(world)
+        task, has_gate = make_env_config(config).task, isinstance(world, SimulatedStream)
+        opcua = OpcUaServer(
+            task.name,
+            world.shape,
+            security,
+            machine.set_axes,
+            clock.now,
+            config.host,
+            config.opcua,
+            open_gate=world.open_gate if has_gate else None,
+            greet=world.greet,
+        )
+        asyncio.run(serve_opcua(machine, opcua, clock, goes_on))
+        return
     listener = socket.create_server((HOST, config.port))
     server = MachineServer(world, make_env_config(config).task.name, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
-        serve(server, clock, lambda: config.parent in (None, os.getppid()))
+        serve(server, clock, goes_on)
     finally:
         server.close()
 

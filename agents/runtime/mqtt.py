@@ -1,0 +1,153 @@
+"""Telemetry of a run to an MQTT broker, for dashboards; nothing is ever received from it."""
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from paho.mqtt import client as paho
+
+from .config import LOOPBACK, read_secret
+from .protocol import Angles, Device, Message, to_fields
+from .report import STAGES, Counts, Latencies, percentiles
+
+TOPIC = "surface-gym"  # beginning of all topics
+REPORT_EVERY = 1.0  # [s]
+RECENT = 250  # number of the latest durations behind the percentiles
+MAX_SENT = 16  # maximum number of reports that the broker has not read
+# [bytes] that a broker may send: it only confirms a connection, and that it is alive
+MAX_RECEIVED = 4096
+KEEP_ALIVE = 10  # [s]
+LONGEST_WAIT = 30  # [s] between attempts to connect
+STATES = ("frame", "detections")  # messages with poses; the latest is shown
+
+
+@dataclass(frozen=True)
+class BrokerOptions:
+    """Address of the broker, and what proves both sides."""
+
+    host: str
+    port: int
+    user: str | None = None
+    password_file: Path | None = None
+    ca: Path | None = None  # certificate of the broker's authority; None: loopback without TLS
+
+    def __post_init__(self) -> None:
+        if self.ca is None and self.host not in LOOPBACK:
+            raise ValueError(
+                f"mqtt_ca must be given for hosts other than {LOOPBACK[0]}, got none for "
+                f"{self.host!r}"
+            )
+
+
+class _Client(paho.Client):
+    """A client that leaves a broker that sends more than confirmations."""
+
+    received = 0  # [bytes] since the connection
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        self.received += bufsize
+        if self.received > MAX_RECEIVED:
+            self.received = 0
+            raise ConnectionError("broker must only confirm, got more")
+        return super()._sock_recv(bufsize)
+
+
+class Telemetry:
+    """Reports to a broker; calls return at once, and what the broker does not read is dropped.
+
+    Args:
+        options: the broker.
+        task: name of the run's task, part of the topics.
+    """
+
+    def __init__(self, options: BrokerOptions, task: str) -> None:
+        self._topic = f"{TOPIC}/{task}"
+        self._client = _Client(paho.CallbackAPIVersion.VERSION2)
+        if options.user is not None:
+            file = options.password_file
+            password = None if file is None else read_secret("mqtt_password_file", file)
+            self._client.username_pw_set(options.user, password)
+        if options.ca is not None:
+            self._client.tls_set(str(options.ca))
+        self._client.reconnect_delay_set(1, LONGEST_WAIT)
+        self._client.connect_async(options.host, options.port, KEEP_ALIVE)
+        self._client.loop_start()  # a thread, which alone waits for the broker
+        self._sent: deque[paho.MQTTMessageInfo] = deque()
+
+    def publish(self, name: str, data: Any) -> None:
+        """Publish data under a topic's name, or drop them."""
+        while self._sent and _is_gone(self._sent[0]):
+            self._sent.popleft()
+        if len(self._sent) < MAX_SENT and self._client.is_connected():
+            payload = json.dumps(data, separators=(",", ":"))
+            self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+def _is_gone(info: paho.MQTTMessageInfo) -> bool:
+    try:
+        return info.is_published()
+    except RuntimeError:  # the connection was lost
+        return True
+
+
+class TelemetryDevice:
+    """A `Device` that reports messages of another device, and once per second counts and times."""
+
+    def __init__(
+        self, device: Device, telemetry: Telemetry, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._device, self._telemetry, self._now = device, telemetry, now
+        self._latest: dict[str, Any] | None = None  # the latest poses
+        self._reported = now()
+        self._counts, self._latencies = Counts(), Latencies()
+
+    def attach(self, counts: Counts, latencies: Latencies) -> None:
+        """Report a loop's counts and times, which the loop goes on to write."""
+        self._counts, self._latencies = counts, latencies
+
+    def connect(self) -> None:
+        self._report()
+        self._device.connect()
+
+    def close(self) -> None:
+        self._device.close()
+
+    def read(self) -> list[Message]:
+        self._report()
+        messages = self._device.read()
+        for message in messages:
+            fields = to_fields(message)
+            if fields["kind"] in STATES:
+                self._latest = fields
+            elif fields["kind"] != "taken":
+                self._telemetry.publish(fields["kind"], fields)
+        return messages
+
+    def set_axes(self, angles: Angles) -> int:
+        return self._device.set_axes(angles)
+
+    def open_gate(self, begin: float, end: float) -> None:
+        """Let one parcel in between two times [s]; only for a device with a gate."""
+        device: Any = self._device
+        device.open_gate(begin, end)
+
+    def _report(self) -> None:
+        now = self._now()
+        if now - self._reported < REPORT_EVERY:
+            return
+        self._reported = now
+        times = {name: percentiles(getattr(self._latencies, name)[-RECENT:]) for name in STAGES}
+        for name, data in (
+            ("counts", asdict(self._counts)),
+            ("latencies", times),
+            ("parcels", self._latest),
+        ):
+            self._telemetry.publish(name, data)
