@@ -3,7 +3,8 @@
 Each parcel first steps alone. Parcels whose bases meet on the way then push each other. All others
 keep the result of their step alone, to the bit. Parcels that touch, directly or through others,
 form an island. In each island:
-    1. sides that close fast rebound; the surface's friction has no time to act (`impact.py`);
+    1. sides that close fast hit each other: compression, then restitution, in which the surface's
+       friction has no time to act (`impact.py`);
     2. the velocities after the step are solved together, so that no sides close on each other;
        friction acts for the rest of the step (`island.py`);
     3. each parcel moves on with its new velocity from its pose at first touch.
@@ -89,7 +90,7 @@ def solve_contacts(
             island = _make_island(world, scratch, scratch.floor, members, contacts)
             _begin(world, scratch, island, dt)
             hit = _closes_fast(island, scratch.start)
-            if hit and material.restitution > 0.0:
+            if hit:
                 free = _make_island(world, scratch, scratch.nothing, members, contacts)
                 _rebound(scratch, free, material)
             _continue(grid, material, scratch, island, dt)
