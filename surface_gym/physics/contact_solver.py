@@ -180,11 +180,12 @@ def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
     for m in range(island.contacts):
         c = island.contact[m]
         if _presses(island, c):
-            impulse = island.point[c, ph.NORMAL_IMPULSE]
-            islands.add_impulse(
-                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, 1.0
-            )
-            scratch.push[island.ends[c, 2]] += impulse
+            pn = island.point[c, ph.NORMAL_IMPULSE]
+            pt = island.point[c, ph.TANGENT_IMPULSE]
+            islands.add_impulse(island, c, pn, pt, change, 1.0)
+            island.point[c, ph.NORMAL_TOTAL] += pn
+            island.point[c, ph.TANGENT_TOTAL] += pt
+            scratch.push[island.ends[c, 2]] += pn
     for n in range(island.members):
         k = island.member[n]
         body = island.bodies.body[island.body[k]]
