@@ -39,12 +39,13 @@ MAX_SWEEPS = 100
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Separate near pairs that overlap along their normals; the heavier parcel moves less.
 
-    Velocities do not change. A chain of parcels takes several sweeps.
+    Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
+    one may overlap a third, so pairs are found anew for each sweep.
     """
     bodies, state = world.bodies, world.state
     for _ in range(MAX_SWEEPS):
         apart = True
-        for e in range(pairs):
+        for e in range(collision.add_pushed_pairs(world, scratch, pairs)):
             i = scratch.near[e, 0]
             j = scratch.near[e, 1]
             first = sd.read_outline(bodies, world.body[i])
@@ -98,7 +99,7 @@ def solve_contacts(
                 k = scratch.member[n]
                 if _is_pushed(scratch, island, k):
                     _advance(grid, world, scratch, k, hit, dt)
-    resolve_overlaps(world, scratch, collision.add_pushed_pairs(world, scratch, pairs))
+    resolve_overlaps(world, scratch, pairs)
     pushed = 0
     for e in range(pairs):
         if scratch.push[e] > 0.0:
