@@ -40,12 +40,13 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Separate near pairs that overlap along their normals; the heavier parcel moves less.
 
     Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
-    one may overlap a third, so pairs are found anew for each sweep.
+    one may overlap a third, so pairs are found anew once the others are apart.
     """
     bodies, state = world.bodies, world.state
+    near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
     for _ in range(MAX_SWEEPS):
         apart = True
-        for e in range(collision.add_pushed_pairs(world, scratch, pairs)):
+        for e in range(near):
             i = scratch.near[e, 0]
             j = scratch.near[e, 1]
             first = sd.read_outline(bodies, world.body[i])
@@ -66,7 +67,11 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
             state[i, ph.Y] -= share * overlap * gap.ny
             state[j, ph.X] += (1.0 - share) * overlap * gap.nx
             state[j, ph.Y] += (1.0 - share) * overlap * gap.ny
-        if apart:
+        if not apart:
+            moved = True
+        elif moved:
+            near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
+        else:
             break
 
 
