@@ -92,8 +92,8 @@ class Sides:
 
     stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
     damping: float = 5e3  # [1/s] contact damping / effective mass
-    # [1/s] damping of held sides; time constant impedance / creep_damping = 0.01 ms. Within a hit of
-    # 0.2 ms slip may stop and return; slower friction would not follow.
+    # [1/s] damping of held sides; time constant impedance / creep_damping = 0.01 ms. Slip may stop
+    # and return within a hit of 0.2 ms, which slower friction would not follow.
     creep_damping: float = 10.0
     friction: float = 0.3  # [-]
 
