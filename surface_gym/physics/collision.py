@@ -300,6 +300,8 @@ def find_contact_points(world: World, scratch: WorldScratch, pairs: int, dt: flo
             scratch.point[points, ph.NORMAL_X] = gap.nx
             scratch.point[points, ph.NORMAL_Y] = gap.ny
             scratch.point[points, ph.CLOSING] = max(0.0, width - sd.CONTACT_DISTANCE) / rest
+            scratch.point[points, ph.NORMAL_TOTAL] = 0.0
+            scratch.point[points, ph.TANGENT_TOTAL] = 0.0
             points += 1
     return points
 

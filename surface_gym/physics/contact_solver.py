@@ -3,7 +3,8 @@
 Each parcel first steps alone. Parcels whose bases meet on the way then push each other. All others
 keep the result of their step alone, to the bit. Parcels that touch, directly or through others,
 form an island. In each island:
-    1. sides that close fast rebound; the surface's friction has no time to act (`impact.py`);
+    1. sides that close fast hit each other: compression, then restitution, in which the surface's
+       friction has no time to act (`impact.py`);
     2. the velocities after the step are solved together, so that no sides close on each other;
        friction acts for the rest of the step (`island.py`);
     3. each parcel moves on with its new velocity from its pose at first touch.
@@ -38,12 +39,14 @@ MAX_SWEEPS = 100
 def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
     """Separate near pairs that overlap along their normals; the heavier parcel moves less.
 
-    Velocities do not change. A chain of parcels takes several sweeps.
+    Velocities do not change. A chain of parcels takes several sweeps. A parcel that moves out of
+    one may overlap a third, so pairs are found anew once the others are apart.
     """
     bodies, state = world.bodies, world.state
+    near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
     for _ in range(MAX_SWEEPS):
         apart = True
-        for e in range(pairs):
+        for e in range(near):
             i = scratch.near[e, 0]
             j = scratch.near[e, 1]
             first = sd.read_outline(bodies, world.body[i])
@@ -64,7 +67,11 @@ def resolve_overlaps(world: World, scratch: WorldScratch, pairs: int) -> None:
             state[i, ph.Y] -= share * overlap * gap.ny
             state[j, ph.X] += (1.0 - share) * overlap * gap.nx
             state[j, ph.Y] += (1.0 - share) * overlap * gap.ny
-        if apart:
+        if not apart:
+            moved = True
+        elif moved:
+            near, moved = collision.add_pushed_pairs(world, scratch, pairs), False
+        else:
             break
 
 
@@ -89,7 +96,7 @@ def solve_contacts(
             island = _make_island(world, scratch, scratch.floor, members, contacts)
             _begin(world, scratch, island, dt)
             hit = _closes_fast(island, scratch.start)
-            if hit and material.restitution > 0.0:
+            if hit:
                 free = _make_island(world, scratch, scratch.nothing, members, contacts)
                 _rebound(scratch, free, material)
             _continue(grid, material, scratch, island, dt)
@@ -97,7 +104,7 @@ def solve_contacts(
                 k = scratch.member[n]
                 if _is_pushed(scratch, island, k):
                     _advance(grid, world, scratch, k, hit, dt)
-    resolve_overlaps(world, scratch, collision.add_pushed_pairs(world, scratch, pairs))
+    resolve_overlaps(world, scratch, pairs)
     pushed = 0
     for e in range(pairs):
         if scratch.push[e] > 0.0:
@@ -179,11 +186,12 @@ def _apply_impulses(scratch: WorldScratch, island: Island) -> None:
     for m in range(island.contacts):
         c = island.contact[m]
         if _presses(island, c):
-            impulse = island.point[c, ph.NORMAL_IMPULSE]
-            islands.add_impulse(
-                island, c, impulse, island.point[c, ph.TANGENT_IMPULSE], change, 1.0
-            )
-            scratch.push[island.ends[c, 2]] += impulse
+            pn = island.point[c, ph.NORMAL_IMPULSE]
+            pt = island.point[c, ph.TANGENT_IMPULSE]
+            islands.add_impulse(island, c, pn, pt, change, 1.0)
+            island.point[c, ph.NORMAL_TOTAL] += pn
+            island.point[c, ph.TANGENT_TOTAL] += pt
+            scratch.push[island.ends[c, 2]] += pn
     for n in range(island.members):
         k = island.member[n]
         body = island.bodies.body[island.body[k]]

@@ -152,8 +152,10 @@ SUPPORT, ROTOR, DRIVEN = range(3)  # kinds of elements; an idle rotor, a driven 
     FRICTION_LIMIT,  # [N s] maximum impulse along the side
     NORMAL_STIFFNESS,  # [kg] k along the normal
     TANGENT_STIFFNESS,  # [kg] along the side
-) = range(12)
-POINT_SIZE = 12
+    NORMAL_TOTAL,  # [N s] impulse along the normal of the whole step, a hit included
+    TANGENT_TOTAL,  # [N s] along the side
+) = range(14)
+POINT_SIZE = 14
 
 # Indices into a parcel's state vector, float64. Velocity and acceleration refer to the centre of
 # mass.

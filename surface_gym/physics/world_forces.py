@@ -7,9 +7,8 @@ import numpy as np
 from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.physics import collision, signed_distance as sd, step, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch
-from surface_gym.physics.contact_solver import PUSHED, step_world
+from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.friction import friction_gradient
-from surface_gym.physics.island import STIFFNESS
 from surface_gym.physics.types import Array, Contacts, Grid, Integers, Scratch
 
 
@@ -48,7 +47,7 @@ def observe_world(
 ) -> int:
     """Do one step by `step_world`, and write its mean forces.
 
-    For sides that rebound, the force includes the whole impact except its friction.
+    The force between sides that hit each other includes the whole impact.
 
     Returns:
         Number of pairs that push each other.
@@ -136,28 +135,21 @@ def _write_push(scratch: WorldScratch, e: int, dt: float, forces: WorldForces) -
     motion = sd.sweep_between(scratch.before[i], forces.alone[i])
     x = motion.x + scratch.since[i] * motion.vx
     y = motion.y + scratch.since[i] * motion.vy
-    side = nx = ny = 0.0
-    for weighted in (True, False):  # by impulse; evenly if an impact left none
-        total = arm_x = arm_y = 0.0
-        for c in range(scratch.ends.shape[0]):
-            if scratch.ends[c, 2] < 0:
-                break
-            if scratch.ends[c, 0] == i and scratch.ends[c, 1] == j:
-                point = scratch.point[c]
-                weight = point[ph.NORMAL_IMPULSE] if weighted else 1.0
-                total += weight
-                arm_x += weight * point[ph.FIRST_X]
-                arm_y += weight * point[ph.FIRST_Y]
-                if weighted:
-                    if weight > PUSHED * point[ph.NORMAL_STIFFNESS] / STIFFNESS:
-                        side += point[ph.TANGENT_IMPULSE]
-                    nx, ny = point[ph.NORMAL_X], point[ph.NORMAL_Y]
-        if total > 0.0:
+    normal = side = nx = ny = arm_x = arm_y = 0.0
+    for c in range(scratch.ends.shape[0]):
+        if scratch.ends[c, 2] < 0:
             break
-    normal = scratch.impulse[e]
+        if scratch.ends[c, 0] == i and scratch.ends[c, 1] == j:
+            point = scratch.point[c]
+            weight = point[ph.NORMAL_TOTAL]
+            normal += weight
+            side += point[ph.TANGENT_TOTAL]
+            arm_x += weight * point[ph.FIRST_X]
+            arm_y += weight * point[ph.FIRST_Y]
+            nx, ny = point[ph.NORMAL_X], point[ph.NORMAL_Y]
     forces.pair[e, 0] = i
     forces.pair[e, 1] = j
-    forces.push[e, 0] = x + arm_x / total
-    forces.push[e, 1] = y + arm_y / total
+    forces.push[e, 0] = x + arm_x / normal
+    forces.push[e, 1] = y + arm_y / normal
     forces.push[e, 2] = (normal * nx - side * ny) / dt
     forces.push[e, 3] = (normal * ny + side * nx) / dt

@@ -19,7 +19,7 @@ class ValidationOptions:
 
     Prints Table 7 for Adams and for MuJoCo, Adams's displacements where the paper states them, the
     smallest tilt that completes the sort, the convergence of MuJoCo, and the speed of each method.
-    Takes about a minute on two cores, two minutes more with --heights, and eight minutes more with
+    Takes about a minute on two cores, two minutes more with --heights, and ten minutes more with
     --touching.
     """
 

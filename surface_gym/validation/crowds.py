@@ -90,7 +90,7 @@ class Pile:
         return _surface(front), _surface(~front), _surface(front)
 
     def analytic(self, dt: float) -> tuple[Encounter, ...]:
-        """Run the phases one after the other, with step `dt` [s]."""
+        """Run the phases one after the other, with step `dt` [s], until a parcel leaves."""
         poses, velocities = self.poses, np.zeros_like(self.poses)
         runs = []
         for surface, begin, end in zip(self.surfaces, PHASES, (*PHASES[1:], DURATION), strict=True):
@@ -98,6 +98,8 @@ class Pile:
             poses = ends(run.trajectories)
             velocities = np.array([each.velocity[-1] for each in run.trajectories])
             runs.append(run)
+            if any(each.end != "duration" for each in run.trajectories):
+                break
         return tuple(runs)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
@@ -138,7 +140,7 @@ class Crowd:
             else:
                 pile = Pile(parcels, poses)
                 paths = [each for run in pile.analytic(STEPS[0]) for each in run.trajectories]
-                if not any(bool(path.tipping.any()) for path in paths):
+                if all(path.end == "duration" and not path.tipping.any() for path in paths):
                     return pile
 
 

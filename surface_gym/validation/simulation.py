@@ -92,8 +92,9 @@ class Sides:
 
     stiffness: float = 1e5  # [1/s^2] contact stiffness / effective mass
     damping: float = 5e3  # [1/s] contact damping / effective mass
-    # [1/s] damping of held sides; time constant impedance / creep_damping = 0.04 ms
-    creep_damping: float = 2.5
+    # [1/s] damping of held sides; time constant impedance / creep_damping = 0.01 ms. Slip may stop
+    # and return within a hit of 0.2 ms, which slower friction would not follow.
+    creep_damping: float = 10.0
     friction: float = 0.3  # [-]
 
     def __post_init__(self) -> None:
@@ -323,8 +324,9 @@ def _constant_impedance(impedance: float) -> list[float]:
 
 
 TIPPING = 1e-3  # [rad] tilt of the base; the contacts' springs yield by about 1e-5
-# Impacts last 0.2 ms. Rotors have almost no inertia, since the analytic model has none.
-TOGETHER_RECIPE = Recipe(step=2e-5).lighter_rotors(1000.0)
+# Friction between sides holds within one step, and impacts last 20 steps. Rotors have almost no
+# inertia, since the analytic model has none.
+TOGETHER_RECIPE = Recipe(step=1e-5).lighter_rotors(1000.0)
 
 
 def simulate(
