@@ -121,7 +121,7 @@ def _feature_table(features: Iterable[Feature], without: tuple[Feature, ...] = (
         for place, each in enumerate(features)
         if each not in without
     )
-    return _table(("place", "feature", "value", "shown", "least", "most"), rows)
+    return _table(("index", "feature", "value", "shown as", "min", "max"), rows)
 
 
 def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:

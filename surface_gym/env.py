@@ -187,11 +187,11 @@ class BaseVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 class SmartSurfaceEnv(gym.Env[Any, Any]):
     """A smart surface with a parcel or a stream of parcels; actions turn the rotors' axes.
 
-    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu 0.5), and
-    rolls almost freely across it (mu 0.01). Only its own speed, or gravity on a tilted surface,
-    moves a parcel. So it can be steered only while it moves. Units are SI and radians; x runs along
-    the line, y across it, theta anti-clockwise. One class serves every task; the page of Flow
-    describes the differences of streams.
+    A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu
+    0.5), and rolls almost freely across it (mu 0.01). A parcel moves only by its own speed, or by
+    gravity on a tilted surface, and can be steered only while it moves. Units are SI and radians; x
+    runs along the line, y across it, theta anti-clockwise. One class serves every task; Flow's page
+    says how streams differ.
 
     ## Actions
 
@@ -203,7 +203,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "halves" | Discrete, choices squared | modules ahead of the parcel's centre (a // choices) and behind it (a % choices) |
+    | "halves" | Discrete, n * n for n choices | modules ahead of the parcel's centre (a // n) and behind it (a % n) |
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
 
@@ -229,36 +229,36 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
     | "omni" | in eight directions: three omni-wheels |
 
-    A choice is then a direction and a speed, or a stop if the kind has speed 0. They are the rows of
-    `env.unwrapped.config.modes`; the last row is what a module does without a command. Kinds with
+    A choice is then a direction and a speed, or a stop if the kind has speed 0. The choices are the
+    rows of `env.unwrapped.config.modes`, except the last: a module without a command, which conveys
+    towards +x. Directions take the place of `orientations`, which must not be given. Kinds with
     other speeds and directions are made with the classes of `surface_gym.modules`, e.g.
-    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Modules without a command convey towards +x. Headings
-    take the place of `orientations`, which must not be given. Driven
-    modules can move a parcel at rest, so no episode ends as "stalled".
+    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move a parcel at rest, so no
+    episode ends as "stalled".
 
     ## Observation
 
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle, so that axes that differ by 180 deg are the same. For driven modules they are the
-    velocity of the surface in x and y, divided by 2 m/s. Without it, the observation does not
-    show slowly turning axes. `observe` adds groups of features: "parcel" (length, width and shape),
-    "rotors" (number and axes of the rotors under each quadrant of the parcel), and "load" (friction
-    and load estimated by an `AdaptiveCamera`).
+    its axis angle, so that axes that differ by 180 deg are the same. For driven modules the two
+    features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
+    the observation does not show slowly turning axes. `observe` adds groups of features: "parcel"
+    (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
+    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`).
 
     ## Info
 
-    `is_success`, `outcome` (why the episode ended, or "running": a number that prints as its name
-    and equals it; the env's `outcomes` has the names by the numbers), `time` [s], the true `pose`
-    (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width
-    [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward, each as
-    `reward_` and its name, and the task's own metrics. On request, by `info=("axes",
-    "normal_forces")`, the axis angles [rad] of all elements, (rows, columns), and the normal force
-    [N] of the parcel on each. `info=("energy",)` adds three sums since the start
-    [J]: `drive_work` is the work of all drives, `drawn_energy` counts only drives that do not brake,
-    and `friction_heat` is what friction turns to heat. `peak_acceleration` [m/s^2] is the largest
-    acceleration so far. In a stream they are of all parcels.
+    `is_success`, `outcome` (why the episode ended, or "running"; a number that prints as its name
+    and equals it; `outcomes` of the env lists all), `time` [s], the true `pose` (x, y, theta) and
+    `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m], mass [kg] and
+    height of the centre of mass [m]), the terms whose sum is the reward, each as `reward_` and its
+    name, and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
+    angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
+    `info=("energy",)` adds three sums since the start [J]: `drive_work` is the work of all drives,
+    `drawn_energy` leaves out braking drives, and `friction_heat` is the heat of friction. It also
+    adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In a stream, these values
+    cover all parcels.
 
     ## End
 
@@ -270,15 +270,15 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation, and the parcels of a task with the study's
-    boxes. `render_mode` is None, "rgb_array" (without a display) or "human".
+    "lab", sets sensors, actuators and randomisation. It replaces the study's boxes; a task with
+    other parcels keeps them. `render_mode` is None, "rgb_array" (without a display) or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running
     episode is not changed.
 
-    `gym.make_vec` returns the native vector env. Its environment i seeded s + i equals this
-    environment seeded s + i to the bit.
+    `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
+    environment with seed s + i to the bit.
 
     >>> import gymnasium as gym, surface_gym
     >>> env = gym.make("SmartSurface/Sort-v0", actions="halves")

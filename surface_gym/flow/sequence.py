@@ -50,14 +50,14 @@ class Sequence(TakeAwayTask):
     motor drives them: the slope pulls, and the modules brake, hold, turn and move them aside.
     Parcels must wait for their turn where others can pass them.
 
-    Surface, end, actions, reward, episode and infos are as in `Singulate`, but the surface is
-    shorter: 3 m x 1.4 m. The table has one more feature.
+    All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m, and the table has one
+    more feature.
 
     ### Order
 
     `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
     random. A departure is correct only if all parcels with lower numbers have departed. The default
-    is 2000 parcels per hour arrive one by one in the middle, with a window of 4.
+    stream has 2000 parcels per hour, which arrive one by one in the middle, and a window of 4.
 
     ### Observation
 
@@ -84,7 +84,7 @@ class Sequence(TakeAwayTask):
 
     stream: Stream = shuffled()
 
-    patience: float = 20.0  # [s] without motion until a jam: parcels may wait for an arrival
+    patience: float = 20.0  # [s] time without motion that counts as a jam; parcels may wait
 
     in_order = True
     line = slope_line(3.0)

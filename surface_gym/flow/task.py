@@ -29,17 +29,17 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 # sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
     GAP, SPEED, replace(ASIDE, meaning="its y minus this parcel's, towards the asked side"),
-    Feature("side", -1.0, 1.0, "it is to leave by: 1 as this one, -1 the other, 0 straight on"),
-    replace(SIZE, meaning="of it, as of this one"),
+    Feature("side", -1.0, 1.0, "of its exit: 1 as this parcel's, -1 the other, 0 straight on"),
+    replace(SIZE, meaning="half length, shown as feature 6"),
 )  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
     *SIDE_FEATURES,
     TIME,
-    Feature("past the exit's start", -20.0, 20.0, "of its rear; straight on: zone's", "m", 0.5),
+    Feature("past the exit's start", -20.0, 20.0, "by its rear; straight on: the zone's", "m", 0.5),
     Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
     PRESENT,
     WIDTH,
-    Feature("to the exit's end", -20.0, 20.0, "from its centre; straight on: 20", "m", 0.5),
+    Feature("to the exit's end", -20.0, 20.0, "from its centre; straight on: shows 20", "m", 0.5),
     WAITS,
     *both_ways(NEIGHBOUR_FEATURES),
 )
@@ -101,10 +101,10 @@ def _reach(state: EnvState) -> float:
 class Flow(StreamTask):
     """Sort a stream of parcels: each must leave the line by its own exit.
 
-    This is the surface's application: material flow. Parcels of mixed size and destination arrive
-    one after the other, and several are on the line at once. Each must leave the line by its exit:
-    a chute on one side, or straight ahead. Modules brake along their axis and roll across it, but
-    never push, so a parcel's own speed must carry it out. Touching parcels push each other.
+    Parcels of mixed size and destination arrive one after the other, and several are on the line at
+    once. An exit is a chute on one side, or straight ahead. Modules brake along their axis and roll
+    across it, but never push, so a parcel's own speed must carry it out. Touching parcels push each
+    other.
 
     ### Stream and entry
 
@@ -130,11 +130,11 @@ class Flow(StreamTask):
     | `actions` | space | sets |
     | --- | --- | --- |
     | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 per row of the table | two choices per parcel: the modules ahead of its centre and behind it |
+    | "parcels" | MultiDiscrete, 2 per row of the observation | two choices per parcel: the modules ahead of its centre and behind it |
 
-    With "parcels", a module obeys the parcel on it, or else the first parcel that reaches it within
-    `ahead` seconds, by the parcels' sensed boxes and velocities. If two parcels are on a module, it
-    obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
+    With "parcels", a module obeys the parcel on it, or else the first parcel that will reach it
+    within `ahead` seconds. Both follow from the sensed boxes and velocities. If two parcels are on
+    a module, it obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the action has one more entry at the end: 0 keeps the gate closed for the control
     period; k opens it for one parcel from the k-th physics step.
@@ -155,9 +155,8 @@ class Flow(StreamTask):
     | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
     | 24 to 28 | the next parcel behind |
 
-    With `gate`, there are `queue` more rows, one by default. They show due, waiting parcels at
-    their entry poses: row `max_parcels` is the next one, and later ones follow in order. Unused
-    rows are 0.
+    With `gate`, `queue` more rows (one by default) show waiting parcels at their entry poses, in
+    order of entry. Unused rows are 0.
 
     ### Reward
 
@@ -166,7 +165,7 @@ class Flow(StreamTask):
     | `correct` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
-    | `reach` | 1 per metre | progress to the parcel's exit: 0.2 of the distance along the line up to the exit's start, then the gain of lateral reach as in Sort. For an exit straight ahead: 0.2 of the distance along the line minus the distance from the middle |
+    | `reach` | 1 per metre | progress to the parcel's exit. An exit at a side: 0.2 of the distance along the line up to the exit's start, then lateral reach as in Sort. The exit straight ahead: 0.2 of the distance along the line, minus the distance from the middle |
     | `time` | -0.2 per second | per parcel on the line |
     | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |
@@ -174,17 +173,16 @@ class Flow(StreamTask):
     ### End
 
     An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it as
-    `terminated`: there are parcels on the line, and none has moved for `patience`.
+    `terminated`: parcels are on the line, and none has moved for `patience` seconds.
 
     ### Info
 
     `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
-    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
-    `waiting` parcels; the terms of the reward, each as `reward_` and its name. At the end of an
-    episode (0 before), its figures: the fields of `surface_gym.flow.state.FlowStatistics`, each as
-    `episode_` and its name. These are parcels per hour, share of missorted parcels, touches and
-    jams per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and
-    hour.
+    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and
+    of `waiting` parcels; the terms of the reward, each as `reward_` and its name. The fields of
+    `surface_gym.flow.state.FlowStatistics`, each as `episode_` and its name, are 0 until the
+    episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000 parcels,
+    gaps, times on the surface and at the entry, and turns per module and hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and

@@ -249,7 +249,7 @@ SIZE = Feature("size", -10.0, 100.0, "half length; shown: S-box -1, B-box 1", "m
 LENGTH = replace(SIZE, name="length", meaning="half length")
 WIDTH = replace(SIZE, name="width", meaning="half width")
 PHASE = (
-    Feature("sine of phase x", -1.0, 1.0, "of the position within a pitch"),
+    Feature("sine of phase x", -1.0, 1.0, "of the position within a module"),
     Feature("cosine of phase x", -1.0, 1.0),
     Feature("sine of phase y", -1.0, 1.0),
     Feature("cosine of phase y", -1.0, 1.0),

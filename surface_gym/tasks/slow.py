@@ -35,11 +35,11 @@ FAILURE_REWARD = -1.0
 FEATURES = (
     *base.PARCEL_FEATURES,
     Feature("entry speed", -2.0, 5.0, "vx at the start", "m/s", 1.0, 1.5),
-    Feature("asked ratio", 0.0, 1.0),
+    Feature("asked ratio", 0.0, 1.0, "the goal ratio"),
     Feature(
-        "excess of speed", -50.0, 50.0, "over what would roll out at the asked ratio", "m/s", 0.2
+        "excess of speed", -50.0, 50.0, "over the speed that rolls to the asked ratio", "m/s", 0.2
     ),
-    Feature("fine excess", -1.0, 1.0, "the same", "m/s", 0.02, bent=True),
+    Feature("fine excess", -1.0, 1.0, "the same excess", "m/s", 0.02, bent=True),
 )
 COLUMN = columns(FEATURES)
 
@@ -48,8 +48,7 @@ COLUMN = columns(FEATURES)
 class Slow(base.Task):
     """Slow the parcel to a ratio of its entry speed before its rear leaves the zone.
 
-    A parcel enters a line of rotors among supports. The zone's modules must brake it to a goal
-    share of its entry speed.
+    A parcel enters a line of rotors among supports, and the zone's modules brake it.
 
     The surface is under-actuated: a module brakes along its axis and rolls across it, but never
     pushes. Lost speed cannot be recovered. Uneven braking turns the parcel or moves it off the
@@ -59,7 +58,7 @@ class Slow(base.Task):
 
     The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
     uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`, but at most 0.98 of
-    the ratio after rolling all the way, since slow parcels lose speed by rolling.
+    the ratio of a parcel that rolls all the way unbraked, since rolling slows it, too.
 
     ### Goal and end
 
@@ -67,7 +66,7 @@ class Slow(base.Task):
     within 0.01 of the goal ratio. Each failure ends the episode as `terminated`:
 
     - "missed": left the zone at another ratio;
-    - "stalled": no point of the base moves faster than 1 mm/s before that;
+    - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the line": no rotor is under the base any more;
     - "off the surface": the centre of mass passes the edge of the surface.
 
@@ -77,8 +76,8 @@ class Slow(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 per ratio | decrease of the excess over the entry speed. The excess is the \
-absolute difference from the speed that rolls to the goal speed at the zone's end |
+    | `excess` | 1 per ratio | decrease of the excess, divided by the entry speed. The excess is the \
+absolute difference from the speed at which a parcel rolls to the goal speed at the zone's end |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |

@@ -10,7 +10,7 @@ from tests.docs.reading import DOCS, ROOT
 # Rows of the tables of one parcel in docs/comparison.md, and of its lab.
 EXACT = {
     "sort": "Sort: success, both boxes",
-    "slow": "Slow: exit speed within 0.01 of the entry speed's asked share",
+    "slow": "Slow: exit speed / entry speed, within 0.01 of the goal",
     "stop": "Stop: within 5 mm; median error [mm]",
     "track": "Track: sines at 10 to 15 deg of tilt; rms error [mm]; speed error [m/s]",
     "orient": "Orient: by 15, 30 and 45 deg, within 2 deg",
