@@ -208,7 +208,9 @@ class TestAgents:
 @pytest.mark.parametrize("task", TASKS)
 class TestTakeAway:
     def test_pettingzoos_checks_pass(self, task: str, capsys: Any) -> None:
-        parallel_api_test(FlowParallelEnv(task=task, duration=3.0), num_cycles=100)
+        env = FlowParallelEnv(task=task, duration=3.0)
+        env.reset(seed=0)  # later resets go on from it
+        parallel_api_test(env, num_cycles=100)
         parallel_seed_test(lambda: FlowParallelEnv(task=task, duration=2.0))
         assert "Passed" in capsys.readouterr().out
 
