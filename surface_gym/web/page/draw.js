@@ -48,9 +48,9 @@ import { View } from "./view.js";
  */
 
 const ANGLES = 180; // pictures of a module in half a turn
-const HEADINGS = 48; // pictures of a driven module's arrow
-const SPEEDS = 4; // lengths of it, the longest from FAST on
-const FAST = 2; // [m/s]
+const DRIVE_HEADINGS = 48; // pictures of a driven module's arrow
+const DRIVE_LENGTHS = 4; // lengths of it, the longest from FASTEST_DRIVE on
+const FASTEST_DRIVE = 2; // [m/s]
 const PALE = 0.62; // share of the plate's colour in a module that does not obey
 const LEAST_FORCE = 2; // [CSS px] of an arrow: a shorter one would be a dot
 const TRACE_STEP = 6; // [device px] between the points of a trace
@@ -451,21 +451,24 @@ function axisStep(angle) {
 /** Return which picture shows a driven module's velocity [m/s]; null: it is idle. */
 function driveStep([vx, vy]) {
   if (Number.isNaN(vx)) return null;
-  const level = Math.min(SPEEDS, Math.ceil((SPEEDS * Math.hypot(vx, vy)) / FAST - 1e-9));
+  const level = Math.min(
+    DRIVE_LENGTHS,
+    Math.ceil((DRIVE_LENGTHS * Math.hypot(vx, vy)) / FASTEST_DRIVE - 1e-9),
+  );
   if (level === 0) return ANGLES;
-  const heading = Math.round((Math.atan2(vy, vx) * HEADINGS) / (2 * Math.PI));
-  return ANGLES + level * HEADINGS + ((heading + HEADINGS) % HEADINGS);
+  const heading = Math.round((Math.atan2(vy, vx) * DRIVE_HEADINGS) / (2 * Math.PI));
+  return ANGLES + level * DRIVE_HEADINGS + ((heading + DRIVE_HEADINGS) % DRIVE_HEADINGS);
 }
 
 /** Trace the arrow of a picture of `driveStep`, round the origin; a ring where the surface stands. */
 function traceDrive(context, step, half) {
-  const level = Math.floor(step / HEADINGS);
+  const level = Math.floor(step / DRIVE_HEADINGS);
   if (level === 0) {
     context.arc(0, 0, 0.3 * half, 0, 2 * Math.PI);
     return;
   }
-  const angle = (2 * Math.PI * (step % HEADINGS)) / HEADINGS;
-  const tip = 0.65 * half * (0.4 + (0.6 * level) / SPEEDS);
+  const angle = (2 * Math.PI * (step % DRIVE_HEADINGS)) / DRIVE_HEADINGS;
+  const tip = 0.65 * half * (0.4 + (0.6 * level) / DRIVE_LENGTHS);
   const [x, y] = [Math.cos(angle), -Math.sin(angle)];
   context.moveTo(-tip * x, -tip * y);
   context.lineTo(tip * x, tip * y);
