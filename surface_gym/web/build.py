@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from surface_gym import __version__
 from surface_gym.cli import IN_CHECKOUT, typed
-from surface_gym.modules import MODULES as MODULE_KINDS
 from surface_gym.registration import DEFAULT_STREAM, DEFAULT_TASK, SHIPPED
 
 if TYPE_CHECKING:
@@ -29,7 +28,8 @@ PAGE = Path(__file__).parent / "page"
 MODULES = Path(__file__).parent / "modules"  # the package's modules, part of a release
 TABLE, NOISE = "table", "noise"
 CAMERA = "-camera"  # suffix of a task's name with a camera
-DRIVEN = tuple(f"-{name}" for name, kind in MODULE_KINDS.items() if kind.drives)  # suffixes
+# Suffixes of a task's name with driven modules, written out since their registry needs Numba.
+DRIVEN = ("-steered", "-omni", "-belt", "-popup")
 DRIVEN_TASKS = (DEFAULT_TASK, DEFAULT_STREAM)  # tasks with driven modules on a page
 TASKS = (
     *SHIPPED,

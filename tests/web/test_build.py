@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from surface_gym import __version__
+from surface_gym.modules import MODULES
 from surface_gym.web import build
 from surface_gym.web.build import AGENTS, ALL, PAGE, SITE, TASKS, PackageModules, main
 
@@ -137,6 +138,13 @@ def test_without_a_folder_the_package_gets_modules_and_no_pages(package):
     written = ("table", "noise", "sort")
     files = {f"{task}.{kind}" for task in written for kind in ("wasm", "json")}
     assert names(package) == files | {SITE}
+
+
+def test_every_kind_of_driven_modules_is_on_offer():
+    driven = [f"-{name}" for name, kind in MODULES.items() if kind.drives]
+    assert list(build.DRIVEN) == driven
+    assert build.make_config("sort", "omni").modules == "omni"
+    assert not build.make_config("sort").module_kind.drives
 
 
 def test_an_unknown_task_is_refused(package, capsys):
