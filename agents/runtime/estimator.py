@@ -56,6 +56,17 @@ def device_camera(sensor: Sensor) -> Camera:
     raise ValueError(f"sensors must be a Camera or Exact, which has frames, got {sensor!r}")
 
 
+def machine_axis_speed(config: EnvConfig) -> float:
+    """Return the speed [rad/s] of a machine's axes.
+
+    Raises:
+        ValueError: the modules are driven, since machines report angles of axes only.
+    """
+    if config.module_kind.drives:
+        raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
+    return min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
+
+
 def within_right_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return equivalent angles [rad] from -pi/2 to pi/2; axes have period pi."""
     turned = angles - math.pi * np.floor(angles / math.pi + 0.5)
@@ -196,9 +207,7 @@ class StateEstimator(Estimator):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__()
-        if config.module_kind.drives:
-            raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
-        self._axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
+        self._axis_speed = machine_axis_speed(config)
         self.config = replace(
             config,
             sensors=device_camera(config.sensors),

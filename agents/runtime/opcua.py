@@ -26,7 +26,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua import ua_binary
 
 from surface_gym import checks
-from surface_gym.machine.messages import numbers
+from surface_gym.machine.messages import MAX_NUMBER, numbers
 
 from . import protocol
 from .config import LOOPBACK, check_private
@@ -113,7 +113,7 @@ def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
     values = numbers(name, value, (None,)).tolist()
-    return checks.integer(name, _scalar("command", values[:1]), 0, 2**53), values[1:]
+    return checks.integer(name, _scalar("command", values[:1]), 0, MAX_NUMBER), values[1:]
 
 
 class _NullArray:

@@ -23,14 +23,13 @@ from asyncua.server.internal_session import InternalSession
 from asyncua.server.user_managers import UserManager
 
 from surface_gym import checks
-from surface_gym.machine.messages import MAX_NUMBER, to_line
+from surface_gym.machine.messages import MAX_EARLY, MAX_NUMBER, to_line
 
 from . import opcua, protocol
+from .controller import RIGHT_ANGLE
 from .opcua import ARRAYS, AXES, CLOCK, GATE, HELLO, LIMITS, MAX_CHUNK, MESSAGES, NAMESPACE, RECENT
 
-MAX_LATE = 0.25  # [s] maximum age of a command
-MAX_EARLY = 0.05  # [s] maximum by which a command's time may be ahead of the machine's clock
-RIGHT_ANGLE = 0.5 * math.pi + 1e-9  # [rad] largest angle of an axis
+MAX_AGE = 0.25  # [s] maximum age of a command
 MAX_CONNECTIONS = 16
 GREETING_TIMEOUT = 2.0  # [s] from the connection to a session with a password
 SESSION_TIMEOUTS = (1000.0, 5000.0)  # [ms] least and greatest, from the last sign of life
@@ -160,7 +159,7 @@ class _Guard(InternalServer):
         sequence, late = array[0], self._now() - array[1]
         if not sequence.is_integer() or not given.sequence < sequence <= MAX_NUMBER:
             return Code.BadSequenceNumberInvalid
-        return Code.Good if -MAX_EARLY <= late <= MAX_LATE else Code.BadInvalidTimestamp
+        return Code.Good if -MAX_EARLY <= late <= MAX_AGE else Code.BadInvalidTimestamp
 
 
 class _Peer(OPCUAProtocol):

@@ -331,16 +331,16 @@ class SocketDevice:
         if self._connection is None:
             raise DeviceLost("not connected")
         self._command += 1
-        try:
-            self._connection.send(to_line(axes_to_fields(self._command, angles)))
-        except (ConnectionLost, ValueError) as error:
-            raise DeviceLost(str(error)) from None
+        self._send(axes_to_fields(self._command, angles))
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
+        self._send(gate_to_fields(begin, end))
+
+    def _send(self, fields: dict[str, Any]) -> None:
         if self._connection is None:
             raise DeviceLost("not connected")
         try:
-            self._connection.send(to_line(gate_to_fields(begin, end)))
+            self._connection.send(to_line(fields))
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None

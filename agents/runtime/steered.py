@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.config import EnvConfig
 from surface_gym.flow import claims, kernel
@@ -20,7 +19,7 @@ from surface_gym.sensors.base import Physics
 from surface_gym.sensors.camera import ENTRY, EVERY, MODEL
 from surface_gym.state import EnvState
 
-from .estimator import device_camera
+from .estimator import device_camera, machine_axis_speed
 from .protocol import Angles
 
 SYMMETRIES = 12  # maximum number of turns that leave a base unchanged
@@ -98,13 +97,11 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
     Raises:
         ValueError: modules are driven, or the take-away stops at times that no message tells.
     """
-    if config.module_kind.drives:
-        raise ValueError(f"modules must be idle in real time, got {config.modules!r}")
+    speed = machine_axis_speed(config)
     demand = getattr(config.stream_task, "demand", None)
     if demand is not None:
         raise ValueError(f"demand must be None in real time, got {demand!r}")
     camera = device_camera(config.sensors)
-    speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
     # The model of an adaptive camera expects less error, since it learns friction and load.
     detector = Detector(
         latency=camera.latency, position_noise=camera.position_noise, entry=camera.entry,

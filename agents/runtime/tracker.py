@@ -35,7 +35,15 @@ from surface_gym.sensors import kalman
 from surface_gym.sensors.camera import EVERY
 from surface_gym.state import Timing
 
-from .estimator import NOW, SEEN, Estimator, Resolver, within_right_angles, zone_angles
+from .estimator import (
+    NOW,
+    SEEN,
+    Estimator,
+    Resolver,
+    machine_axis_speed,
+    within_right_angles,
+    zone_angles,
+)
 from .protocol import MAX_LATE, Angles, Detections, ParcelEntry
 from .steered import SteeredBatch, steered_config, unchanged_turn
 
@@ -77,10 +85,9 @@ class StreamTracker(Estimator):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__()
-        axis_speed = min(config.actuators.axis_speed, checks.AXIS_SPEED[1])
-        self._axis_speed = axis_speed
-        idle = Actuators(axis_speed=axis_speed)
-        self.config = steered_config(config, actuators=idle, randomisation=Randomisation())
+        even = Actuators(axis_speed=machine_axis_speed(config))
+        self.config = steered_config(config, actuators=even, randomisation=Randomisation())
+        self._axis_speed = even.axis_speed
         _, rows, _, columns = self.config.site.zone
         self.shape = (int(rows), int(columns))
         task = self.config.stream_task

@@ -40,11 +40,12 @@ let idleAngles = null; // the options of idle modules, as in the page
 export function fillAngles(isTable, drives) {
   const select = find("angle");
   idleAngles ??= [...select.options];
-  if (drives.length) {
-    if (select.options.length === drives.length && select.dataset.drives) return;
-    select.replaceChildren(...drives.map((drive, k) => new Option(driveText(drive), k)));
-  } else if (select.dataset.drives) select.replaceChildren(...idleAngles);
-  select.dataset.drives = drives.length ? "driven" : "";
+  const texts = drives.map(driveText);
+  if (texts.join() !== (select.dataset.drives ?? ""))
+    select.replaceChildren(
+      ...(texts.length ? texts.map((text, k) => new Option(text, k)) : idleAngles),
+    );
+  select.dataset.drives = texts.join();
   for (const option of idleAngles)
     option.hidden = option.disabled = !isTable && option.value === "other";
 }

@@ -297,7 +297,7 @@ export class Picture extends View {
     context.beginPath();
     context.arc(half, half, 0.86 * half, 0, 2 * Math.PI);
     context.fill();
-    context.strokeStyle = context.fillStyle = pale ? mixed(bar, plate, PALE) : bar;
+    context.strokeStyle = pale ? mixed(bar, plate, PALE) : bar;
     context.lineWidth = Math.max((isDriven ? 0.2 : 0.26) * half, 1);
     context.translate(half, half);
     context.beginPath();

@@ -128,6 +128,16 @@ def test_pictures_that_stop_lead_to_safe_axes() -> None:
     assert (axes[-1][1] == 0.0).any()
 
 
+def rolling_loop(device: Any, clock: Any) -> StreamLoop:
+    """A loop that lets all parcels roll on, with a tracker without parcels."""
+    held = streams.fresh()
+    return StreamLoop(
+        device, held, runtime.Decider(streams.Rolls(), CONFIG),
+        runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), clock,
+        runtime.LoopConfig(),
+    )  # fmt: skip
+
+
 def test_a_message_of_the_other_kind_of_machine_is_of_no_use() -> None:
     device = made.ScriptedDevice(made.ManualClock(), [(0.0, picture(0.0, (0.3, 1.0)))])
     loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
@@ -136,12 +146,7 @@ def test_a_message_of_the_other_kind_of_machine_is_of_no_use() -> None:
     device = made.ScriptedDevice(
         made.ManualClock(), [(0.0, protocol.Frame(0.0, 3)), (0.1, entry())]
     )
-    held = streams.fresh()
-    other = StreamLoop(
-        device, held, runtime.Decider(streams.Rolls(), CONFIG),
-        runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), device.clock,
-        runtime.LoopConfig(),
-    )  # fmt: skip
+    other = rolling_loop(device, device.clock)
     other.run(0.3, nothing)
     assert other.counts.unused == 1
     assert other.counts.sent > 0
@@ -151,12 +156,7 @@ def test_entries_that_are_impossible_are_counted_and_the_loop_goes_on() -> None:
     device = made.ScriptedDevice(made.ManualClock(), [])
     wrong = [entry(1, goal=(7.0, 0.0, 0.0)), entry(2, at=-9.0), entry(0), entry(0)]
     device.script = [(0.1, each) for each in wrong] + [(0.2, AxesAcknowledgement(3, 0.2))]
-    held = streams.fresh()
-    loop = StreamLoop(
-        device, held, runtime.Decider(streams.Rolls(), CONFIG),
-        runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), device.clock,
-        runtime.LoopConfig(),
-    )  # fmt: skip
+    loop = rolling_loop(device, device.clock)
     loop.run(0.15, nothing)
     assert loop.counts.unfit == 2
     assert len(loop.counts.faults) == 2

@@ -156,17 +156,22 @@ class Stopping(Machine):
             self.waiting += line(AxesAcknowledgement(fields["command"], self.clock.now()))
 
 
-def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
-    clock = SharedClock()
-    machine = Stopping(clock, frame)
+def run_over(machine: Any, clock: Any, seconds: float) -> Any:
+    """Run a loop that brakes on a machine behind a socket, and return its counts."""
     clock.turn = machine.turn
     loop = made.loop_of(made.ScriptedDevice(clock), Always(made.BRAKE, clock))
     address = machine.listener.getsockname()
     loop._device = SocketDevice(address, "stop", made.estimator().shape, now=clock.now)
-    loop.run(8.0, made.nothing)
+    loop.run(seconds, made.nothing)
     machine.close()
     machine.listener.close()
-    counts = loop.counts
+    return loop.counts
+
+
+def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
+    clock = SharedClock()
+    machine = Stopping(clock, frame)
+    counts = run_over(machine, clock, 8.0)
     assert counts.periods == counts.kept == 200
     names = list(counts.faults)
     assert names[0] == "device must send a message within 2 s of a command, got none"
@@ -178,15 +183,9 @@ def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
 def test_a_device_that_neither_answers_nor_reads_is_lost_when_its_queue_is_full() -> None:
     clock = SharedClock()
     machine = Machine(clock, lambda _: b"", reads=False)
-    clock.turn = machine.turn
-    loop = made.loop_of(made.ScriptedDevice(clock), Always(made.BRAKE, clock))
-    address = machine.listener.getsockname()
-    loop._device = SocketDevice(address, "stop", made.estimator().shape, now=clock.now)
-    loop.run(30.0, made.nothing)
-    machine.close()
-    machine.listener.close()
-    assert set(loop.counts.faults) == {"the other side does not read"}
-    assert loop.counts.periods == 750
+    counts = run_over(machine, clock, 30.0)
+    assert set(counts.faults) == {"the other side does not read"}
+    assert counts.periods == 750
 
 
 def test_acknowledgements_that_stop_bring_the_layout_until_they_return() -> None:
