@@ -345,11 +345,10 @@ def linked(function: Callable[..., Any]) -> Any:
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a function into each of its compiled callers, which keeps arguments in registers.
 
-    It has no cache of its own, since its code is part of the callers' code. A call would have to
-    pass tuples of arrays, which takes longer than most of these functions. Python calls such
-    functions through `physics.references`.
+    A call would have to pass tuples of arrays, which takes longer than most of these functions.
+    Python calls such functions through `physics.references`.
     """
-    return LinkedFunction(function, forceinline=True, **_OPTIONS)
+    return _inlined(function, forceinline=True)
 
 
 def kernel_function(function: Callable[..., Any]) -> Any:
@@ -358,7 +357,15 @@ def kernel_function(function: Callable[..., Any]) -> Any:
     The function may use numbers, `math`, arrays in its arguments, constants, and other kernel
     functions. An index beyond the end of an array raises an IndexError.
     """
-    return LinkedFunction(function, forceinline=True, boundscheck=True, **_OPTIONS)
+    return _inlined(function, forceinline=True, boundscheck=True)
+
+
+def _inlined(function: Callable[..., Any], **options: bool) -> Any:
+    dispatcher = LinkedFunction(function, **options, **_OPTIONS)
+    # Numba numbers the functions that a process makes. Cached code of two processes may thus have
+    # the same name, if functions are made by the same line.
+    is_made = "<locals>" in function.__qualname__
+    return dispatcher if is_made else _cached(dispatcher, kind=_LinkedCache)
 
 
 def _cached(dispatcher: Any, label: str = "", kind: type[FunctionCache] = _DigestCache) -> Any:

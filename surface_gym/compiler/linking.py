@@ -6,7 +6,8 @@ once and kept as LLVM code, which its callers link. Only the kernel at the end o
 machine code. Compilation takes two thirds of the time.
 
 An inlined function is linked into its callers' code before that code is optimised. Other functions
-are optimised separately, and linked into the kernel together with their callees.
+are optimised separately, and linked into the kernel together with their callees. Both kinds are
+cached, so that a new process does not lower them again for another kernel.
 """
 
 from typing import Any
@@ -26,8 +27,21 @@ def _optimize(library: CPUCodeLibrary) -> None:
     passes.run(library._final_module, builder)
 
 
+def _simplify_functions(library: CPUCodeLibrary, module: Any) -> None:
+    """Run few passes, which keep the code small: all others follow after linking."""
+    module.data_layout = library._codegen._data_layout
+    few = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
+    passes, builder = library._codegen._function_pass_manager(**few)
+    for function in module.functions:
+        if not function.is_declaration:
+            passes.run(function, builder)
+
+
 class _Kernel(JITCodeLibrary):
     """Machine code of a function called by Python."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        _simplify_functions(self, module)
 
     def _optimize_final_module(self) -> None:
         _optimize(self)
@@ -44,9 +58,10 @@ class LinkedCode(CPUCodeLibrary):
 
     def __init__(self, codegen: Any, name: str, inlined: bool) -> None:
         super().__init__(codegen, name)
+        self.symbol = ""  # its name in LLVM code
         self._inlined = inlined
         # Functions called by name, directly or by callees; each stands before its callers.
-        self._called: dict[LinkedCode, None] = {}
+        self._called: dict[str, LinkedCode] = {}
         self._with_called: Any = None
 
     def finalize(self) -> None:
@@ -56,7 +71,7 @@ class LinkedCode(CPUCodeLibrary):
             if isinstance(library, LinkedCode):
                 self._called.update(library._called)
                 if not library._inlined:
-                    self._called[library] = None
+                    self._called[library.symbol] = library
                     continue
                 self._final_module.link_in(library._own_module(), preserve=True)
             else:  # a function of Numba itself
@@ -73,13 +88,7 @@ class LinkedCode(CPUCodeLibrary):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
-        # Few passes, which keep inlined code small: all others follow in its callers.
-        few = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
-        passes, builder = self._codegen._function_pass_manager(**few)
-        for function in module.functions:
-            if not function.is_declaration:
-                passes.run(function, builder)
+        _simplify_functions(self, module)
 
     def _own_module(self) -> Any:
         return super()._get_module_for_linking()
@@ -88,20 +97,33 @@ class LinkedCode(CPUCodeLibrary):
         """Link the functions called by name, for a kernel."""
         if self._with_called is None:
             self._with_called = self._own_module().clone()
-            for library in reversed(self._called):  # LLVM drops functions without callers so far
+            # In this order, since LLVM drops functions without callers so far.
+            for library in reversed(self._called.values()):
                 self._with_called.link_in(library._own_module(), preserve=True)
         return self._with_called
 
-    def serialize_using_object_code(self) -> tuple[str, bytes]:
-        """Return the name and the code for the cache."""
-        return self.name, self._get_module_for_linking().as_bitcode()
+    def serialize_using_object_code(self) -> tuple[Any, ...]:
+        """Return the arguments of `load`, for the cache."""
+        called = [(each.symbol, each._own_module().as_bitcode()) for each in self._called.values()]
+        return self.name, self.symbol, self._inlined, self._own_module().as_bitcode(), called
 
     @classmethod
-    def load(cls, codegen: Any, name: str, bitcode: bytes) -> "LinkedCode":
+    def load(
+        cls,
+        codegen: Any,
+        name: str,
+        symbol: str,
+        inlined: bool,
+        bitcode: bytes,
+        called: list[tuple[str, bytes]],
+    ) -> "LinkedCode":
         """Load the code of a function, and of functions it calls by name, from the cache."""
-        library = cls(codegen, name, inlined=False)
+        library = cls(codegen, name, inlined)
+        library.symbol = symbol
         library._final_module = llvm.parse_bitcode(bitcode)
         library._finalize_final_module()
+        for each, code in called:
+            library._called[each] = cls.load(codegen, each, each, False, code, [])
         return library
 
     def make_entry(self, described: Any, environment: Any) -> Any:
@@ -135,8 +157,9 @@ class LowerToLinkedCode(NativeLowering):
         state.library = library
         state.flags.no_compile = True
         super().run_pass(state)
-        library.finalize()
         lowered = state["cr"]
+        library.symbol = lowered.fndesc.llvm_func_name
+        library.finalize()
         entry = library.make_entry(lowered.fndesc, lowered.env)
         state.targetctx.insert_user_function(entry, lowered.fndesc, [library])
         state.reload_init.extend(library._reload_init)

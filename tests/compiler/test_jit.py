@@ -251,6 +251,39 @@ def test_linked_functions_are_read_from_the_cache(cache: Path) -> None:
                 file.unlink()
 
 
+KERNELS = """
+from surface_gym.compiler.jit import compiled, inlined, kernel_function, linked
+
+@linked
+def halve(x):
+    return 0.5 * x
+
+@inlined
+def halve_sum(x, y):
+    return halve(x + y)
+
+@kernel_function
+def add(x):
+    return halve_sum(x, 1.0) + halve(x)
+
+def kernel(x):
+    return FACTOR * add(x)
+
+print(compiled(kernel)(3.0), *(sum(each.stats.cache_hits.values()) for each in (add, halve)))
+"""
+
+
+def test_a_new_process_reads_inlined_functions_for_another_kernel(tmp_path: Path) -> None:
+    file = tmp_path / "kernels.py"
+    printed = []
+    for factor in (1.0, 2.0):
+        file.write_text(f"FACTOR = {factor}\n{KERNELS}")
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        command = [sys.executable, str(file)]
+        printed.append(subprocess.check_output(command, env=environment, text=True).split())
+    assert printed == [["3.5", "0", "0"], ["7.0", "1", "0"]]  # `halve` is part of what is read
+
+
 @pytest.mark.usefixtures("cache")
 def test_reading_beyond_an_array_in_a_linked_chain_is_an_error() -> None:
     for _ in range(2):
