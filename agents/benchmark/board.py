@@ -18,8 +18,7 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
-from .entry import BenchmarkEntry, Row
-from .protocol import CELLS, TASKS, read_protocol
+from .entry import CELLS, TASKS, BenchmarkEntry, Row, read_protocol
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95

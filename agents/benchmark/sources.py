@@ -78,7 +78,7 @@ class PythonSource(PolicySource):
 class PackageSource(PolicySource):
     """A policy of this package in a folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, _: str) -> None:
         self._files = library.read_files(folder)
         self._card = library.read_card(self._files)
 
@@ -95,13 +95,13 @@ class PackageSource(PolicySource):
 
 
 class OnnxSource(PolicySource):
-    """An ONNX model, run on one core.
+    """An ONNX model without memory, run on one core.
 
     Its input is the observation. A model of `surface-gym export` has its environment in its
     metadata, and the output "choices". The first output of any other model is the action.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, _: str) -> None:
         onnxruntime: Any = import_module("onnxruntime")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -109,13 +109,15 @@ class OnnxSource(PolicySource):
             read_bytes(file, MAX_MODEL), options, providers=["CPUExecutionProvider"]
         )
         self._metadata = self._session.get_modelmeta().custom_metadata_map
+        (self._input,) = [each.name for each in self._session.get_inputs()]
+        outputs = [each.name for each in self._session.get_outputs()]
+        self._encodes = "choices" in outputs
+        self._output = "choices" if self._encodes else outputs[0]
 
     def env_kwargs(self, task: str, preset: str | None) -> Any:
         del preset
-        found = self._metadata
-        checks.one_of(
-            "task", library.card_env_id(task), (found.get("task", library.card_env_id(task)),)
-        )
+        found, asked = self._metadata, library.card_env_id(task)
+        checks.one_of("task", asked, (found.get("task", asked),))
         return {
             name: found[name] if name == "actions" else json.loads(found[name])
             for name in ONNX_TEXTS
@@ -127,19 +129,8 @@ class OnnxSource(PolicySource):
         if "features" in self._metadata:
             shown = [each.name for each in config.features]
             checks.one_of("features", json.dumps(shown), (self._metadata["features"],))
-        return OnnxController(self._session, config)
-
-
-class OnnxController:
-    """Decisions of an ONNX model, without memory."""
-
-    def __init__(self, session: Any, config: EnvConfig) -> None:
-        self._session, self._kind = session, config.action_kind
-        self._axes = len(config.observation_space().shape)
-        (self._input,) = [each.name for each in session.get_inputs()]
-        outputs = [each.name for each in session.get_outputs()]
-        self._encodes = "choices" in outputs
-        self._output = "choices" if self._encodes else outputs[0]
+        self._kind, self._axes = config.action_kind, len(config.observation_space().shape)
+        return self
 
     def predict(
         self,
@@ -160,7 +151,7 @@ class OnnxController:
 class ZipSource(PolicySource):
     """A model saved by Stable-Baselines3: PPO, A2C, DQN, SAC or TD3."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, _: str) -> None:
         import stable_baselines3
 
         with zipfile.ZipFile(file) as archive:
@@ -185,13 +176,10 @@ class ZipSource(PolicySource):
         return self._model
 
 
-def find_source(kind: str, path: str, name: str) -> PolicySource:
-    """Read a source of a kind: "python", "package", "onnx" or "zip"."""
-    if kind == "python":
-        return PythonSource(Path(path), name)
-    kinds: dict[str, Callable[[Path], PolicySource]] = {
-        "package": PackageSource,
-        "onnx": OnnxSource,
-        "zip": ZipSource,
-    }
-    return kinds[kind](Path(path))
+# By kind; called with the path and the name of a class.
+SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
+    "python": PythonSource,
+    "package": PackageSource,
+    "onnx": OnnxSource,
+    "zip": ZipSource,
+}

@@ -29,11 +29,11 @@ from ..rollout import Episodes
 from ..rules.aiming import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
 from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
-from .plots import choose_colours, save_figure
+from .pictures import Bar, draw_bars, save_figure
 from .report import show_tables
 from .results import Results, Sample
 from .scenario import STARTS, WHOLE, Extent, Scenario, ScenarioJob, StartScenario, make_jobs
-from .stream_scenario import LEAST_CORRECT, UNSEEN, StreamScenario
+from .streams import LEAST_CORRECT, UNSEEN, StreamScenario
 from .tables import Table, number, tabulate, write_markdown
 from .views import column_value, format_value
 
@@ -125,9 +125,7 @@ def _suited(method: Method, **given: Any) -> Method:
 class DriveStarts(StartScenario):
     """The starts of a task, with modules that obey at once or with delays."""
 
-    @property
-    def chosen_preset(self) -> Preset:
-        return DRIVE_PRESETS[self.preset]
+    presets = DRIVE_PRESETS
 
     def run(
         self, method: Method, seed: int
@@ -232,15 +230,18 @@ def _rate(sample: Sample) -> float:
     return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
 
 
-def _drawn(sample: Sample, parcels: float) -> float:
-    """Return the energy [J] that drives draw per parcel; NaN without parcels."""
-    return float(sample.values("drawn_energy").sum()) / parcels if parcels else math.nan
+def _energy_per_parcel(sample: Sample, parcels: float | None = None) -> float:
+    """Return the energy [J] that drives draw per parcel; None: per sorted one. NaN: none."""
+    count = float(sample.values("sorted").sum()) if parcels is None else parcels
+    return float(sample.values("drawn_energy").sum()) / count if count else math.nan
 
 
-def _energies(sample: Sample, parcels: float) -> dict[str, str]:
-    drawn = _drawn(sample, parcels)
+def _energies(sample: Sample, parcels: float | None = None) -> dict[str, str]:
     peak = float(sample.values("peak_acceleration").mean())
-    return {"energy [J]": number(drawn, ".1f"), "acceleration [m/s^2]": number(peak, ".1f")}
+    return {
+        "energy [J]": number(_energy_per_parcel(sample, parcels), ".1f"),
+        "acceleration [m/s^2]": number(peak, ".1f"),
+    }
 
 
 def _worth(sample: Sample, metric: str) -> tuple[float, float]:
@@ -258,7 +259,7 @@ def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
                 "stream": scenario, "modules": name, "delays": _delays(preset),
                 "right [1/h]": number(rate, ".0f"),
                 "of the entry's limit": number(rate / sample.constant("bound"), ".0%"),
-                **_energies(sample, float(sample.values("sorted").sum())),
+                **_energies(sample),
             }
         )  # fmt: skip
     return sorted(rows, key=lambda row: (row["stream"], row["delays"]))
@@ -281,20 +282,19 @@ def _draw_streams(results: Results, file: Path) -> None:
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
-        rows = [
-            (key[0], key[1], key[3], sample)
+        samples = {
+            (key[1], key[3]): sample
             for key, sample in results.samples.items()
             if key[2] == preset and is_on_streams(key[0])
-        ]
-        names = list(dict.fromkeys(name for *_, name, _ in rows))
-        offers = list(dict.fromkeys(scenario for _, scenario, *_ in rows))
-        colours, width = choose_colours(names), 0.84 / max(1, len(names))
-        for _, scenario, name, sample in rows:
-            x = offers.index(scenario) + (names.index(name) - 0.5 * (len(names) - 1)) * width
-            label = name if scenario == offers[0] else None
-            energy = _drawn(sample, float(sample.values("sorted").sum()))
-            column[0].bar(x, _rate(sample), 0.92 * width, color=colours[name], label=label)
-            column[1].bar(x, energy, 0.92 * width, color=colours[name])
+        }
+        offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
+        for panel, value in zip(column, (_rate, _energy_per_parcel), strict=True):
+            draw_bars(
+                panel, offers, names,
+                lambda *key, value=value, samples=samples: (
+                    Bar(value(samples[key])) if key in samples else None
+                ),
+            )  # fmt: skip
         column[0].set_title("without delays" if preset != DELAYED.name else "with delays")
         column[1].set_xticks(range(len(offers)), [each.split(", ")[1] for each in offers])
         column[1].set_xlabel("speed of the stream")

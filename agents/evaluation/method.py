@@ -74,7 +74,7 @@ class Method:
 
 
 # Functions that list the methods of tasks with more than rules and agents.
-METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.ladder")
+METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.streams")
 
 
 @lru_cache(maxsize=32)

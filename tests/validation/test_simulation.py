@@ -22,8 +22,6 @@ def test_a_run_agrees_with_the_implicit_method(name, request):
     assert (np.abs(error.absolute) < [5.0, 4.0, 2.5]).all()  # [mm, mm, deg]
     bound = [0.75, 1.5, 2.0] if name == "tilted" else [1.0, 2.5, 6.0]
     assert (np.abs(error.percent) < bound).all()
-        np.abs(error.percent) < ([0.75, 1.5, 2.0] if name == "tilted" else [1.0, 2.5, 6.0])
-    ).all()
 
 
 def test_the_trajectory_is_that_of_simulate(pushed):

@@ -8,8 +8,14 @@ import pytest
 from scipy import stats
 
 from surface_gym.agents.benchmark.board import Board, compute_iqm, make_page, score_cells
-from surface_gym.agents.benchmark.entry import BenchmarkEntry, Row
-from surface_gym.agents.benchmark.protocol import CELLS, EPISODES, TestCell, read_protocol
+from surface_gym.agents.benchmark.entry import (
+    CELLS,
+    EPISODES,
+    BenchmarkEntry,
+    Row,
+    TestCell,
+    read_protocol,
+)
 
 ZERO, ONE = read_protocol()["references"]["sort"]
 

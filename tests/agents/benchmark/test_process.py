@@ -15,7 +15,7 @@ import pytest
 
 from surface_gym import agents
 from surface_gym.agents import library
-from surface_gym.agents.benchmark import frames, watch
+from surface_gym.agents.benchmark import process, watch
 from surface_gym.agents.benchmark.process import PolicyFailure, PolicyLimits, PolicyProcess
 from surface_gym.agents.rollout import Episodes, run_episodes
 from surface_gym.config import EnvConfig
@@ -332,11 +332,11 @@ def test_a_message_is_read_as_it_was_sent() -> None:
     one, other = socket.socketpair()
     with one, other:
         arrays = [np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((0, 2), dtype=np.int8)]
-        frames.send(one, frames.to_frame({"kind": "any"}, *arrays))
-        fields, found = frames.read_message(other)
+        process.send(one, process.to_frame({"kind": "any"}, *arrays))
+        fields, found = process.read_message(other)
         assert fields == {"kind": "any"}
         for each, wanted in zip(found, arrays, strict=True):
             np.testing.assert_array_equal(each, wanted)
             assert each.dtype == wanted.dtype
         with pytest.raises(TimeoutError):
-            frames.read_message(other, time.monotonic() + 0.01)
+            process.read_message(other, time.monotonic() + 0.01)

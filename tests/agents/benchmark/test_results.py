@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.benchmark.board import Board, make_page
-from surface_gym.agents.benchmark.entry import make_jobs, play_cell, read_entries
+from surface_gym.agents.benchmark.entry import (
+    CELLS,
+    TestCell,
+    make_jobs,
+    play_cell,
+    read_entries,
+    read_protocol,
+)
 from surface_gym.agents.benchmark.process import PolicyLimits, PolicyProcess
-from surface_gym.agents.benchmark.protocol import CELLS, TestCell, read_protocol
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "benchmarks/results"

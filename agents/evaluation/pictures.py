@@ -1,30 +1,39 @@
-"""Plots of the comparison: success, errors, times, trajectories, capacities and robustness."""
+"""Pictures of the comparison: plots, and videos of episodes, one or several side by side."""
 
 import math
-from collections.abc import Iterable, Sequence
-from itertools import cycle
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle, islice, repeat, zip_longest
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon as Patch
+from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
+from numpy.typing import NDArray
 
 import surface_gym as sg
-from surface_gym.config import PRESETS
+from surface_gym.config import PRESETS, EnvConfig
+from surface_gym.env import SmartSurfaceEnv
+from surface_gym.player import replay
+from surface_gym.recorder import RecordReplay
+from surface_gym.rendering import with_caption
 from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
 
+from ..base import Controller
 from ..library import task_label
 from ..rollout import Episodes
-from . import method as methods
-from .ladder import SIX_MODULES
+from .method import FIXED, PLANNER
 from .results import Results
-from .robustness import FACTORS, LAB, SHAPES, TRAINED, Factor
-from .scenario import STARTS
-from .stream_views import BEST, CANNOT, ENTRANCE, Capacities
-from .views import Sweep, level_text
+from .scenario import FACTORS, LAB, SHAPES, STARTS, TRAINED, Factor
+from .streams import SIX_MODULES
+from .views import BEST, CANNOT, ENTRANCE, Capacities, Sweep, level_text
+
+Picture = NDArray[np.uint8]
 
 DOTS = 150  # dots per inch
 LIMIT, INK, PALE = "#be1848", "#333333", "#eeeeee"
@@ -52,24 +61,49 @@ def save_figure(figure: Figure, file: Path, *panels: Axes, legend: Axes | None =
     figure.savefig(file, dpi=DOTS)
 
 
+class Bar(NamedTuple):
+    """A bar with its interval, or with a text instead."""
+
+    height: float
+    low: float = math.nan
+    high: float = math.nan
+    text: str = ""
+
+
+def draw_bars(
+    panel: Axes, groups: Sequence[str], names: Sequence[str],
+    find: Callable[[str, str], Bar | None],
+) -> None:  # fmt: skip
+    """Draw bars side by side: one per name in each group, as found; None: no bar."""
+    colours, width = choose_colours(names), 0.84 / max(1, len(names))
+    for k, name in enumerate(names):
+        for place, group in enumerate(groups):
+            if (bar := find(group, name)) is None:
+                continue
+            x = place + (k - 0.5 * (len(names) - 1)) * width
+            label = name if place == 0 else None
+            panel.bar(x, bar.height, 0.92 * width, color=colours[name], label=label)
+            if bar.text:
+                panel.annotate(
+                    bar.text, (x, 0.0), (0, 3), textcoords="offset points", ha="center",
+                    va="bottom", rotation=90, color=INK, fontsize=8,
+                )  # fmt: skip
+            elif math.isfinite(bar.low):
+                errors = [[max(0.0, bar.height - bar.low)], [max(0.0, bar.high - bar.height)]]
+                panel.errorbar(x, bar.height, errors, color=INK, elinewidth=0.8)
+    panel.set_xticks(range(len(groups)), groups)
+
+
 def draw_success(task: str, results: Results, file: Path) -> None:
     """Draw success rates by preset with 95 % intervals, one bar per method."""
-    names = results.methods(task, STARTS)
-    colours = choose_colours(names)
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     panel = figure.subplots()
-    width = 0.84 / len(names)
-    for k, name in enumerate(names):
-        for place, preset in enumerate(PRESETS):
-            sample = results.find(task, STARTS, preset, name)
-            if sample is None:
-                continue
-            low, high = sample.interval
-            x = place + (k - 0.5 * (len(names) - 1)) * width
-            label = name if preset == "exact" else None
-            panel.bar(x, sample.rate, 0.92 * width, color=colours[name], label=label)
-            errors = [[max(0.0, sample.rate - low)], [max(0.0, high - sample.rate)]]
-            panel.errorbar(x, sample.rate, errors, color=INK, elinewidth=0.8)
+
+    def find(preset: str, name: str) -> Bar | None:
+        sample = results.find(task, STARTS, preset, name)
+        return None if sample is None else Bar(sample.rate, *sample.interval)
+
+    draw_bars(panel, list(PRESETS), results.methods(task, STARTS), find)
     panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
     save_figure(figure, file, panel)
@@ -173,35 +207,30 @@ def _draw_path(
 
 def draw_capacities(found: Capacities, file: Path) -> None:
     """Draw the capacities on all streams: one bar per method, with bounds."""
-    colours = choose_colours(found.names)
     figure = Figure(figsize=(12.0, 4.2), layout="constrained")
     panel = figure.subplots()
-    width = 0.84 / len(found.names)
+
+    def find(offer: str, name: str) -> Bar:
+        sample = found.find(name, offer)
+        if sample is not None and sample.is_sustained:
+            rate, margin = sample.throughput, sample.margin
+            return Bar(rate, rate - margin, rate + margin)
+        hardware = sample is not None and sample.constant("actuators")
+        return Bar(0.0, text="0" if hardware else CANNOT)
+
+    draw_bars(panel, found.offers, found.names, find)
+    best = found.constants(SIX_MODULES, "best")
     for place, offer in enumerate(found.offers):
-        for k, name in enumerate(found.names):
-            x = place + (k - 0.5 * (len(found.names) - 1)) * width
-            sample, able = found.find(name, offer), found.able(name, offer)
-            label = name if place == 0 else None
-            rate = 0.0 if able is None else able.throughput
-            panel.bar(x, rate, 0.92 * width, color=colours[name], label=label)
-            if able is not None:
-                panel.errorbar(x, rate, able.margin, color=INK, elinewidth=0.8)
-                continue
-            hardware = sample is not None and sample.constant("actuators")
-            panel.annotate(
-                "0" if hardware else CANNOT, (x, 0.0), (0, 3), textcoords="offset points",
-                ha="center", va="bottom", rotation=90, color=INK, fontsize=8,
-            )  # fmt: skip
-        best = found.constants(SIX_MODULES, "best")[place]
-        for name, bound, style in (
-            (ENTRANCE, found.bound(offer), "-"), (BEST.format(SIX_MODULES), best, "--"),
-        ):  # fmt: skip
+        bounds = {
+            ENTRANCE: (found.bound(offer), "-"),
+            BEST.format(SIX_MODULES): (best[place], "--"),
+        }
+        for name, (bound, style) in bounds.items():
             if math.isfinite(bound):
                 panel.hlines(
                     bound, place - 0.45, place + 0.45, color=LIMIT, linestyle=style, linewidth=1.2,
                     label=name if place == 0 else "_again",
                 )  # fmt: skip
-    panel.set_xticks(range(len(found.offers)), found.offers)
     panel.set(ylabel="capacity [parcels/h]")
     save_figure(figure, file, panel)
 
@@ -228,10 +257,10 @@ class Style(NamedTuple):
 
 OWN = Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
 STYLES = {
-    methods.FIXED: Style(methods.FIXED, "#8c8c8c", ":", 1.3, "x"),
+    FIXED: Style(FIXED, "#8c8c8c", ":", 1.3, "x"),
     "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
     "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
-    methods.PLANNER: Style(methods.PLANNER, INK, "None", 1.0, "_", 6),
+    PLANNER: Style(PLANNER, INK, "None", 1.0, "_", 6),
 } | dict.fromkeys(OWN_RULES, OWN)
 
 
@@ -327,3 +356,114 @@ def _points(sweep: Sweep, name: str, factor: Factor) -> list[tuple[float, float]
     return [
         (float(place), rate) for place, rate in zip(places, rates, strict=True) if rate is not None
     ]
+
+
+HOLD = 1.0  # [s] duration of the last picture
+BAR = 6  # [px] between pictures
+
+
+@dataclass(frozen=True, eq=False)
+class Player:
+    """A controller in an environment, and the start of its episode."""
+
+    name: str  # title of its pictures
+    controller: Controller
+    config: EnvConfig
+    rng: np.random.Generator  # source of random values that the options leave open
+    options: dict[str, Any] | None = None
+
+
+def write_comparison(
+    players: Sequence[Player], file: Path, seconds: float = math.inf
+) -> tuple[bool, ...]:
+    """Write an mp4 of one episode per controller side by side, and the same replay as .html.
+
+    The video runs in real time. A finished episode shows its last picture until the others end.
+    """
+    period = min(player.config.control_period for player in players)
+    envs = [RecordReplay(make_env(player.config)) for player in players]
+    episodes = [
+        _repeated(play(player, env=env), round(player.config.control_period / period))
+        for player, env in zip(players, envs, strict=True)
+    ]
+    last: list[Any] = [None] * len(players)
+
+    def frames() -> Iterator[Picture]:
+        for row in zip_longest(*episodes):
+            last[:] = [old if new is None else new for old, new in zip(last, row, strict=True)]
+            yield _stacked(
+                [with_caption(p, each.name) for (p, _), each in zip(last, players, strict=True)]
+            )
+
+    shown = islice(frames(), None if math.isinf(seconds) else round(seconds / period))
+    write_video(shown, 1.0 / period, file)
+    runs = [replace(env.recording, title=p.name) for p, env in zip(players, envs, strict=True)]
+    replay(*runs).save(file.with_suffix(".html"))
+    return tuple(bool(info.get("is_success", False)) for _, info in last)
+
+
+def write_video(frames: Iterator[Picture], rate: float, file: Path) -> None:
+    """Write an mp4 frame by frame at `rate` [1/s]; the last frame is held."""
+    frame = next(frames)  # one by one, since a minute of frames would fill the memory
+    height, width, _ = frame.shape
+    with FFMPEG_VideoWriter(str(file), (width, height), rate, codec="libx264") as writer:
+        writer.write_frame(frame)
+        for frame in frames:
+            writer.write_frame(frame)
+        for _ in range(round(HOLD * rate)):
+            writer.write_frame(frame)
+
+
+def make_env(config: EnvConfig) -> gym.Env[Any, Any]:
+    """Make the environment of a video."""
+    env: gym.Env[Any, Any] = SmartSurfaceEnv(render_mode="rgb_array", **config.arguments())
+    if config.task.is_stream:  # streams end by themselves
+        return env
+    return gym.wrappers.TimeLimit(env, config.periods)
+
+
+def play(
+    player: Player, every: int = 1, env: gym.Env[Any, Any] | None = None
+) -> Iterator[tuple[Picture, dict[str, Any]]]:
+    """Play an episode; yield picture and `info` at the start and after each control period.
+
+    Args:
+        every: draw only every n-th picture, and repeat it in between.
+        env: environment to use; None: make one.
+    """
+    if env is None:
+        env = make_env(player.config)
+    env.unwrapped.np_random = player.rng
+    observation, info = env.reset(options=player.options)
+    picture: Any = env.render()
+    yield picture, info
+    state: Any = None
+    begun, number, over = np.ones(1, dtype=np.bool_), 0, False
+    while not over:
+        action, state = player.controller.predict(
+            observation[np.newaxis], state, begun, deterministic=True
+        )
+        observation, _, terminated, truncated, info = env.step(action[0])
+        begun, number = np.zeros(1, dtype=np.bool_), number + 1
+        over = terminated or truncated
+        if over or number % every == 0:
+            picture = env.render()
+        yield picture, info
+    env.close()
+
+
+def _repeated(items: Iterator[Any], times: int) -> Iterator[Any]:
+    return (item for each in items for item in repeat(each, times))
+
+
+def _stacked(pictures: Sequence[Picture]) -> Picture:
+    """Place pictures side by side, or one below the other if they are wide.
+
+    Width and height of the result are even numbers of pixels.
+    """
+    height, width, _ = pictures[0].shape
+    down = 2 * height < width
+    bar = np.full((BAR, width, 3) if down else (height, BAR, 3), 255, dtype=np.uint8)
+    row = [part for picture in pictures for part in (bar, picture)][1:]
+    frame = np.concatenate(row, axis=0 if down else 1)
+    return frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
