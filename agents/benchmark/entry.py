@@ -25,7 +25,6 @@ from surface_gym import checks
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.files import DAMAGE, describe_damage, read_text, replacing
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.flow.batch import StreamBatch
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.randomisation import Actuators
 from surface_gym.registration import PERIODS, SHIPPED
@@ -44,31 +43,16 @@ WARM_UP = 20.0  # [s] of a stream, before deliveries count
 TASKS = tuple(SHIPPED)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Conditions of 128 episodes of a task."""
-
-    name: str
-    preset: str  # name of a preset
-    quarter_turn: float = 0.0  # [s] time of an axis for 90 deg; the lab has its own
-
-    def make_preset(self) -> Preset:
-        """Return the sensors, randomisation and actuators of the cell."""
-        preset = PRESETS[self.preset]
-        if not self.quarter_turn:
-            return preset
-        return replace(preset, actuators=Actuators(axis_speed=0.5 * math.pi / self.quarter_turn))
+def _slower(quarter_turn: float) -> Preset:
+    """Return exact sensors, and axes that take a time [s] to turn by 90 deg."""
+    actuators = Actuators(axis_speed=0.5 * math.pi / quarter_turn)
+    return replace(PRESETS["exact"], actuators=actuators)
 
 
+# Sensors, randomisation and actuators of each cell.
 CELLS = {
-    cell.name: cell
-    for cell in (
-        Cell("0 ms", "exact"),
-        Cell("100 ms", "exact", 0.1),
-        Cell("200 ms", "exact", 0.2),
-        Cell("lab", "lab"),
-    )
-}
+    "0 ms": PRESETS["exact"], "100 ms": _slower(0.1), "200 ms": _slower(0.2), "lab": PRESETS["lab"],
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,7 +74,7 @@ class TestCell:
 
         Cells of a preset have the same starts, so that they differ in the axes alone.
         """
-        place = list(PRESETS).index(CELLS[self.cell].preset)
+        place = list(PRESETS).index(CELLS[self.cell].name)
         return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
 
     @property
@@ -111,7 +95,7 @@ class TestCell:
         for name in chosen:
             checks.one_of("env_kwargs", name, ENV_KWARGS)
         try:
-            return EnvConfig(task=self.task, preset=CELLS[self.cell].make_preset(), **chosen)
+            return EnvConfig(task=self.task, preset=CELLS[self.cell], **chosen)
         except TypeError as error:
             raise ValueError(str(error)) from None
 
@@ -123,35 +107,22 @@ class TestCell:
     def compute_digest(self, config: EnvConfig, count: int = EPISODES) -> str:
         """Compute the digest of the first `count` starts of an environment."""
         if config.task.is_stream:
-            return _digest(_read_streams(begin_streams(config, count, self.seed)))
-        env = sg.SmartSurfaceVectorEnv(num_envs=count, **config.arguments())
-        _, info = env.reset(seed=self.seed)
-        goals = [env.batch.parcels.goal.copy(), env.batch.parcels.path.copy()]
-        env.close()
-        return _digest([info[name] for name in ("pose", "velocity", "parcel")] + goals)
-
-
-def _read_streams(batch: StreamBatch) -> list[Any]:
-    """Return what arrives, when, how and for which exit."""
-    streams = batch.streams
-    found = []
-    for i in range(batch.num_envs):
-        count = int(streams.arrivals[i])
-        found += [getattr(streams, name)[i, :count] for name in ("time", "start", "body", "exit")]
-    return found
-
-
-def _digest(arrays: list[Any]) -> str:
-    """Compute a digest of arrays as single precision, which is the same on every machine."""
-    made = hashlib.sha256()
-    for array in arrays:
-        made.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
-    return made.hexdigest()[:16]
-
-
-def list_cells(tasks: tuple[str, ...]) -> list[TestCell]:
-    """List the cells of tasks."""
-    return [TestCell(task, cell) for task in tasks for cell in CELLS]
+            streams = begin_streams(config, count, self.seed).streams
+            arrays = [
+                getattr(streams, name)[i, :arrived]
+                for i, arrived in enumerate(streams.arrivals.tolist())
+                for name in ("time", "start", "body", "exit")
+            ]
+        else:
+            env = sg.SmartSurfaceVectorEnv(num_envs=count, **config.arguments())
+            _, info = env.reset(seed=self.seed)
+            arrays = [info[name] for name in ("pose", "velocity", "parcel")]
+            arrays += [env.batch.parcels.goal.copy(), env.batch.parcels.path.copy()]
+            env.close()
+        made = hashlib.sha256()
+        for array in arrays:  # single precision is the same on every machine
+            made.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
+        return made.hexdigest()[:16]
 
 
 @lru_cache
@@ -254,7 +225,7 @@ class PolicyJob:
                 try:
                     if policy is None:
                         policy = processes.enter_context(PolicyProcess(self.source, self.limits))
-                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].preset)
+                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].name)
                     kwargs |= dict(self.given)
                     rows.append(self._run(policy, test, kwargs))
                 except PolicyFailure as error:
@@ -352,7 +323,7 @@ def make_jobs(
         source = str(library.SHELF / source / "seed-{seed}")
     return [
         PolicyJob(
-            tuple(list_cells((checks.one_of("tasks", task, TASKS),))),
+            tuple(TestCell(checks.one_of("tasks", task, TASKS), cell) for cell in CELLS),
             source.replace("{seed}", str(seed)), seed, chosen, limits,
         )
         for task in tasks

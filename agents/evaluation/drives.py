@@ -198,8 +198,7 @@ def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
         idle = [name for name in ran if name.startswith(IDLE)]
         if not idle:
             continue
-        error = start_benchmark(task).error
-        metric = "time" if error is None else error.metric
+        metric = start_benchmark(task).error or "time"
         best = max(idle, key=lambda name: _worth(ran[name], metric))
         for name in (best, *(each for each in ran if each not in idle)):
             sample = ran[name]

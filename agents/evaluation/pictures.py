@@ -22,7 +22,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.player import replay
 from surface_gym.recorder import RecordReplay
 from surface_gym.rendering import with_caption
-from surface_gym.tasks.benchmark import PARCELS, SIDES, ErrorPlot, SpeedGrid
+from surface_gym.tasks.benchmark import PARCELS, SIDES, SpeedGrid
 
 from ..base import Controller
 from ..library import task_label
@@ -106,29 +106,6 @@ def draw_success(task: str, results: Results, file: Path) -> None:
     draw_bars(panel, list(PRESETS), results.methods(task, STARTS), find)
     panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
     panel.set(ylim=(0.0, 1.03), ylabel="success")
-    save_figure(figure, file, panel)
-
-
-def draw_errors(task: str, error: ErrorPlot, results: Results, file: Path) -> None:
-    """Draw the share of starts by size of the error, with exact sensors."""
-    samples = results.at(task, STARTS, "exact")
-    colours = choose_colours(samples)
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
-    panel = figure.subplots()
-    errors = {
-        name: np.sort(error.scale * sample.metric(error.metric).ravel())
-        for name, sample in samples.items()
-    }
-    for name, values in errors.items():
-        share = np.arange(1, len(values) + 1) / len(values)
-        panel.step(np.maximum(values, 1e-9), share, where="post", color=colours[name], label=name)
-    if error.limit is not None:
-        panel.axvline(error.limit, color=LIMIT, linestyle="--", linewidth=1.0, label="success")
-    everyone = np.concatenate(list(errors.values()))
-    low, high = np.quantile(everyone[everyone > 0.0], (0.02, 1.0))
-    panel.set(
-        xscale="log", xlim=(low, high), ylim=(0.0, 1.0), xlabel=error.label, ylabel="of starts"
-    )
     save_figure(figure, file, panel)
 
 

@@ -4,11 +4,9 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 import pandas as pd
 from gymnasium.utils.seeding import np_random
@@ -35,7 +33,7 @@ from .method import (
     start_benchmark,
     stream_benchmark,
 )
-from .pictures import Player, play, write_comparison
+from .pictures import Player, write_comparison
 from .results import Results, Sample, compute, show_progress
 from .scenario import (
     SEED,
@@ -53,7 +51,6 @@ from .streams import MODULES, ON_FILM, StreamScenario, stream_scenarios, unseen_
 from .tables import Pictures, Section, Table, write_markdown, write_page
 
 NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
-SHOWN_AT = 12.0  # [s] time of the picture of a stream
 FILMED = ("exact", "lab")  # presets of films on streams
 TABLE = "table.md"  # table of a run
 COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
@@ -174,10 +171,6 @@ def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder:
             drawn.append((times, said))
         write_trajectories(both, paths)
         drawn.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
-    elif compared.error is not None:
-        errors = folder / f"{label}-errors.png"
-        pictures.draw_errors(task, compared.error, results, errors)
-        drawn.append((errors, "Share of starts by the size of the error, exact sensors."))
     return [*drawn, write_example(both, folder)]
 
 
@@ -229,14 +222,6 @@ def stream_player(method: Method, scenario: StreamScenario, rate: float | None =
     return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
-def stream_picture(player: Player, latest: float = SHOWN_AT) -> np.ndarray:
-    """Draw a stream in mid-course, or where a jam ends it before."""
-    time = min(latest, 0.5 * player.config.stream_task.duration)
-    at = round(time / player.config.control_period)
-    *_, (picture, _) = islice(play(player, every=at), at + 1)
-    return picture
-
-
 def _draw_streams(
     task: str, methods: Sequence[Method], results: Results, folder: Path, extent: Extent
 ) -> Pictures:
@@ -257,27 +242,23 @@ def _draw_streams(
             return drawn
         rate = NEAR * first.throughput(shown[-1].name, name)
         said = f"{name}, {exits}, {rate:.0f} parcels an hour offered"
-        return [*drawn, *_film(shown, scenario, rate, folder / label, said)]
+        return [*drawn, _film(shown, scenario, rate, folder / f"{label}.mp4", said)]
     for preset in FILMED:
         scenario = filmed_scenario(task, preset, extent=extent)
         if preset in (extent.presets or scenario.benchmark.presets):
             said = f"{scenario.offer.name}, {preset}"
-            drawn += _film(rivals(methods), scenario, None, folder / f"{label}-{preset}", said)
+            file = folder / f"{label}-{preset}.mp4"
+            drawn.append(_film(rivals(methods), scenario, None, file, said))
     return drawn
 
 
 def _film(
     methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
-) -> Pictures:
-    """Record methods side by side, and draw the last one."""
-    picture, video = file.with_suffix(".png"), file.with_suffix(".mp4")
+) -> tuple[Path, str]:
+    """Record methods side by side; return file and caption."""
     players = [stream_player(each, scenario, rate) for each in methods]
-    length = scenario.extent.film
-    write_comparison(players, video, length)
-    last = stream_player(methods[-1], scenario, rate)
-    imageio.imwrite(picture, stream_picture(last, min(length, SHOWN_AT)))
-    names = " and ".join(each.name for each in methods)
-    return [(picture, f"{methods[-1].name}: {said}."), (video, f"{names}: {said}.")]
+    write_comparison(players, file, scenario.extent.film)
+    return file, f"{' and '.join(each.name for each in methods)}: {said}."
 
 
 def evaluate_run(

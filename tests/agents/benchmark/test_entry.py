@@ -16,7 +16,6 @@ from surface_gym.agents.benchmark.entry import (
     Row,
     TestCell,
     digest_source,
-    list_cells,
     make_jobs,
     play_cell,
     read_entries,
@@ -119,8 +118,8 @@ def test_every_cell_has_a_digest_and_seeds_of_its_own() -> None:
     digests = read_protocol()["digests"]
     assert list(digests) == list(TASKS)
     assert all(list(cells) == list(CELLS) for cells in digests.values())
-    cells = list_cells(TASKS)
-    starts = {(cell.task, CELLS[cell.cell].preset): cell for cell in cells}
+    cells = [TestCell(task, cell) for task in TASKS for cell in CELLS]
+    starts = {(cell.task, CELLS[cell.cell].name): cell for cell in cells}
     assert len({cell.digest for cell in cells}) == len(starts)  # cells of a preset share starts
     seeds = {cell.seed + k for cell in starts.values() for k in range(EPISODES)}
     assert len(seeds) == EPISODES * len(starts)

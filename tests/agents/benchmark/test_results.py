@@ -51,7 +51,7 @@ def test_a_sample_comes_out_the_same(name: str) -> None:
         source = str(ROOT / "examples/entries" / source)
     (job, *_) = make_jobs(source, (row.task,), (row.seed,), {}, PolicyLimits())
     with PolicyProcess(job.source) as policy:
-        policy.env_kwargs(row.task, CELLS[row.cell].preset)
+        policy.env_kwargs(row.task, CELLS[row.cell].name)
         scores, times = play_cell(test, policy, row.seed, dict(row.env_kwargs), SAMPLE)
     np.testing.assert_array_equal(scores, row.scores[:SAMPLE])
     np.testing.assert_array_equal(times, row.times[:SAMPLE])

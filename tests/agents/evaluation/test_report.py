@@ -19,14 +19,14 @@ from matplotlib.figure import Figure
 from moviepy.config import FFMPEG_BINARY
 from rich.console import Console
 
-from surface_gym.agents.evaluation import cli, ladder, report, views
+from surface_gym.agents.evaluation import cli, report, streams as ladder, views
 from surface_gym.agents.evaluation.cli import EvaluateConfig, evaluate
 from surface_gym.agents.evaluation.method import all_methods, rules, start_benchmark
-from surface_gym.agents.evaluation.page import Section, write_page
+from surface_gym.agents.evaluation.pictures import Player, write_comparison
 from surface_gym.agents.evaluation.report import filmed_scenario, stream_player
 from surface_gym.agents.evaluation.results import FILE, write_results
 from surface_gym.agents.evaluation.scenario import Extent
-from surface_gym.agents.evaluation.video import Player, write_comparison
+from surface_gym.agents.evaluation.tables import Section, write_page
 from surface_gym.agents.library import SHELF
 from surface_gym.agents.rules.streams import StreamEventRule
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
@@ -105,7 +105,6 @@ def test_results_of_streams_become_a_page(tmp_path, monkeypatch) -> None:
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert (tmp_path / FILE).read_bytes() == kept
     assert "## Flow: ladder of hardware, exact, exits “sides”" in (tmp_path / "flow.md").read_text()
-    assert len(pd.read_csv(tmp_path / "comparison.csv")) > 100
     for name in ("flow-capacity.png", "flow.png"):
         assert imageio.imread(tmp_path / name).std() > 10.0  # there is something on it
     with imageio.get_reader(tmp_path / "flow.mp4") as video:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surface_gym import SmartSurfaceVectorEnv
-from surface_gym.agents.evaluation import robustness
+from surface_gym.agents.evaluation import scenario as robustness
 from surface_gym.agents.evaluation.method import (
     PLANNER,
     Method,
@@ -17,14 +17,17 @@ from surface_gym.agents.evaluation.method import (
     start_benchmark,
 )
 from surface_gym.agents.evaluation.results import Sample, make_rows
-from surface_gym.agents.evaluation.robustness import (
+from surface_gym.agents.evaluation.scenario import (
     TRAINED,
+    WHOLE,
     Change,
     ChangedScenario,
+    Extent,
+    ScenarioJob,
     changed_scenarios,
+    make_jobs,
     situation,
 )
-from surface_gym.agents.evaluation.scenario import WHOLE, Extent, ScenarioJob, make_jobs
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch

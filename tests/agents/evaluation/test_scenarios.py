@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import surface_gym as sg
 from surface_gym import SmartSurfaceVectorEnv
 from surface_gym.agents.base import find_axes
-from surface_gym.agents.evaluation import ladder, scenario as sc, stream_scenario as ss
+from surface_gym.agents.evaluation import scenario as sc, streams as ss
 from surface_gym.agents.evaluation.method import (
     Method,
     RollOn,
@@ -23,13 +24,14 @@ from surface_gym.agents.evaluation.method import (
 from surface_gym.agents.evaluation.results import Sample, make_rows
 from surface_gym.agents.planning.receding_horizon import RecedingHorizon
 from surface_gym.agents.scheduling.bounds import entrance_bound
+from surface_gym.agents.scheduling.maneuvers import ColumnGroups
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.flow.arrivals import Arrival, Trace
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import narrowest
 from surface_gym.parcel import Parcel, assortment
 from surface_gym.registration import TASKS
-from tests.agents.rules.runs import Scripted
+from tests.agents.rules.runs import Scripted, gated
 
 LAB = PRESETS["lab"]
 PARCELS_ALONE = Preset("parcels", "parcels", "The lab's parcels.", parcels=LAB.parcels)
@@ -112,18 +114,18 @@ class TestOffers:
             assert (config.sensors == sg.sensors.Exact()) == (knows or at.preset == "exact")
 
     def test_rungs_have_hardware_of_their_own(self) -> None:
-        assert [each.name for each in ladder.ladder()][:10] == [
-            ladder.ARRANGED, ladder.FOLLOWED, ladder.SERIES, ladder.TRIPLES, ladder.COLUMNS,
-            ladder.SIX_COLUMNS, ladder.MODULES, ladder.SIX_MODULES, ladder.EVENT, ladder.EACH,
+        assert [each.name for each in ss.ladder()][:10] == [
+            ss.ARRANGED, ss.FOLLOWED, ss.SERIES, ss.TRIPLES, ss.COLUMNS,
+            ss.SIX_COLUMNS, ss.MODULES, ss.SIX_MODULES, ss.EVENT, ss.EACH,
         ]  # fmt: skip
         (first, *_) = ss.stream_scenarios("flow")
-        for method in ladder.ladder():
+        for method in ss.ladder():
             config = first.config(method)
             assert len(config.chosen_orientations) == (6 if "six" in method.name else 4)
             assert config.stream_task.gate == ("gate" in method.arguments)
 
     def test_no_more_come_than_the_entrance_takes(self) -> None:
-        event = named("flow", ladder.EVENT)
+        event = named("flow", ss.EVENT)
         known = {"S, 1.5 m/s, sides": 1.5 / 0.27, "S and B, 1 m/s, chutes": 1.0 / 0.37}
         for offered, rate in known.items():
             config = slope("flow", offered).config(event)
@@ -233,7 +235,7 @@ def offer(method: Method, rate: float, least: float = 0.0, controller: Any = Non
     return Sample(make_rows([{"seed": 0, **row} for row in rows])) if rows else None
 
 
-@pytest.mark.parametrize("name", [ladder.EVENT, ladder.ARRANGED])
+@pytest.mark.parametrize("name", [ss.EVENT, ss.ARRANGED])
 def test_what_comes_leaves_in_the_long_run(name) -> None:
     """To the parcel, as whole gaps count: every replication delivers what was offered."""
     found = offer(named("flow", name), 3000.0)
@@ -243,7 +245,7 @@ def test_what_comes_leaves_in_the_long_run(name) -> None:
 
 def test_every_method_meets_the_same_stream() -> None:
     """A third of it is to go straight on: so many are right with all axes at 90 deg."""
-    event = named("flow", ladder.EVENT)
+    event = named("flow", ss.EVENT)
     config = CASE.config(event, 3000.0)
     roll = Scripted([[[find_axes(config).roll] * config.action_kind.size]] * 4)
     held, rule = offer(event, 3000.0, controller=roll), offer(event, 3000.0)
@@ -309,3 +311,52 @@ def test_the_greatest_rate_is_found_to_two_in_a_hundred(share) -> None:
         offered = found[0]["offered"]
         assert tried == [offered] if math.isinf(share) else most / 1.02 <= offered <= most
         assert len(tried) <= 12
+
+
+FAST = slope("flow", "S, 2 m/s, sides", replications=2)
+
+
+def test_zones_are_as_long_as_lets_most_parcels_in(monkeypatch) -> None:
+    known = {4: 3000.0, 5: 3500.0, 6: 3400.0, 7: 3300.0}
+    tried = []
+
+    def library(_: object, groups: Any, **__: float) -> Any:
+        tried.append(groups.columns)
+        right = np.array([groups.columns in known])
+        return SimpleNamespace(correct=right, gaps=np.zeros(1), signature=right, groups=groups)
+
+    monkeypatch.setattr(ss, "make_library", library)
+    monkeypatch.setattr(ss, "predict_rate", lambda made, *_: known[made.groups.columns])
+    # The best does not do without touches.
+    monkeypatch.setattr(
+        ss, "make_scheduler", lambda _, groups: groups if groups.columns != 5 else None
+    )
+    method = named("flow", ss.ARRANGED)
+    assert method.controller(FAST.config(method), 0) == ColumnGroups(6, 1, exclusive=True)
+    assert tried == [4, 5, 6, 7]
+
+
+def test_a_method_that_cannot_sort_has_no_capacity(monkeypatch) -> None:
+    monkeypatch.setattr(ss, "make_scheduler", lambda *_: None)
+    found = measured(sc.ScenarioJob(FAST, named("flow", ss.MODULES), 0))
+    assert (found.constant("actuators"), found.is_sustained) == (0, False)
+    assert np.isnan(found.constant("best"))
+
+
+def test_a_rung_is_measured_with_its_hardware() -> None:
+    found = measured(sc.ScenarioJob(FAST, named("flow", ss.ARRANGED), 0))
+    assert (found.constant("actuators"), found.constant("modules")) == (
+        1,
+        4 * found.constant("columns"),
+    )
+    assert found.constant("offered") == found.constant("bound")  # all that the entrance takes
+    assert 0.9 < found.throughput / found.constant("best") < 1.1
+    assert 0.3 < found.turns / found.constant("modules") < 2.0  # the same exit may come twice
+
+
+def test_the_scheduler_is_the_one_that_delivers_more(monkeypatch) -> None:
+    late = gated(duration=12.0).replace(actuators=sg.Actuators(axis_speed=20.0, stuck_share=0.01))
+    offered = [("slow", 3), ("prompt", 5)]
+    monkeypatch.setattr(ss, "find_plain", lambda *_: offered.pop(0))
+    monkeypatch.setattr(ss, "make_model_library", lambda *_: None)
+    assert ss.make_best_scheduler(late, 0) == "prompt"
