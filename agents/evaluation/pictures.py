@@ -17,7 +17,7 @@ from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter
 from numpy.typing import NDArray
 
 import surface_gym as sg
-from surface_gym.config import PRESETS, EnvConfig
+from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.player import replay
 from surface_gym.recorder import RecordReplay
@@ -29,7 +29,7 @@ from ..library import task_label
 from ..rollout import Episodes
 from .method import FIXED, PLANNER
 from .results import Results
-from .scenario import FACTORS, LAB, SHAPES, STARTS, TRAINED, Factor
+from .scenario import FACTORS, LAB, SHAPES, TRAINED, Factor
 from .streams import SIX_MODULES
 from .views import BEST, CANNOT, ENTRANCE, Capacities, Sweep, level_text
 
@@ -92,43 +92,6 @@ def draw_bars(
                 errors = [[max(0.0, bar.height - bar.low)], [max(0.0, bar.high - bar.height)]]
                 panel.errorbar(x, bar.height, errors, color=INK, elinewidth=0.8)
     panel.set_xticks(range(len(groups)), groups)
-
-
-def draw_success(task: str, results: Results, file: Path) -> None:
-    """Draw success rates by preset with 95 % intervals, one bar per method."""
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
-    panel = figure.subplots()
-
-    def find(preset: str, name: str) -> Bar | None:
-        sample = results.find(task, STARTS, preset, name)
-        return None if sample is None else Bar(sample.rate, *sample.interval)
-
-    draw_bars(panel, list(PRESETS), results.methods(task, STARTS), find)
-    panel.set_xticks(range(len(PRESETS)), [preset.label for preset in PRESETS.values()])
-    panel.set(ylim=(0.0, 1.03), ylabel="success")
-    save_figure(figure, file, panel)
-
-
-def draw_times(task: str, grid: SpeedGrid, results: Results, file: Path) -> None:
-    """Draw the time of success over entry speed, for the slower side of the first seed.
-
-    Lines have gaps where the method fails. Methods without results for all starts have no line.
-    """
-    count = math.prod(grid.shape)
-    ran = results.at(task, STARTS, "exact")
-    whole = {name: sample for name, sample in ran.items() if sample.success.shape[1] == count}
-    colours = choose_colours(whole)
-    figure = Figure(figsize=(12.0, 4.0), layout="constrained")
-    panels = figure.subplots(1, len(PARCELS), sharey=True)
-    for panel, parcel in zip(panels, PARCELS, strict=True):
-        for name, sample in whole.items():
-            time = grid.slower_time(sample, parcel)[0]
-            time = np.where(np.isfinite(time), time, np.nan)
-            panel.plot(grid.speeds, time, color=colours[name], label=name, linewidth=1.6)
-        panel.set(title=f"{parcel}-box", xlabel="entry speed [m/s]")
-        panel.grid(color=PALE)
-    panels[0].set(ylabel="time to sort [s]", ylim=(0.0, 3.0))
-    save_figure(figure, file, *panels, legend=panels[0])
 
 
 def draw_trajectories(grid: SpeedGrid, runs: dict[str, Episodes], file: Path) -> None:

@@ -117,7 +117,7 @@ def write_report(
         advance(f"drawing {task}")
         made, methods = views.make_tables(task, results), selection.methods(task)
         if task in single:
-            drawn = _draw_starts(task, methods, results, folder)
+            drawn = _draw_starts(methods, folder)
         else:
             drawn = _draw_streams(task, methods, results, folder, selection.extent)
         write_markdown(made, folder / f"{library.task_label(task)}.md", head)
@@ -125,9 +125,6 @@ def write_report(
             Section(each, [] if k else drawn, () if k else find_benchmark(task).columns)
             for k, each in enumerate(made)
         ]
-    if decisions := views.decision_tables(single, results):
-        write_markdown(decisions, folder / "decisions.md")
-        sections += [Section(each, []) for each in decisions]
     show_tables([each.table for each in sections], console, note)
     write_page(sections, folder / "report.html", note)
 
@@ -157,20 +154,12 @@ def show_tables(tables: Iterable[Table], console: Console, note: str) -> None:
         console.print(note)
 
 
-def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder: Path) -> Pictures:
-    compared, label = start_benchmark(task), library.task_label(task)
-    success = folder / f"{label}-success.png"
-    pictures.draw_success(task, results, success)
-    drawn = [(success, "Success by preset, with 95 % intervals.")]
-    both = rivals(methods)
-    if compared.grid is not None:
-        times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        if views.speed_tables(task, results):
-            pictures.draw_times(task, compared.grid, results, times)
-            said = "Time to sort by entry speed; no line where a parcel is not sorted."
-            drawn.append((times, said))
-        write_trajectories(both, paths)
-        drawn.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
+def _draw_starts(methods: Sequence[Method], folder: Path) -> Pictures:
+    task, both, drawn = methods[0].task, rivals(methods), []
+    if start_benchmark(task).grid is not None:
+        file = folder / f"{library.task_label(task)}-trajectories.png"
+        write_trajectories(both, file)
+        drawn.append((file, "Trajectories by entry speed; dotted where it is not sorted."))
     return [*drawn, write_example(both, folder)]
 
 

@@ -136,11 +136,6 @@ class Sample:
         """[-] 95 % interval of the success rate."""
         return interval(self.success)
 
-    @property
-    def decision_time(self) -> float:
-        """[s] time of one environment's decision, mean over seeds."""
-        return float(np.mean(self.values("decision_time")[:, 0]))
-
     # Results of streams.
 
     @property
@@ -180,26 +175,19 @@ class Sample:
 
     @property
     def turns(self) -> float:
-        """[-] turns of axes per correct delivery, over whole episodes."""
-        return float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
+        """[-] turns of actuators per correct delivery, over whole episodes.
 
-    @property
-    def turns_per_actuator(self) -> float:
-        """[-] turns of actuators per correct delivery; the default is one actuator per axis."""
+        The default is one actuator per axis.
+        """
+        turns = float(self.values("turns").sum() / max(1.0, self.values("sorted").sum()))
         modules = self.constant("modules")
-        return self.turns if math.isnan(modules) else self.turns / modules
+        return turns if math.isnan(modules) else turns / modules
 
     @property
     def touches(self) -> float:
         """Number of touches among departed parcels."""
         touches = self.values("touches_per_1000") * self.values("delivered") / 1000.0
         return float(np.where(np.isfinite(touches), touches, 0.0).sum())
-
-    @property
-    def waiting(self) -> float:
-        """[s] waiting time at the entry, mean over replications."""
-        waits = self.values("waiting_mean")
-        return float(np.where(np.isfinite(waits), waits, 0.0).mean())
 
     def mean(self, name: str) -> float:
         values, delivered = self.values(name), self.values("delivered")

@@ -114,26 +114,6 @@ def speed_tables(task: str, results: Results) -> list[Table]:
     )
 
 
-def decision_tables(tasks: Sequence[str], results: Results) -> list[Table]:
-    """Make the table of decision times by method and task, with exact sensors.
-
-    Times differ from run to run. This table has its own file, so that the other tables can be
-    compared byte by byte.
-    """
-    ran = {task_label(task): results.at(task, STARTS, "exact") for task in tasks}
-    times = {
-        label: {name: 1e6 * sample.decision_time for name, sample in samples.items()}
-        for label, samples in ran.items()
-    }
-    names = dict.fromkeys(name for task in tasks for name in results.methods(task, STARTS))
-    return tabulate(
-        "decisions",
-        "time of one decision in one environment [us], decided many at a time, median; only these "
-        "numbers differ from run to run",
-        [{NAME: k} | {task: number(us.get(k), ".1f") for task, us in times.items()} for k in names],
-    )
-
-
 class Sweep:
     """Results of the robustness study of one task."""
 
@@ -163,8 +143,7 @@ class Sweep:
 
 def sweep_tables(task: str, results: Results) -> list[Table]:
     """Make the tables of a task's robustness study."""
-    makers = (factor_tables, square_tables, shape_tables)
-    return [table for make in makers for table in make(task, results)]
+    return [*factor_tables(task, results), *shape_tables(task, results)]
 
 
 def factor_tables(task: str, results: Results) -> list[Table]:
@@ -207,40 +186,6 @@ def _heading(factor: Factor) -> str:
 def level_text(level: Level) -> str:
     """Return a level as text."""
     return level if isinstance(level, str) else f"{level:g}"
-
-
-def square_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of squares: worst size, and success relative to the planner, by method."""
-    sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
-    for name in sweep.methods:
-        ran = {each: sweep.find(name, "square", each) for each in squares.levels}
-        rates = {level: sample.rate for level, sample in ran.items() if sample is not None}
-        if not rates:
-            continue
-        worst = min(rates, key=lambda level: rates[level])
-        found = [_share_of_planner(sweep, name, level) for level in rates]
-        rows.append(
-            {
-                NAME: name,
-                "worst, at [m]": f"{rates[worst]:.2f} at {level_text(worst)}",
-                "mean over sizes": f"{sum(rates.values()) / len(rates):.2f}",
-                "least share of the planner's": number(np.fmin.reduce(found), ".2f"),
-            }
-        )
-    return tabulate(
-        f"{task_label(task)}: squares",
-        f"success on squares of {squares.levels[0]:g} to {squares.levels[-1]:g} m; beside the "
-        "planner's on the starts and sizes that it ran on",
-        rows,
-    )
-
-
-def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
-    """Return success relative to the planner on its starts; NaN if the planner did not succeed."""
-    planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
-    if planned is None or sample is None or not planned.rate:
-        return math.nan
-    return float(sample.success[:, : planned.success.shape[1]].mean() / planned.rate)
 
 
 def shape_tables(task: str, results: Results) -> list[Table]:
@@ -371,7 +316,7 @@ def ladder_tables(found: Capacities) -> list[Table]:
         ]
         delivered = sum(each.values("delivered").sum() for each in able)
         touches = 1000.0 * sum(each.touches for each in able) / max(1, delivered)
-        turns = [each.turns_per_actuator for each in able]
+        turns = [each.turns for each in able]
         row(
             name, _span([int(each) for each in found.constants(name, "actuators") if each > 0.0]),
             cells, number(touches if able else None, ".1f"),

@@ -77,7 +77,6 @@ class TestStarts:
         first = made.samples["slow", STARTS, "exact", "a"]
         assert (first.rate, first.success.shape, first.seeds) == (0.5, (2, 2), (0, 1))
         np.testing.assert_array_equal(first.metric("ratio_error"), [[0.001, 0.02]] * 2)
-        assert first.decision_time == 2e-5
         assert np.isnan(first.values("nothing")).all()
         assert made.methods("slow") == ["a", "b"]
         assert made.find("slow", STARTS, "lab", "a") is None
@@ -87,13 +86,13 @@ class TestStreams:
     def test_figures_are_those_of_all_replications(self) -> None:
         found = Sample(
             stream_rows(
-                KEY, [10, 12], counted=20.0, delivered=[10, 15], waiting_mean=[0.2, 0.4],
+                KEY, [10, 12], counted=20.0, delivered=[10, 15],
                 touches_per_1000=[100.0, 0.0],
             )
         )  # fmt: skip
         assert (found.rates.tolist(), found.throughput) == ([1800.0, 2160.0], pytest.approx(1980.0))
         assert found.share_correct == pytest.approx(22 / 25)
-        assert (found.touches, found.waiting) == (pytest.approx(1.0), pytest.approx(0.3))
+        assert found.touches == pytest.approx(1.0)
         # Two values: half the interval is 12.706 of the mean's standard error.
         assert found.margin == pytest.approx(12.706 * 180.0, rel=1e-4)
         assert found.mean("touches_per_1000") == pytest.approx(40.0)  # by the parcels delivered

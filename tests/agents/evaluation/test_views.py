@@ -62,7 +62,6 @@ def unknown(rule: list[float], *agents: list[float], touches: float = 0.0) -> Re
 ONE = merged([1.0, 2.0, 3.0], [0.9, 1.89, 2.91])
 TABLES: dict[str, Callable[[], list[Table]]] = {
     "task": lambda: [*views.task_tables("slow", SLOW), *views.speed_tables("sort", SORT)],
-    "decisions": lambda: views.decision_tables(["slow", "sort"], SLOW),
     "sweep": lambda: views.sweep_tables("slow", SWEPT),
     "capacity": lambda: views.stream_tables("flow", FLOW),
     "offers": lambda: views.stream_tables("merge", ONE),
@@ -94,10 +93,6 @@ def test_a_row_for_each_method() -> None:
     assert fixed[2].startswith("0.250 (")
     assert rule[3:5] == ("0.500", "0.0030")  # the median's
     assert (planner[0], planner[3]) == ("planner (2 starts)", "-")
-    # Decision times stand apart.
-    assert not any("decision" in name for name in table.header)
-    (times,) = views.decision_tables(["slow"], SLOW)
-    assert (times.header, dict(times.rows)["a <rule>"]) == (("controller", "slow"), "20.0")
 
 
 def test_by_speed() -> None:
@@ -132,19 +127,6 @@ class TestSweep:
         assert "24 starts (planner: 6)" in table.caption
         (track,) = views.factor_tables("track", SWEPT)
         assert not any("zone" in name for name in track.header)
-
-    def test_squares_beside_the_planners(self) -> None:
-        rows = {row[0]: row[1:] for row in views.square_tables("slow", SWEPT)[0].rows}
-        assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
-        shares = []
-        for level in SQUARE.shown:
-            own, best = (SWEEP.find(name, "square", level) for name in ("PPO", PLANNER))
-            assert own is not None
-            assert best is not None
-            assert best.success.shape == (1, 6)
-            shares.append(own.success[:, :6].mean() / best.rate)
-        assert rows["PPO"][2] == f"{min(shares):.2f}"
-        assert views.square_tables("track", SWEPT)[0].rows[0][-1] == "-"
 
     def test_the_lab_by_shape(self) -> None:
         shapes = np.array([SHAPES[k % 3] for k in range(made.COUNT)])  # no polygon was drawn
@@ -251,11 +233,7 @@ class TestUnseen:
 def test_every_plot_is_drawn(tmp_path, monkeypatch) -> None:
     saved: list[int] = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: saved.append(len(self.axes)))
-    pictures.draw_success("slow", SLOW, tmp_path / "a.png")
-    error = pictures.ErrorPlot("ratio_error", "error", limit=0.01)
-    pictures.draw_errors("slow", error, SLOW, tmp_path / "a.png")
-    pictures.draw_times("sort", made.GRID, SORT, tmp_path / "a.png")
     pictures.draw_capacities(TestCapacities.FOUND, tmp_path / "a.png")
     pictures.draw_sweep(["slow", "track"], SWEPT, tmp_path / "a.png")
-    assert saved == [1, 1, 2, 1, 2 * (len(FACTORS) - 1)]
+    assert saved == [1, 2 * (len(FACTORS) - 1)]
     assert SLOW.methods("slow", STARTS) == ["fixed layout", "a <rule>", "planner"]
