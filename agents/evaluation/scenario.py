@@ -1,4 +1,4 @@
-"""Scenarios: conditions of the comparison, and their episodes; those of one parcel.
+"""Scenarios of the comparison, and their episodes; all scenarios of one parcel.
 
 In the robustness study, one factor at a time differs from training.
 """

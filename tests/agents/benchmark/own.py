@@ -129,22 +129,10 @@ class ForksTwiceNatively(Bad):
         time.sleep(10.0)
 
 
-class ForksBomb(Bad):
-    def act(self):
-        for _ in range(6):
-            LIBC.fork()
-        time.sleep(100.0)
-
-
 class Writes(Bad):
     def act(self):
         with suppress(OSError):
             pathlib.Path(OUTSIDE).write_text("text")
-
-
-class WritesByDescriptor(Bad):
-    def act(self):
-        os.close(os.open(OUTSIDE, os.O_CREAT | os.O_WRONLY))
 
 
 class WritesByLink(Bad):
@@ -158,12 +146,6 @@ class Removes(Bad):
     def act(self):
         with suppress(OSError):
             os.remove(__file__)
-
-
-class Renames(Bad):
-    def act(self):
-        with suppress(OSError):
-            os.rename(__file__, "here")
 
 
 class MakesFolder(Bad):
@@ -255,11 +237,6 @@ def connection():
 class SendsGarbage(Bad):
     def act(self):
         connection().sendall(b"garbage " * 100)
-
-
-class SendsMuch(Bad):
-    def act(self):
-        connection().sendall(b"\x40\x00\x00\x00\xff\xff\xff\xff")
 
 
 class SendsHalf(Bad):
@@ -357,14 +334,6 @@ class AsksForMore(Zeros):
 
 class AsksForUnknownActions(Zeros):
     env_kwargs = {"actions": "others"}
-
-
-class AsksForWrongKind(Zeros):
-    env_kwargs = {"orientations": {"a": 1}}
-
-
-class AsksForNumber(Zeros):
-    env_kwargs = 3
 
 
 class AsksForMuch(Zeros):
