@@ -5,7 +5,7 @@ modules act with `AimRule` for one parcel, and with the scheduler for streams.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,19 @@ from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, fi
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.benchmark import Offer
 
-from ..base import Controller
 from ..library import QUEUE, task_label
 from ..rollout import Episodes
 from ..rules.aiming import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
-from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
+from .method import (
+    Method,
+    is_on_streams,
+    rules,
+    seedless,
+    shipped,
+    start_benchmark,
+    stream_benchmark,
+)
 from .pictures import Bar, draw_bars, save_figure
 from .report import show_tables
 from .results import Results, Sample
@@ -82,35 +89,28 @@ def kind_methods(task: str) -> list[Method]:
     An argument `modules` is a function that makes the modules; see `_suited`.
     """
     given: dict[str, Any] = {"info": ("energy",)}
+    make: Callable[..., Any]
+    kinds: Mapping[str, Callable[..., ModuleKind]]
     if is_on_streams(task):
         given |= {"actions": "parcels", "gate": True, "queue": QUEUE}
-        idle = Method(IDLE, task, _schedule, given | {"orientations": SIX})
-        driven = (
-            Method(kind, task, _schedule, given | {"modules": make})
-            for kind, make in STREAM_KINDS.items()
-        )
-        return [idle, *driven]
-    known = [each for each in (*rules(task), *shipped(task)) if each.most is None]
-    return [
-        *(
-            replace(
-                each, name=f"{IDLE}, {each.name}", arguments=each.arguments | given, presets=None
-            )
+        make, kinds = make_scheduler, STREAM_KINDS
+        idle = [Method(IDLE, task, partial(seedless, make), given | {"orientations": SIX})]
+    else:
+        known = [each for each in (*rules(task), *shipped(task)) if each.most is None]
+        idle = [
+            replace(each, name=f"{IDLE}, {each.name}", arguments=each.arguments | given,
+                    presets=None)
             for each in known
-        ),
+        ]  # fmt: skip
+        given |= {"actions": "halves"}
+        make, kinds = AimRule, AIMS[task].kinds
+    return [
+        *idle,
         *(
-            Method(kind, task, _aim, given | {"actions": "halves", "modules": make})
-            for kind, make in AIMS[task].kinds.items()
+            Method(kind, task, partial(seedless, make), given | {"modules": each})
+            for kind, each in kinds.items()
         ),
-    ]  # fmt: skip
-
-
-def _aim(config: EnvConfig, _seed: int) -> Controller:
-    return AimRule(config)
-
-
-def _schedule(config: EnvConfig, _seed: int) -> Controller | None:
-    return make_scheduler(config)
+    ]
 
 
 def _suited(method: Method, **given: Any) -> Method:

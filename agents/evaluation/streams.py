@@ -41,7 +41,7 @@ from ..scheduling.scheduler import (
     make_scheduler,
     predict_rate,
 )
-from .method import METHODS, PLANNER, Method, shipped, stream_benchmark
+from .method import METHODS, PLANNER, Method, seedless, shipped, stream_benchmark
 from .scenario import SEED, WHOLE, Extent, Row, Scenario, ScenarioJob, make_jobs
 
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab on streams, never tuned on
@@ -417,8 +417,8 @@ def ladder() -> list[Method]:
         _rung(SIX_COLUMNS, "modules", columns, SIX),
         _rung(MODULES, "parcels", modules),
         _rung(SIX_MODULES, "parcels", modules, SIX),
-        Method(EVENT, TASK, partial(_alone, StreamEventRule), {"actions": "parcels"}),
-        Method(EACH, TASK, partial(_alone, SortEach), {"actions": "parcels"}, presets=("exact",)),
+        Method(EVENT, TASK, partial(seedless, StreamEventRule), {"actions": "parcels"}),
+        Method(EACH, TASK, partial(seedless, SortEach), {"actions": "parcels"}, presets=("exact",)),
         *(replace(each, seeds=each.seeds[:1]) for each in _learned()),
     ]
 
@@ -442,10 +442,6 @@ def _rung(
     if orientations is not None:
         given["orientations"] = orientations
     return Method(name, TASK, make, given)
-
-
-def _alone(make: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
-    return make(config)
 
 
 def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Scheduler | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -21,7 +22,10 @@ from surface_gym.validation import simulation
 from surface_gym.validation.simulation import RECIPE, Recipe
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
-MUJOCO, IMPLICIT, EXPLICIT = "MuJoCo", "implicit", "explicit"  # names of the compared models
+# Names of the compared models.
+MUJOCO: Final = "MuJoCo"
+IMPLICIT: Final = "implicit"
+EXPLICIT: Final = "explicit"
 INTEGRATIONS = {
     IMPLICIT: Integration(IMPLICIT, 1e-3),
     EXPLICIT: COARSE,  # our inferred step of Section 5
