@@ -344,7 +344,7 @@ class ZipSource(PolicySource):
         return self._model
 
 
-# By kind; called with the path and the name of a class.
+# Sources are called with the path and the name of a class.
 SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
     "python": PythonSource,
     "package": PackageSource,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle, islice, repeat, zip_longest
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -180,38 +180,39 @@ def draw_capacities(found: Capacities, file: Path) -> None:
 WIDTH, HEIGHT = 2.0, 1.35  # [inch] size of a panel
 NARROWEST = 9.0  # [inch] minimum width of the figure, for its legend
 IN_LAB = ("all", "square", "rect.", "disc", "poly.")
-ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
 OWN_RULES = ("event rule", "braking rule", "sliding mode", "turning rule")  # one per task
+ALGORITHMS = {"PPO": BLUE, "DQN": ORANGE, "PPO per module": GREEN}
+
+LineStyle = dict[str, Any]  # arguments of `Line2D`
 
 
-class Style(NamedTuple):
-    """The line of a method."""
+def _style(
+    label: str, colour: str, dashes: str = "-", width: float = 1.6, marker: str = "o",
+    order: int = 2,
+) -> LineStyle:  # fmt: skip
+    return {
+        "label": label, "color": colour, "linestyle": dashes, "linewidth": width, "marker": marker,
+        "zorder": order,
+    }  # fmt: skip
 
-    label: str  # label in the legend; may be shared
-    colour: str
-    dashes: Literal["-", "--", "-.", ":", "None"] = "-"
-    width: float = 1.6  # [pt]
-    marker: str = "o"  # marker for levels that are names
-    above: int = 2  # drawing order
 
-
-OWN = Style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
+OWN = _style(f"rule of the task ({', '.join(OWN_RULES)})", RED, "-.", 1.6, "s", 3)
 STYLES = {
-    FIXED: Style(FIXED, "#8c8c8c", ":", 1.3, "x"),
-    "threshold logic": Style("threshold logic", PINK, ":", 1.3, "v"),
-    "PID per module": Style("PID per module", SKY, ":", 1.3, "^"),
-    PLANNER: Style(PLANNER, INK, "None", 1.0, "_", 6),
+    FIXED: _style(FIXED, "#8c8c8c", ":", 1.3, "x"),
+    "threshold logic": _style("threshold logic", PINK, ":", 1.3, "v"),
+    "PID per module": _style("PID per module", SKY, ":", 1.3, "^"),
+    PLANNER: _style(PLANNER, INK, "None", 1.0, "_", 6),
 } | dict.fromkeys(OWN_RULES, OWN)
 
 
-def find_style(name: str) -> Style:
-    """Return the line style of a method; agents for a preset vary their algorithm's colour."""
+def find_style(name: str) -> LineStyle:
+    """Return the line of a method; agents for a preset vary their algorithm's colour."""
     algorithm, comma, preset = name.partition(", ")
     if colour := ALGORITHMS.get(algorithm):
         if comma:
-            return Style(f"{algorithm}, trained for the {preset}", colour, "-", 2.0, "D", 5)
-        return Style(name, colour, "--", 1.2, "o", 4)
-    return STYLES.get(name, Style(name, INK, "--"))
+            return _style(f"{algorithm}, trained for the {preset}", colour, "-", 2.0, "D", 5)
+        return _style(name, colour, "--", 1.2, "o", 4)
+    return STYLES.get(name, _style(name, INK, "--"))
 
 
 def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
@@ -230,14 +231,11 @@ def draw_sweep(tasks: Sequence[str], results: Results, file: Path) -> None:
             _draw_panel(panel, sweep, factor)
     for panel, task in zip(panels[0], tasks, strict=True):
         panel.set_title(task_label(task).capitalize(), fontsize=12, fontweight="bold", color=INK)
-    styles = {
-        style.label: style for style in (find_style(n) for sweep in sweeps for n in sweep.methods)
-    }
+    found = [find_style(name) for sweep in sweeps for name in sweep.methods]
     handles = [
-        Line2D([], [], color=style.colour, linestyle=style.dashes, linewidth=style.width,
-               marker=style.marker, markersize=5, label=style.label)
-        for style in styles.values()
-    ]  # fmt: skip
+        Line2D([], [], markersize=5, **each)
+        for each in {style["label"]: style for style in found}.values()
+    ]
     figure.legend(
         handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9,
     )  # fmt: skip
@@ -249,22 +247,18 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
 
     If the levels are names, the methods' points are side by side.
     """
-    names = sweep.methods
-    drawn = False
-    for place, name in enumerate(names):
-        style = find_style(name)
-        points = _points(sweep, name, factor)
-        if not points:
+    points = {name: _points(sweep, name, factor) for name in sweep.methods}
+    for place, (name, found) in enumerate(points.items()):
+        if not found:
             continue
-        drawn = True
-        x, rates = np.array(points).T
-        aside = 0.7 * ((place + 0.5) / len(names) - 0.5) if factor.is_named else 0.0
-        panel.plot(
-            x + aside, rates, color=style.colour, linewidth=style.width, zorder=style.above,
-            linestyle="None" if factor.is_named else style.dashes,
-            marker=style.marker if factor.is_named or style.dashes == "None" else "",
-            markersize=4.5, clip_on=False,
-        )  # fmt: skip
+        x, rates = np.array(found).T
+        style = find_style(name)
+        if factor.is_named:
+            x += 0.7 * ((place + 0.5) / len(points) - 0.5)
+            style = style | {"linestyle": "None"}
+        if style["linestyle"] != "None":
+            style = style | {"marker": ""}
+        panel.plot(x, rates, markersize=4.5, clip_on=False, **style)
     panel.set(ylim=(0.0, 1.0), yticks=(0.0, 0.5, 1.0))
     panel.tick_params(labelsize=8, colors=INK, length=2)
     panel.grid(color="#e9e9e9", linewidth=0.7)
@@ -277,7 +271,7 @@ def _draw_panel(panel: Axes, sweep: Sweep, factor: Factor) -> None:
         ticks = IN_LAB if factor.name == LAB else tuple(map(level_text, factor.levels))
         panel.set_xlim(-0.5, len(ticks) - 0.5)
         panel.set_xticks(range(len(ticks)), ticks, fontsize=8)
-    if not drawn:
+    if not any(points.values()):
         panel.axis("off")
 
 
