@@ -134,45 +134,34 @@ class StreamScenario(Scenario):
         for rate in offer.rates:
             config = self.config(method, rate)
             rows = self._measure(method, config, controller or method.controller(config, seed))
-            correct, delivered = (
-                sum(row[name] for row in rows) for name in ("correct", "delivered")
-            )
-            held = correct / max(1, delivered) >= IN_ORDER and not any(row["jam"] for row in rows)
-            if len(offer.rates) == 1 or held:
+            if len(offer.rates) == 1 or is_sustained(rows, IN_ORDER):
                 break
             controller = None
-        bound = self._bound(config)
+        is_full = offer.rates == (ENTRANCE,)
+        bound = entrance_bound(config) if is_full else config.stream_task.rate_bound(config)
         return [{**row, "bound": bound} for row in rows]
-
-    def _bound(self, config: EnvConfig) -> float:
-        if self.offer.rates in ((), (ENTRANCE,)):
-            return entrance_bound(config)
-        return config.stream_task.rate_bound(config)
 
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
         """Search for the highest sustained rate; numbers are NaN if there is none."""
-        count, ceiling = self.episodes(method), entrance_bound(config)
+        ceiling, least = entrance_bound(config), self.least_correct
         fixed = {"actuators": 0, "columns": 0, "modules": 1, "bound": ceiling, "best": math.nan}
         rows: list[Row] | None = None
         if controller is not None:
+
+            def sustained(rate: float) -> list[Row] | None:
+                found = self._measure(method, self.config(method, rate), controller, least)
+                return found if found and is_sustained(found, least) else None
+
             hardware = count_hardware(config, controller)
             fixed |= dict(zip(("actuators", "columns", "modules"), hardware, strict=True))
-            rows = find_capacity(
-                lambda rate: self._sustained(method, controller, rate), ceiling,
-                config.stream_task.gate,
-            )  # fmt: skip
+            rows = find_capacity(sustained, ceiling, config.stream_task.gate)
         if isinstance(controller, Scheduler):
             made = controller.library
             fixed["best"] = clairvoyant_bound(made, np.ones(len(made.signature)))
         nothing: Row = {"offered": math.nan, "counted": math.nan, "correct": math.nan}
-        return [{**row, **fixed} for row in rows or [nothing] * count]
-
-    def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
-        config, least = self.config(method, rate), self.least_correct
-        rows = self._measure(method, config, controller, least)
-        return rows if rows and is_sustained(rows, least) else None
+        return [{**row, **fixed} for row in rows or [nothing] * self.episodes(method)]
 
     def _measure(
         self, method: Method, config: EnvConfig, controller: Controller, least_correct: float = 0.0
@@ -192,22 +181,16 @@ def stream_scenarios(
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
-    chosen = [each for each in groups if each in known] or known[:1]
+    offers = list(benchmark.offers)
+    if extent.offers is not None:  # the example first
+        offers.sort(key=lambda each: each.name != benchmark.filmed)
     return [
         StreamScenario(task, preset, extent, offer.scenario)
-        for group in chosen
+        for group in [each for each in groups if each in known] or known[:1]
         for preset in benchmark.presets
         if extent.presets is None or preset in extent.presets
-        for offer in _some(benchmark, group, extent.offers)
+        for offer in [each for each in offers if each.group == group][: extent.offers]
     ]
-
-
-def _some(benchmark: StreamBenchmark, group: str, count: int | None) -> list[Offer]:
-    """Select `count` offered streams of a group, the example first; None: all."""
-    offers = [each for each in benchmark.offers if each.group == group]
-    return (
-        sorted(offers, key=lambda each: each.name != benchmark.filmed)[:count] if count else offers
-    )
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
