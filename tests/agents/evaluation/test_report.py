@@ -187,7 +187,7 @@ def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path) -> None:
     with imageio.get_reader(video) as frames:
         assert frames.count_frames() >= 5
         assert frames.get_data(0).std() > 10.0
-    assert said == "time slots and PPO per module: three lines, lab."
+    assert said == "time slots, 8 at once and PPO per module: three lines, lab."
 
 
 GIVEN: dict[str, Any] = {
