@@ -113,11 +113,11 @@ class Board:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
-    def score(self, entry: BenchmarkEntry, tasks: Sequence[str]) -> Score:
-        """Return the score over all cells of tasks; NaN if one is missing."""
-        cells = [self.normalised(entry, task, cell) for task in tasks for cell in CELLS]
+    def score(self, entry: BenchmarkEntry, task: str) -> Score:
+        """Return the score over all cells of a task; NaN if one is missing."""
+        cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
-        if not whole or len(whole) < len(cells):
+        if len(whole) < len(cells):
             return Score(math.nan, math.nan, math.nan)
         return score_cells(whole)
 
@@ -127,7 +127,7 @@ class Board:
         for entry in self.entries:
             rows = [row for row in entry.rows if row.task == task]
             if rows:
-                score = self.score(entry, (task,))
+                score = self.score(entry, task)
                 place = -math.inf if math.isnan(score.value) else score.value
                 ranked.append((-place, entry.name, self._line(entry, rows, score)))
         if not ranked:
