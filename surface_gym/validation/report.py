@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -236,12 +237,11 @@ def _convergence(study: Study) -> Table:
         *("error\nx [mm]", "\ny [mm]", "theta\n[deg]"),
         labels=2,
     )
-    for before, variant in pairwise((None, *study.convergence)):
-        is_new = before is None or variant.case != before.case
-        if is_new and before is not None:
-            table.add_section()
-        name = variant.case.name if is_new else ""
-        table.add_row(name, variant.change, *_numbers((*variant.shift, *variant.error)))
+    for case, variants in groupby(study.convergence, attrgetter("case")):
+        for k, each in enumerate(variants):
+            name = "" if k else case.name
+            table.add_row(name, each.change, *_numbers((*each.shift, *each.error)))
+        table.add_section()
     return table
 
 
