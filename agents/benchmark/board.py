@@ -147,7 +147,8 @@ class Board:
         for cell in CELLS:
             results = self.results(entry, rows[0].task, cell)
             failed = any(row.failure for row in rows if row.cell == cell)
-            means.append("failed" if failed else number(_mean(results), digits))
+            mean = None if results is None else float(results.mean())
+            means.append("failed" if failed else number(mean, digits))
         name = f"[{entry.name}]({entry.link})" if entry.link else entry.name
         times = [row.decision_time for row in rows if not row.failure]
         return (
@@ -167,10 +168,6 @@ class Board:
         header = ("entry", "kind", "by", "source", "interactions")
         caption = "Interactions are control periods of training per seed."
         return Table("entries", caption, header, tuple(rows))
-
-
-def _mean(results: Numbers | None) -> float | None:
-    return None if results is None else float(results.mean())
 
 
 def _is_rate(task: str) -> bool:

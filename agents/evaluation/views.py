@@ -119,7 +119,6 @@ class Sweep:
 
     def __init__(self, task: str, results: Results) -> None:
         ran = [each for each in results.among(task) if each[0][1] != STARTS]
-        self.task = task
         self.samples = {(scenario, name): each for (_, scenario, _, name), each in ran}
         self.methods = list(dict.fromkeys(name for _, name in self.samples))
 
