@@ -142,7 +142,8 @@ class Sweep:
 
 def sweep_tables(task: str, results: Results) -> list[Table]:
     """Make the tables of a task's robustness study."""
-    return [*factor_tables(task, results), *shape_tables(task, results)]
+    makers = (factor_tables, square_tables, shape_tables)
+    return [table for make in makers for table in make(task, results)]
 
 
 def factor_tables(task: str, results: Results) -> list[Table]:
@@ -185,6 +186,40 @@ def _heading(factor: Factor) -> str:
 def level_text(level: Level) -> str:
     """Return a level as text."""
     return level if isinstance(level, str) else f"{level:g}"
+
+
+def square_tables(task: str, results: Results) -> list[Table]:
+    """Make the table of squares: worst size, and success relative to the planner, by method."""
+    sweep, squares, rows = Sweep(task, results), FACTORS["square"], []
+    for name in sweep.methods:
+        ran = {each: sweep.find(name, "square", each) for each in squares.levels}
+        rates = {level: sample.rate for level, sample in ran.items() if sample is not None}
+        if not rates:
+            continue
+        worst = min(rates, key=lambda level: rates[level])
+        found = [_share_of_planner(sweep, name, level) for level in rates]
+        rows.append(
+            {
+                NAME: name,
+                "worst, at [m]": f"{rates[worst]:.2f} at {level_text(worst)}",
+                "mean over sizes": f"{sum(rates.values()) / len(rates):.2f}",
+                "least share of the planner's": number(np.fmin.reduce(found), ".2f"),
+            }
+        )
+    return tabulate(
+        f"{task_label(task)}: squares",
+        f"success on squares of {squares.levels[0]:g} to {squares.levels[-1]:g} m; beside the "
+        "planner's on the starts and sizes that it ran on",
+        rows,
+    )
+
+
+def _share_of_planner(sweep: Sweep, name: str, level: Level) -> float:
+    """Return success relative to the planner on its starts; NaN if the planner did not succeed."""
+    planned, sample = (sweep.find(each, "square", level) for each in (PLANNER, name))
+    if planned is None or sample is None or not planned.rate:
+        return math.nan
+    return float(sample.success[:, : planned.success.shape[1]].mean() / planned.rate)
 
 
 def shape_tables(task: str, results: Results) -> list[Table]:

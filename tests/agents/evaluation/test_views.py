@@ -128,6 +128,19 @@ class TestSweep:
         (track,) = views.factor_tables("track", SWEPT)
         assert not any("zone" in name for name in track.header)
 
+    def test_squares_beside_the_planners(self) -> None:
+        rows = {row[0]: row[1:] for row in views.square_tables("slow", SWEPT)[0].rows}
+        assert (rows["PPO, lab"][0], rows[PLANNER][2]) == ("0.50 at 0.49", "1.00")
+        shares = []
+        for level in SQUARE.shown:
+            own, best = (SWEEP.find(name, "square", level) for name in ("PPO", PLANNER))
+            assert own is not None
+            assert best is not None
+            assert best.success.shape == (1, 6)
+            shares.append(own.success[:, :6].mean() / best.rate)
+        assert rows["PPO"][2] == f"{min(shares):.2f}"
+        assert views.square_tables("track", SWEPT)[0].rows[0][-1] == "-"
+
     def test_the_lab_by_shape(self) -> None:
         shapes = np.array([SHAPES[k % 3] for k in range(made.COUNT)])  # no polygon was drawn
         sample, found = SWEEP.find("PPO", LAB, LAB), SWEEP.by_shape("PPO")
