@@ -19,7 +19,7 @@ from surface_gym.physics.collision import ContactMaterial, World, make_world_scr
 from surface_gym.physics.rollout import Records, run_implicit, run_world
 from surface_gym.physics.types import STATE_SIZE, Array, make_scratch
 from surface_gym.simulation import make_bodies, simulate_together, start_state
-from surface_gym.validation.crowds import draw_parcel, scatter
+from surface_gym.validation.drawn import draw_parcel, scatter
 
 PARCELS = 24
 SHAPE = (14, 56)  # rows and columns

@@ -46,8 +46,8 @@ def _best(case: Case) -> float:
 def _beside_mujoco() -> list[Figure]:
     """Run the same sorting, each program at its largest step within 1 % of its fine solution."""
     from surface_gym import validation
+    from surface_gym.validation.comparison import METHODS, measure
     from surface_gym.validation.simulation import RECIPE
-    from surface_gym.validation.study import METHODS, measure
 
     steps = {method.name: measure(method).step for method in METHODS if method.name != "explicit"}
     box = sg.layouts.box("S")

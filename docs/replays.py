@@ -70,7 +70,7 @@ def record_stream(name: str) -> Recording:
 def record_agent(task: str, name: str) -> Recording:
     """Record an agent of streams on its own environment."""
     from surface_gym import agents
-    from surface_gym.agents.evaluation.video import Player
+    from surface_gym.agents.evaluation.pictures import Player
 
     policy = agents.load(name)
     config = EnvConfig(task, **policy.env_kwargs)
@@ -78,7 +78,7 @@ def record_agent(task: str, name: str) -> Recording:
 
 
 def _record(player: Any) -> Recording:
-    from surface_gym.agents.evaluation.video import make_env, play
+    from surface_gym.agents.evaluation.pictures import make_env, play
 
     env = RecordReplay(make_env(player.config))
     for _, info in play(player, every=sys.maxsize, env=env):

@@ -46,7 +46,7 @@ COMMANDS = {
     "play": Command("throw parcels and turn axes, in a browser", "surface_gym.play", "tools"),
     "paper": Command("compare the study's tables with ours", "surface_gym.paper.command", "tools"),
     "validation": Command(
-        "compare the model with MuJoCo", "surface_gym.validation.command", "validation"
+        "compare the model with MuJoCo", "surface_gym.validation.__main__", "validation"
     ),
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ OWN = {*MODULES, "surface_gym.registration", "surface_gym.tasks"}
 OF_A_TASK = ("surface_gym.agents.rules", "surface_gym.design")
 # Learning and planning that is made for one task's observation, and the reports of its lines.
 MADE_FOR_ONE = {
-    "surface_gym.agents.evaluation.ladder",
+    "surface_gym.agents.evaluation.streams",
     "surface_gym.agents.learning.algorithms",
     "surface_gym.agents.module_policy",
     "surface_gym.agents.planning.layouts",

@@ -18,8 +18,7 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
-from .entry import BenchmarkEntry, Row
-from .protocol import CELLS, TASKS, read_protocol
+from .entry import CELLS, TASKS, BenchmarkEntry, Row, read_protocol
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95
@@ -114,11 +113,11 @@ class Board:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
-    def score(self, entry: BenchmarkEntry, tasks: Sequence[str]) -> Score:
-        """Return the score over all cells of tasks; NaN if one is missing."""
-        cells = [self.normalised(entry, task, cell) for task in tasks for cell in CELLS]
+    def score(self, entry: BenchmarkEntry, task: str) -> Score:
+        """Return the score over all cells of a task; NaN if one is missing."""
+        cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
-        if not whole or len(whole) < len(cells):
+        if len(whole) < len(cells):
             return Score(math.nan, math.nan, math.nan)
         return score_cells(whole)
 
@@ -128,7 +127,7 @@ class Board:
         for entry in self.entries:
             rows = [row for row in entry.rows if row.task == task]
             if rows:
-                score = self.score(entry, (task,))
+                score = self.score(entry, task)
                 place = -math.inf if math.isnan(score.value) else score.value
                 ranked.append((-place, entry.name, self._line(entry, rows, score)))
         if not ranked:
@@ -148,7 +147,8 @@ class Board:
         for cell in CELLS:
             results = self.results(entry, rows[0].task, cell)
             failed = any(row.failure for row in rows if row.cell == cell)
-            means.append("failed" if failed else number(_mean(results), digits))
+            mean = None if results is None else float(results.mean())
+            means.append("failed" if failed else number(mean, digits))
         name = f"[{entry.name}]({entry.link})" if entry.link else entry.name
         times = [row.decision_time for row in rows if not row.failure]
         return (
@@ -168,10 +168,6 @@ class Board:
         header = ("entry", "kind", "by", "source", "interactions")
         caption = "Interactions are control periods of training per seed."
         return Table("entries", caption, header, tuple(rows))
-
-
-def _mean(results: Numbers | None) -> float | None:
-    return None if results is None else float(results.mean())
 
 
 def _is_rate(task: str) -> bool:

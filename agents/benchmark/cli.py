@@ -86,7 +86,7 @@ class TableConfig:
 
 def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     """Run a policy, and write its entry."""
-    from ..evaluation.runner import show_progress
+    from ..evaluation.results import show_progress
     from .entry import (
         BenchmarkEntry,
         describe_machine,

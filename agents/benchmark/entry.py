@@ -1,12 +1,20 @@
-"""Entries: results of one policy on the benchmark, by episode, and the file that holds them."""
+"""The benchmark's protocol, and entries: results of one policy by episode, and their files.
+
+A task has four cells of 128 episodes each. In the first three, sensors are exact and the axes turn
+ever more slowly, from the same starts. The fourth is the lab, with other parcels, friction, sensors
+and actuators. An episode's start follows from the protocol's seed, the cell and the episode's
+number. The file `protocol-1.json` holds a digest of all starts of a cell, so a version of the
+package that draws other starts is refused.
+"""
 
 import hashlib
 import json
+import math
 import platform
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +22,115 @@ import numpy as np
 
 import surface_gym as sg
 from surface_gym import checks
+from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.files import DAMAGE, describe_damage, read_text, replacing
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.parallel import Workers, map_jobs, without_report
-from surface_gym.registration import PERIODS
+from surface_gym.randomisation import Actuators
+from surface_gym.registration import PERIODS, SHIPPED
 
 from .. import library
-from ..evaluation.stream_scenario import measure_stream, play_stream
+from ..evaluation.streams import measure_stream, play_stream
 from ..rollout import run_episodes
-from .process import PolicyFailure, PolicyLimits, PolicyProcess
-from .protocol import CELLS, EPISODES, TASKS, VERSION, WARM_UP, TestCell, list_cells
+from ..scheduling.scheduler import begin_streams
+from .process import ENV_KWARGS, PolicyFailure, PolicyLimits, PolicyProcess
+
+VERSION = 1
+FILE = Path(__file__).parent / f"protocol-{VERSION}.json"
+EPISODES = 128  # per cell and training seed
+SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
+WARM_UP = 20.0  # [s] of a stream, before deliveries count
+TASKS = tuple(SHIPPED)
+
+
+def _slower(quarter_turn: float) -> Preset:
+    """Return exact sensors, and axes that take a time [s] to turn by 90 deg."""
+    actuators = Actuators(axis_speed=0.5 * math.pi / quarter_turn)
+    return replace(PRESETS["exact"], actuators=actuators)
+
+
+# Sensors, randomisation and actuators of each cell.
+CELLS = {
+    "0 ms": PRESETS["exact"], "100 ms": _slower(0.1), "200 ms": _slower(0.2), "lab": PRESETS["lab"],
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TestCell:
+    """A cell of a task."""
+
+    __test__ = False  # for pytest
+
+    task: str
+    cell: str
+
+    def __post_init__(self) -> None:
+        checks.one_of("task", self.task, TASKS)
+        checks.one_of("cell", self.cell, CELLS)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the first episode; episode k has this seed plus k.
+
+        Cells of a preset have the same starts, so that they differ in the axes alone.
+        """
+        place = list(PRESETS).index(CELLS[self.cell].name)
+        return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
+
+    @property
+    def digest(self) -> str:
+        """Digest of all starts by the protocol's file."""
+        found: str = read_protocol()["digests"][self.task][self.cell]
+        return found
+
+    def config(self, chosen: dict[str, Any]) -> EnvConfig:
+        """Return the configuration of the cell's environment.
+
+        Args:
+            chosen: arguments that the policy chooses; see `ENV_KWARGS`.
+
+        Raises:
+            ValueError: the policy must not choose such an argument, or not this value.
+        """
+        for name in chosen:
+            checks.one_of("env_kwargs", name, ENV_KWARGS)
+        try:
+            return EnvConfig(task=self.task, preset=CELLS[self.cell], **chosen)
+        except TypeError as error:
+            raise ValueError(str(error)) from None
+
+    def periods(self, config: EnvConfig) -> int:
+        """Return the maximum control periods of an episode: the same time for all policies."""
+        usual = EnvConfig(task=self.task)
+        return math.ceil(usual.periods * usual.control_period / config.control_period - 1e-9)
+
+    def compute_digest(self, config: EnvConfig, count: int = EPISODES) -> str:
+        """Compute the digest of the first `count` starts of an environment."""
+        if config.task.is_stream:
+            streams = begin_streams(config, count, self.seed).streams
+            arrays = [
+                getattr(streams, name)[i, :arrived]
+                for i, arrived in enumerate(streams.arrivals.tolist())
+                for name in ("time", "start", "body", "exit")
+            ]
+        else:
+            env = sg.SmartSurfaceVectorEnv(num_envs=count, **config.arguments())
+            _, info = env.reset(seed=self.seed)
+            arrays = [info[name] for name in ("pose", "velocity", "parcel")]
+            arrays += [env.batch.parcels.goal.copy(), env.batch.parcels.path.copy()]
+            env.close()
+        made = hashlib.sha256()
+        for array in arrays:  # single precision is the same on every machine
+            made.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
+        return made.hexdigest()[:16]
+
+
+@lru_cache
+def read_protocol() -> dict[str, Any]:
+    """Read the protocol's file: version, digests, and references."""
+    found: dict[str, Any] = json.loads(FILE.read_text())
+    return found
+
 
 SIZE = 2**24  # [bytes] maximum size of a file
 TEXT = 200  # maximum characters of a text in an entry
@@ -118,7 +225,7 @@ class PolicyJob:
                 try:
                     if policy is None:
                         policy = processes.enter_context(PolicyProcess(self.source, self.limits))
-                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].preset)
+                    kwargs = policy.env_kwargs(test.task, CELLS[test.cell].name)
                     kwargs |= dict(self.given)
                     rows.append(self._run(policy, test, kwargs))
                 except PolicyFailure as error:
@@ -216,7 +323,7 @@ def make_jobs(
         source = str(library.SHELF / source / "seed-{seed}")
     return [
         PolicyJob(
-            tuple(list_cells((checks.one_of("tasks", task, TASKS),))),
+            tuple(TestCell(checks.one_of("tasks", task, TASKS), cell) for cell in CELLS),
             source.replace("{seed}", str(seed)), seed, chosen, limits,
         )
         for task in tasks

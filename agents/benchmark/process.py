@@ -1,12 +1,15 @@
 """A policy in a process of its own, with bounded time, memory, files and output.
 
 A policy that loops, ends, starts processes, or writes outside its folder raises a `PolicyFailure`
-in the parent, and leaves no process and no file. The parent never unpickles data of the process.
+in the parent, and leaves no process and no file. Messages are JSON objects with
+raw arrays, and all lengths are limited. Reading a message runs no code of its sender.
 
 This bounds accidents and careless code. It is no security sandbox: native code can do what the
 user can. Run entries of strangers in a container. On macOS, memory and processes are not watched.
 """
 
+import json
+import math
 import os
 import pickle
 import secrets
@@ -14,6 +17,7 @@ import shutil
 import signal
 import site
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -22,17 +26,15 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surface_gym import checks
+from surface_gym import checks, files
 from surface_gym.config import EnvConfig
 
 from .. import library
-from .frames import Message, read_message, send, to_frame
 from .watch import ProcessWatch, adopting_orphans
 
 START_TIME = 120.0  # [s] for this package to be imported in the process
@@ -53,6 +55,100 @@ SOURCES = (
     "FILE.py:Class, a folder with a policy, a model.onnx, a model.zip of Stable-Baselines3, or a "
     "shipped agent"
 )
+
+
+MAX_HEADER = 2**16  # [bytes] of a message's JSON object
+MAX_BODY = 2**26  # [bytes] of a message's arrays
+CHUNK = 2**20  # [bytes] read at once
+TYPES = (
+    "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float16",
+    "float32", "float64",
+)  # fmt: skip
+_PREFIX = struct.Struct("<II")  # lengths of header and body
+
+Message = tuple[dict[str, Any], list[NDArray[Any]]]
+
+
+def to_frame(fields: Mapping[str, Any], *arrays: NDArray[Any]) -> bytes:
+    """Return a message as bytes.
+
+    Raises:
+        ValueError: fields are not plain JSON, an array has another type, or the message is too
+            long.
+        TypeError: a field is an object without a form in JSON.
+    """
+    for each in arrays:
+        if each.dtype.name not in TYPES:
+            raise ValueError(f"arrays must be of {', '.join(TYPES)}, got {each.dtype}")
+    described = [[each.dtype.name, list(each.shape)] for each in arrays]
+    header = json.dumps({"fields": dict(fields), "arrays": described}, allow_nan=False).encode()
+    body = b"".join(each.astype(each.dtype.newbyteorder("<")).tobytes() for each in arrays)
+    _check_lengths(len(header), len(body))
+    return _PREFIX.pack(len(header), len(body)) + header + body
+
+
+def _check_lengths(header: int, body: int) -> None:
+    for name, length, most in (("header", header, MAX_HEADER), ("arrays", body, MAX_BODY)):
+        if length > most:
+            raise ValueError(f"{name} must have at most {most} bytes, got {length}")
+
+
+def read_message(connection: socket.socket, deadline: float = math.inf) -> Message:
+    """Read the next message.
+
+    Args:
+        connection: socket to the other side.
+        deadline: [s] of `time.monotonic()`.
+
+    Raises:
+        ValueError: the bytes are no message.
+        EOFError: the other side has closed the connection.
+        TimeoutError: the message is not complete at the deadline.
+    """
+    lengths = _PREFIX.unpack(_read(connection, _PREFIX.size, deadline))
+    _check_lengths(*lengths)
+    header, body = (_read(connection, length, deadline) for length in lengths)
+    try:
+        message = json.loads(header, parse_constant=files.refuse_constant)
+        fields, arrays, first = message["fields"], [], 0
+        for name, shape in message["arrays"]:
+            kind = np.dtype(TYPES[TYPES.index(name)])
+            if not all(type(length) is int and length >= 0 for length in shape):
+                raise ValueError(f"shape must be lengths, got {shape!r:.60}")
+            count = math.prod(shape)
+            found = np.frombuffer(body, kind.newbyteorder("<"), count, first)
+            arrays.append(found.reshape(shape).astype(kind))
+            first += found.nbytes
+    except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError) as error:
+        raise ValueError(f"header must be JSON of a message: {error}") from None
+    if not isinstance(fields, dict) or first != len(body):
+        raise ValueError(f"message must have fields and arrays of {first} bytes, got {len(body)}")
+    return fields, arrays
+
+
+def _read(connection: socket.socket, count: int, deadline: float) -> bytes:
+    """Read a number of bytes."""
+    content = bytearray()
+    while len(content) < count:
+        _set_timeout(connection, deadline)
+        chunk = connection.recv(min(count - len(content), CHUNK))
+        if not chunk:
+            raise EOFError("the connection is closed")
+        content += chunk
+    return bytes(content)
+
+
+def send(connection: socket.socket, frame: bytes, deadline: float = math.inf) -> None:
+    """Send bytes of `to_frame`; raise a TimeoutError if they are not sent at the deadline."""
+    _set_timeout(connection, deadline)
+    connection.sendall(frame)
+
+
+def _set_timeout(connection: socket.socket, deadline: float) -> None:
+    left = deadline - time.monotonic()
+    if left <= 0.0:
+        raise TimeoutError("the deadline has passed")
+    connection.settimeout(None if left == math.inf else left)
 
 
 class PolicyFailure(Exception):
@@ -140,12 +236,7 @@ class PolicyProcess:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -118,7 +118,7 @@ class ProcessWatch(threading.Thread):
             if (
                 each in self._others
                 or read_session(each) == own
-                or self._marker in read_environment(each)
+                or self._marker in _read_status(each, "environ")
             ):
                 found |= {each} | find_descendants(each)
         self._others |= found
@@ -148,8 +148,7 @@ def find_children(process: int) -> set[int]:
     found: set[int] = set()
     with suppress(OSError):
         for task in os.listdir(f"/proc/{process}/task"):
-            with suppress(OSError):
-                found.update(map(int, _read(f"/proc/{process}/task/{task}/children").split()))
+            found.update(map(int, _read_status(process, f"task/{task}/children").split()))
     return found
 
 
@@ -166,28 +165,22 @@ def find_descendants(process: int) -> set[int]:
 
 def read_session(process: int) -> int:
     """Return the session of a process; 0: there is no such process."""
-    try:
-        # The name before it may have spaces and brackets.
-        return int(_read(f"/proc/{process}/stat").rpartition(b")")[2].split()[3])
-    except (OSError, IndexError):
-        return 0
-
-
-def read_environment(process: int) -> bytes:
-    """Return the environment variables with which a process began."""
-    try:
-        return _read(f"/proc/{process}/environ")
-    except OSError:
-        return b""
+    # The name before it may have spaces and brackets.
+    fields = _read_status(process, "stat").rpartition(b")")[2].split()[3:4]
+    return int(fields[0]) if fields else 0
 
 
 def read_memory(process: int) -> int:
     """Return the resident memory [bytes] of a process; 0: there is no such process."""
-    try:
-        pages = int(_read(f"/proc/{process}/statm").split()[1])
-    except (OSError, IndexError):
-        return 0
-    return pages * os.sysconf("SC_PAGE_SIZE")
+    pages = _read_status(process, "statm").split()[1:2]
+    return int(pages[0]) * os.sysconf("SC_PAGE_SIZE") if pages else 0
+
+
+def _read_status(process: int, name: str) -> bytes:
+    """Read a file of a process in /proc; empty if there is no such process."""
+    with suppress(OSError):
+        return Path(f"/proc/{process}/{name}").read_bytes()
+    return b""
 
 
 def measure_files(folder: Path) -> int:
@@ -198,11 +191,6 @@ def measure_files(folder: Path) -> int:
             with suppress(OSError):
                 total += max(BLOCK, os.lstat(os.path.join(place, name)).st_size)
     return total
-
-
-def _read(file: str) -> bytes:
-    with open(file, "rb") as stream:
-        return stream.read()
 
 
 _adopting = threading.Lock()

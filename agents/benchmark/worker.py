@@ -1,8 +1,16 @@
 """The process of a policy: it loads the policy, and answers the requests of `PolicyProcess`.
 
-`python -m surface_gym.agents.benchmark.worker` is started by `PolicyProcess` only.
+`python -m surface_gym.agents.benchmark.worker` is started by `PolicyProcess` only. A policy is a
+class in a file of Python, which is executed, a policy of this package, ONNX, or a zip file of
+Stable-Baselines3, which may execute code as it is read.
+
+Before it loads the policy, the process sets its own limits. Resource limits bound memory, files and
+core dumps. An audit hook of Python refuses writing outside a folder, processes and connections, and
+reports what it refused. Code that calls the system without Python, e.g. by ctypes, passes the hook.
 """
 
+import errno
+import importlib.util
 import json
 import os
 import pickle
@@ -11,19 +19,321 @@ import socket
 import sys
 import threading
 import traceback
+import zipfile
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.files import read_bytes
 
-from .confinement import confine, set_limits
-from .frames import TYPES, read_message, send, to_frame
-from .sources import MODULE, PolicySource, find_source
+from .. import library
+from ..base import Singles
+from .process import TYPES, read_message, send, to_frame
 
 READY, DENIED, FAILED = "ready", "denied", "failed"  # kinds of messages
 MAX_TEXT = 1000  # characters of a reason
+FILE_SIZE = 2**26  # [bytes] of each file
+OPEN_FILES = 256
+PARENT_DEATH = 1  # option of prctl: a signal at the parent's end
+KILL = 9
+
+# For each event, whether it follows a link at the end of a path, and the indices of paths and of
+# their folders' descriptors in its arguments.
+_WRITES: dict[str, tuple[bool, tuple[tuple[int, int | None], ...]]] = {
+    "os.link": (False, ((0, 2), (1, 3))),
+    "os.mkdir": (False, ((0, 2),)),
+    "os.remove": (False, ((0, 1),)),
+    "os.rename": (False, ((0, 2), (1, 3))),
+    "os.rmdir": (False, ((0, 1),)),
+    "os.symlink": (False, ((1, 2),)),
+    "os.chflags": (True, ((0, None),)),
+    "os.chmod": (True, ((0, 2),)),
+    "os.chown": (True, ((0, 3),)),
+    "os.removexattr": (True, ((0, None),)),
+    "os.setxattr": (True, ((0, None),)),
+    "os.truncate": (True, ((0, None),)),
+    "os.utime": (True, ((0, 3),)),
+    "sqlite3.connect": (True, ((0, None),)),
+}
+_REFUSED = {
+    **dict.fromkeys(
+        (
+            "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system",
+            "pty.spawn", "subprocess.Popen",
+        ),
+        "started a process",
+    ),
+    **dict.fromkeys(
+        (
+            "socket.bind", "socket.connect", "socket.getaddrinfo", "socket.gethostbyaddr",
+            "socket.gethostbyname", "socket.sendmsg", "socket.sendto",
+        ),
+        "used the network",
+    ),
+    **dict.fromkeys(("resource.prlimit", "resource.setrlimit"), "changed its limits"),
+}  # fmt: skip
+_PROGRAMS = ("os.exec", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen")
+_SIGNALS = ("os.kill", "os.killpg")
+_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_UNNAMED = getattr(os, "O_TMPFILE", 0)  # a file without a name, which leaves nothing
+_COMPILED = "__pycache__"
+# Modules that start programs to look something up, and go on without.
+_CURIOUS = ("ctypes.util", "matplotlib.font_manager", "platform", "uuid")
+_DEPTH = 20  # frames of the stack in which they are looked for
+
+
+def set_limits(memory: int) -> None:
+    """Set the resource limits of this process, and end it with its parent.
+
+    Args:
+        memory: [bytes] of private memory.
+    """
+    import resource
+
+    for name, value in (
+        ("RLIMIT_CORE", 0), ("RLIMIT_DATA", memory), ("RLIMIT_FSIZE", FILE_SIZE),
+        ("RLIMIT_NOFILE", OPEN_FILES),
+    ):  # fmt: skip
+        kind = getattr(resource, name)
+        hard = resource.getrlimit(kind)[1]
+        most = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        resource.setrlimit(kind, (most, most))
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(PARENT_DEATH, KILL, 0, 0, 0)
+
+
+def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None]) -> None:
+    """Refuse writing outside a folder, processes, connections and signals from now on.
+
+    A refused call raises a PermissionError. Refused writing to a cache of compiled code is not
+    reported, since libraries go on without.
+
+    Args:
+        folder: absolute path without links.
+        caches: other folders of compiled code, likewise.
+        report: called with what the policy did, e.g. "wrote to /home/x".
+    """
+    # Names of the module could be replaced by the policy by mistake.
+    writes, refused, own = _WRITES, _REFUSED, os.getpid()
+
+    def refuse(reason: str, is_reported: bool = True) -> None:
+        if is_reported:
+            report(reason)
+        raise PermissionError(errno.EACCES, f"a policy must not do this: it {reason}")
+
+    def is_cache(place: str) -> bool:
+        return _COMPILED in place.split(os.sep) or any(_is_inside(place, x) for x in caches)
+
+    def check_place(event: str, place: str) -> None:
+        if place == os.devnull or _is_inside(place, folder) or place == ":memory:":
+            return
+        if event == "os.mkdir" and os.path.isdir(place):
+            return  # the call raises FileExistsError
+        refuse(f"wrote to {place}", not is_cache(place))
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            path, _, flags = arguments
+            if isinstance(flags, int) and flags & _WRITING and not isinstance(path, int):
+                place = _find_place(path, -1, True)
+                # A folder itself cannot be written: Numba looks whether a file could be.
+                is_unnamed = _UNNAMED != 0 and flags & _UNNAMED == _UNNAMED
+                if not os.path.isdir(place) or (is_unnamed and not is_cache(place)):
+                    check_place(event, place)
+        elif event in refused:
+            program = f": {arguments[0]}" if event in _PROGRAMS else ""
+            refuse(refused[event] + program, not (event in _PROGRAMS and _is_curious()))
+        elif event in writes:
+            is_followed, places = writes[event]
+            for path, descriptor in places:
+                inside = -1 if descriptor is None else arguments[descriptor]
+                check_place(event, _find_place(arguments[path], inside, is_followed))
+        elif event in _SIGNALS and arguments[0] not in (0, own):
+            refuse("sent a signal to another process")
+
+    sys.addaudithook(hook)
+
+
+def _find_place(path: Any, descriptor: int, is_followed: bool) -> str:
+    """Return the absolute path of a call's argument, without links."""
+    if isinstance(path, int):
+        return os.path.realpath(f"/dev/fd/{path}")
+    name = os.fsdecode(path)
+    if name == ":memory:":
+        return name
+    if descriptor >= 0:
+        name = os.path.join(os.path.realpath(f"/dev/fd/{descriptor}"), name)
+    above, last = os.path.split(name)
+    if is_followed or last in ("", os.curdir, os.pardir):
+        return os.path.realpath(name)
+    return os.path.join(os.path.realpath(above), last)
+
+
+def _is_inside(place: str, folder: str) -> bool:
+    return place == folder or place.startswith(folder + os.sep)
+
+
+def _is_curious() -> bool:
+    """Return whether a module that only looks something up has made the call."""
+    frame, depth = sys._getframe(), 0
+    while frame.f_back is not None and depth < _DEPTH:
+        frame, depth = frame.f_back, depth + 1
+        if frame.f_globals.get("__name__") in _CURIOUS:
+            return True
+    return False
+
+
+MODULE = "benchmarked_policy"  # name of a file's module in the policy's process
+MAX_MODEL = 2**28  # [bytes] of an ONNX file or of the description in a zip file
+# Fields of Stable-Baselines3's files that only one algorithm has; DDPG is a kind of TD3.
+ZIP_ALGORITHMS = {
+    "clip_range": "PPO",
+    "exploration_fraction": "DQN",
+    "policy_delay": "TD3",
+    "target_entropy": "SAC",
+    "gae_lambda": "A2C",  # PPO has it, too
+}
+ONNX_TEXTS = ("actions", "control_period", "orientations", "observe")  # arguments in the metadata
+
+
+class PolicySource(NamedTuple):
+    """A policy that is made for an environment."""
+
+    env_kwargs: Callable[[str, str | None], Any]  # arguments that it asks for a task and a preset
+    make: Callable[[EnvConfig, int], Any]  # a `Controller` for a configuration and a seed
+
+
+def read_python(file: Path, name: str) -> PolicySource:
+    """Read a class in a file, called with the environment's configuration and a seed.
+
+    Its attribute `env_kwargs` is a dictionary, or a function of a task's and a preset's name.
+    Modules beside the file can be imported.
+    """
+    sys.path.append(str(file.parent))
+    spec = importlib.util.spec_from_file_location(MODULE, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[MODULE] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: Any = getattr(module, name, None)
+    if not callable(found):
+        raise ValueError(f"{file.name} must have a class {name}, got none")
+
+    def env_kwargs(task: str, preset: str | None) -> Any:
+        asked = getattr(found, "env_kwargs", {})
+        return asked(task, preset) if callable(asked) else asked
+
+    return PolicySource(env_kwargs, found)
+
+
+def read_package(folder: Path, _: str) -> PolicySource:
+    """Read a policy of this package in a folder."""
+    files = library.read_files(folder)
+    card = library.read_card(files)
+
+    def env_kwargs(task: str, _: str | None) -> Any:
+        checks.one_of("task", library.card_env_id(task), (card.env_id,))
+        return card.env_kwargs
+
+    def make(config: EnvConfig, _: int) -> Any:
+        options = library.ALGORITHMS.find(card.algo).build_options or ()
+        return library.from_files(files, None, config if "config" in options else None)
+
+    return PolicySource(env_kwargs, make)
+
+
+def read_onnx(file: Path, _: str) -> PolicySource:
+    """Read an ONNX model, run on one core.
+
+    A model of `surface-gym export` has its environment in its metadata.
+    """
+    onnxruntime: Any = import_module("onnxruntime")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(
+        read_bytes(file, MAX_MODEL), options, providers=["CPUExecutionProvider"]
+    )
+    found = session.get_modelmeta().custom_metadata_map
+
+    def env_kwargs(task: str, _: str | None) -> Any:
+        asked = library.card_env_id(task)
+        checks.one_of("task", asked, (found.get("task", asked),))
+        return {
+            name: found[name] if name == "actions" else json.loads(found[name])
+            for name in ONNX_TEXTS
+            if name in found
+        }
+
+    def make(config: EnvConfig, _: int) -> Any:
+        if "features" in found:
+            shown = [each.name for each in config.features]
+            checks.one_of("features", json.dumps(shown), (found["features"],))
+        return OnnxController(session, config)
+
+    return PolicySource(env_kwargs, make)
+
+
+class OnnxController:
+    """Decisions of an ONNX model, without memory.
+
+    Its input is the observation. A model of `surface-gym export` has the output "choices". The
+    first output of any other model is the action.
+    """
+
+    def __init__(self, session: Any, config: EnvConfig) -> None:
+        self._session, self._kind = session, config.action_kind
+        self._axes = len(config.observation_space().shape)
+        (self._input,) = [each.name for each in session.get_inputs()]
+        outputs = [each.name for each in session.get_outputs()]
+        self._encodes = "choices" in outputs
+        self._output = "choices" if self._encodes else outputs[0]
+
+    def predict(self, observation: Singles, state: Any = None, *_: Any, **__: Any) -> Any:
+        """Choose actions; see `Controller`."""
+        is_one = observation.ndim == self._axes
+        batch = observation[np.newaxis] if is_one else observation
+        (found,) = self._session.run([self._output], {self._input: batch})
+        actions = self._kind.encode(found) if self._encodes else found
+        return (actions[0] if is_one else actions), state
+
+
+def read_zip(file: Path, _: str) -> PolicySource:
+    """Read a model saved by Stable-Baselines3: PPO, A2C, DQN, SAC or TD3."""
+    import stable_baselines3
+
+    with zipfile.ZipFile(file) as archive:
+        entry = archive.getinfo("data")
+        if entry.file_size > MAX_MODEL:
+            raise ValueError(f"data must have at most {MAX_MODEL} bytes, got {entry.file_size}")
+        fields = json.loads(archive.read(entry))
+    known = [name for field, name in ZIP_ALGORITHMS.items() if field in fields]
+    if not known:
+        raise ValueError(f"{file.name} must hold {', '.join(ZIP_ALGORITHMS.values())}, got none")
+    # Schedules are code of the Python that wrote them; decisions do without.
+    schedules = {"learning_rate": 0.0, "lr_schedule": None, "clip_range": 0.0}
+    algorithm = getattr(stable_baselines3, known[0])
+    model = algorithm.load(file, device="cpu", custom_objects=schedules)
+
+    def make(config: EnvConfig, seed: int) -> Any:
+        own, wanted = model.observation_space, config.observation_space()
+        checks.one_of("features", own.shape, (wanted.shape,))
+        model.set_random_seed(seed)
+        return model
+
+    return PolicySource(lambda *_: {}, make)
+
+
+# Functions of the path and the name of a class.
+SOURCES: dict[str, Callable[[Path, str], PolicySource]] = {
+    "python": read_python, "package": read_package, "onnx": read_onnx, "zip": read_zip,
+}  # fmt: skip
 
 
 class Worker:
@@ -75,7 +385,8 @@ class Worker:
 
     def _find_source(self) -> PolicySource:
         if self._source is None:
-            self._source = find_source(*self._described)
+            kind, path, name = self._described
+            self._source = SOURCES[kind](Path(path), name)
         return self._source
 
     def _env_kwargs(self, fields: dict[str, Any], _: Any) -> Any:

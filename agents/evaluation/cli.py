@@ -107,8 +107,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
         return
     from .drives import drive_jobs, write_tables
     from .report import write_report, write_sweep
-    from .results import FILE
-    from .runner import compute, show_progress
+    from .results import FILE, compute, show_progress
 
     selection = make_selection(config)
     if config.modules:
@@ -146,7 +145,8 @@ def make_selection(config: EvaluateConfig) -> "Selection":
 
 def _prepare(config: EvaluateConfig, jobs: "Sequence[ScenarioJob]") -> None:
     """Make the folder, or raise a ValueError if it already has results."""
-    from .results import FILE, KEY, read_results
+    from .results import FILE, read_results
+    from .scenario import KEY
 
     settings = {"quick": config.quick, "starts": config.starts}
     file = config.folder / SETTINGS

@@ -5,7 +5,7 @@ modules act with `AimRule` for one parcel, and with the scheduler for streams.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,17 +23,24 @@ from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, fi
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.benchmark import Offer
 
-from ..base import Controller
 from ..library import QUEUE, task_label
 from ..rollout import Episodes
 from ..rules.aiming import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
-from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
-from .plots import choose_colours, save_figure
+from .method import (
+    Method,
+    is_on_streams,
+    rules,
+    seedless,
+    shipped,
+    start_benchmark,
+    stream_benchmark,
+)
+from .pictures import Bar, draw_bars, save_figure
 from .report import show_tables
 from .results import Results, Sample
 from .scenario import STARTS, WHOLE, Extent, Scenario, ScenarioJob, StartScenario, make_jobs
-from .stream_scenario import LEAST_CORRECT, UNSEEN, StreamScenario
+from .streams import LEAST_CORRECT, UNSEEN, StreamScenario
 from .tables import Table, number, tabulate, write_markdown
 from .views import column_value, format_value
 
@@ -82,35 +89,28 @@ def kind_methods(task: str) -> list[Method]:
     An argument `modules` is a function that makes the modules; see `_suited`.
     """
     given: dict[str, Any] = {"info": ("energy",)}
+    make: Callable[..., Any]
+    kinds: Mapping[str, Callable[..., ModuleKind]]
     if is_on_streams(task):
         given |= {"actions": "parcels", "gate": True, "queue": QUEUE}
-        idle = Method(IDLE, task, _schedule, given | {"orientations": SIX})
-        driven = (
-            Method(kind, task, _schedule, given | {"modules": make})
-            for kind, make in STREAM_KINDS.items()
-        )
-        return [idle, *driven]
-    known = [each for each in (*rules(task), *shipped(task)) if each.most is None]
-    return [
-        *(
-            replace(
-                each, name=f"{IDLE}, {each.name}", arguments=each.arguments | given, presets=None
-            )
+        make, kinds = make_scheduler, STREAM_KINDS
+        idle = [Method(IDLE, task, partial(seedless, make), given | {"orientations": SIX})]
+    else:
+        known = [each for each in (*rules(task), *shipped(task)) if each.most is None]
+        idle = [
+            replace(each, name=f"{IDLE}, {each.name}", arguments=each.arguments | given,
+                    presets=None)
             for each in known
-        ),
+        ]  # fmt: skip
+        given |= {"actions": "halves"}
+        make, kinds = AimRule, AIMS[task].kinds
+    return [
+        *idle,
         *(
-            Method(kind, task, _aim, given | {"actions": "halves", "modules": make})
-            for kind, make in AIMS[task].kinds.items()
+            Method(kind, task, partial(seedless, make), given | {"modules": each})
+            for kind, each in kinds.items()
         ),
-    ]  # fmt: skip
-
-
-def _aim(config: EnvConfig, _seed: int) -> Controller:
-    return AimRule(config)
-
-
-def _schedule(config: EnvConfig, _seed: int) -> Controller | None:
-    return make_scheduler(config)
+    ]
 
 
 def _suited(method: Method, **given: Any) -> Method:
@@ -125,9 +125,7 @@ def _suited(method: Method, **given: Any) -> Method:
 class DriveStarts(StartScenario):
     """The starts of a task, with modules that obey at once or with delays."""
 
-    @property
-    def chosen_preset(self) -> Preset:
-        return DRIVE_PRESETS[self.preset]
+    presets = DRIVE_PRESETS
 
     def run(
         self, method: Method, seed: int
@@ -200,8 +198,7 @@ def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
         idle = [name for name in ran if name.startswith(IDLE)]
         if not idle:
             continue
-        error = start_benchmark(task).error
-        metric = "time" if error is None else error.metric
+        metric = start_benchmark(task).error or "time"
         best = max(idle, key=lambda name: _worth(ran[name], metric))
         for name in (best, *(each for each in ran if each not in idle)):
             sample = ran[name]
@@ -232,15 +229,18 @@ def _rate(sample: Sample) -> float:
     return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
 
 
-def _drawn(sample: Sample, parcels: float) -> float:
-    """Return the energy [J] that drives draw per parcel; NaN without parcels."""
-    return float(sample.values("drawn_energy").sum()) / parcels if parcels else math.nan
+def _energy_per_parcel(sample: Sample, parcels: float | None = None) -> float:
+    """Return the energy [J] that drives draw per parcel; None: per sorted one. NaN: none."""
+    count = float(sample.values("sorted").sum()) if parcels is None else parcels
+    return float(sample.values("drawn_energy").sum()) / count if count else math.nan
 
 
-def _energies(sample: Sample, parcels: float) -> dict[str, str]:
-    drawn = _drawn(sample, parcels)
+def _energies(sample: Sample, parcels: float | None = None) -> dict[str, str]:
     peak = float(sample.values("peak_acceleration").mean())
-    return {"energy [J]": number(drawn, ".1f"), "acceleration [m/s^2]": number(peak, ".1f")}
+    return {
+        "energy [J]": number(_energy_per_parcel(sample, parcels), ".1f"),
+        "acceleration [m/s^2]": number(peak, ".1f"),
+    }
 
 
 def _worth(sample: Sample, metric: str) -> tuple[float, float]:
@@ -258,7 +258,7 @@ def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
                 "stream": scenario, "modules": name, "delays": _delays(preset),
                 "right [1/h]": number(rate, ".0f"),
                 "of the entry's limit": number(rate / sample.constant("bound"), ".0%"),
-                **_energies(sample, float(sample.values("sorted").sum())),
+                **_energies(sample),
             }
         )  # fmt: skip
     return sorted(rows, key=lambda row: (row["stream"], row["delays"]))
@@ -281,20 +281,19 @@ def _draw_streams(results: Results, file: Path) -> None:
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     panels = figure.subplots(2, len(DRIVE_PRESETS), sharex=True, sharey="row")
     for column, preset in zip(panels.T, DRIVE_PRESETS, strict=True):
-        rows = [
-            (key[0], key[1], key[3], sample)
+        samples = {
+            (key[1], key[3]): sample
             for key, sample in results.samples.items()
             if key[2] == preset and is_on_streams(key[0])
-        ]
-        names = list(dict.fromkeys(name for *_, name, _ in rows))
-        offers = list(dict.fromkeys(scenario for _, scenario, *_ in rows))
-        colours, width = choose_colours(names), 0.84 / max(1, len(names))
-        for _, scenario, name, sample in rows:
-            x = offers.index(scenario) + (names.index(name) - 0.5 * (len(names) - 1)) * width
-            label = name if scenario == offers[0] else None
-            energy = _drawn(sample, float(sample.values("sorted").sum()))
-            column[0].bar(x, _rate(sample), 0.92 * width, color=colours[name], label=label)
-            column[1].bar(x, energy, 0.92 * width, color=colours[name])
+        }
+        offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
+        for panel, value in zip(column, (_rate, _energy_per_parcel), strict=True):
+            draw_bars(
+                panel, offers, names,
+                lambda *key, value=value, samples=samples: (
+                    Bar(value(samples[key])) if key in samples else None
+                ),
+            )  # fmt: skip
         column[0].set_title("without delays" if preset != DELAYED.name else "with delays")
         column[1].set_xticks(range(len(offers)), [each.split(", ")[1] for each in offers])
         column[1].set_xlabel("speed of the stream")

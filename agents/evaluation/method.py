@@ -21,6 +21,7 @@ from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, preset_name, task_name
+from ..planning.planner import Planner
 from ..planning.receding_horizon import RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
 
@@ -74,7 +75,7 @@ class Method:
 
 
 # Functions that list the methods of tasks with more than rules and agents.
-METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.ladder")
+METHODS: Registry[Callable[[], list[Method]]] = Registry("task", f"{__package__}.streams")
 
 
 @lru_cache(maxsize=32)
@@ -137,7 +138,14 @@ def planner(task: str) -> list[Method]:
     On streams, it varies the last rule of a task; without rules, there is no planner. Custom tasks
     of one parcel have no planner.
     """
-    planned = Method(PLANNER, task, _planned, {"actions": "halves"}, PLANNER, most=SEARCH_STARTS)
+    planned = Method(
+        PLANNER,
+        task,
+        partial(seedless, Planner),
+        {"actions": "halves"},
+        PLANNER,
+        most=SEARCH_STARTS,
+    )
     if not is_on_streams(task):
         known = library.task_kind(task) in TASKS
         return [planned.under("exact")] if known else []
@@ -246,20 +254,17 @@ def _of_rule(rule: Rule, task: str) -> Method:
     if rule.observe:
         given["observe"] = rule.observe
     return Method(
-        rule.name, task, partial(_ruled, rule.make), given,
+        rule.name, task, partial(seedless, rule.make), given,
         BASELINE if rule.name == FIXED else RULE, most=SEARCH_STARTS if rule.searches else None,
         observed_task=rule.observed_task,
     )  # fmt: skip
 
 
-def _ruled(make: Callable[[EnvConfig], Controller], config: EnvConfig, _seed: int) -> Controller:
+def seedless(
+    make: Callable[[EnvConfig], Controller | None], config: EnvConfig, _seed: int
+) -> Controller | None:
+    """Make a controller that has no seed; a `make` of `Method` with `functools.partial`."""
     return make(config)
-
-
-def _planned(config: EnvConfig, _seed: int) -> Controller:
-    from ..planning.planner import Planner
-
-    return Planner(config)
 
 
 def _vary(make: Callable[..., Any], config: EnvConfig, seed: int) -> Controller:

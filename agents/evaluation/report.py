@@ -4,11 +4,9 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import imageio.v2 as imageio
 import numpy as np
 import pandas as pd
 from gymnasium.utils.seeding import np_random
@@ -16,12 +14,10 @@ from rich.console import Console
 
 from surface_gym.config import PRESETS
 from surface_gym.executors import Processes
-from surface_gym.files import replacing
 from surface_gym.parallel import Workers, map_jobs, without_report
 
 from .. import library
-from . import plots, stream_views, views
-from .ladder import MODULES, ON_FILM
+from . import pictures, views
 from .method import (
     AGENT,
     FIXED,
@@ -37,10 +33,8 @@ from .method import (
     start_benchmark,
     stream_benchmark,
 )
-from .page import Pictures, Section, write_page
-from .results import Results, Sample
-from .robustness import changed_scenarios
-from .runner import compute, show_progress
+from .pictures import Player, write_comparison
+from .results import Results, Sample, compute, show_progress
 from .scenario import (
     SEED,
     STARTS,
@@ -49,15 +43,14 @@ from .scenario import (
     Scenario,
     ScenarioJob,
     StartScenario,
+    changed_scenarios,
     make_jobs,
     start_scenarios,
 )
-from .stream_scenario import StreamScenario, stream_scenarios, unseen_jobs
-from .tables import Table, write_markdown
-from .video import Player, play, write_comparison
+from .streams import MODULES, ON_FILM, StreamScenario, stream_scenarios, unseen_jobs
+from .tables import Pictures, Section, Table, write_markdown, write_page
 
 NEAR = 0.95  # [-] of the modules' capacity, at which the video shows all rungs
-SHOWN_AT = 12.0  # [s] time of the picture of a stream
 FILMED = ("exact", "lab")  # presets of films on streams
 TABLE = "table.md"  # table of a run
 COMPARED = ("exact", "camera", "lab")  # presets for a run's policies
@@ -107,13 +100,6 @@ class Selection:
         return jobs
 
 
-def make_tables(task: str, results: Results) -> list[Table]:
-    """Make the tables of a task, the most important one first."""
-    if is_on_streams(task):
-        return stream_views.stream_tables(task, results)
-    return [*views.task_tables(task, results), *views.speed_tables(task, results)]
-
-
 def write_report(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, advance: Advance,
     note: str = "",
@@ -129,20 +115,16 @@ def write_report(
     tasks = sorted(selection.tasks, key=single.__contains__)
     for task in tasks:
         advance(f"drawing {task}")
-        made, methods = make_tables(task, results), selection.methods(task)
+        made, methods = views.make_tables(task, results), selection.methods(task)
         if task in single:
-            pictures = _draw_starts(task, methods, results, folder)
+            drawn = _draw_starts(methods, folder)
         else:
-            pictures = _draw_streams(task, methods, results, folder, selection.extent)
+            drawn = _draw_streams(task, methods, results, folder, selection.extent)
         write_markdown(made, folder / f"{library.task_label(task)}.md", head)
         sections += [
-            Section(each, [] if k else pictures, () if k else find_benchmark(task).columns)
+            Section(each, [] if k else drawn, () if k else find_benchmark(task).columns)
             for k, each in enumerate(made)
         ]
-    if decisions := views.decision_tables(single, results):
-        write_markdown(decisions, folder / "decisions.md")
-        sections += [Section(each, []) for each in decisions]
-    write_numbers(tasks, results, folder / "comparison.csv")
     show_tables([each.table for each in sections], console, note)
     write_page(sections, folder / "report.html", note)
 
@@ -150,26 +132,18 @@ def write_report(
 def write_sweep(
     selection: Selection, table: pd.DataFrame, folder: Path, console: Console, note: str = ""
 ) -> None:
-    """Write tables, numbers and the figure of robustness to a folder, and print the tables."""
+    """Write tables and the figure of robustness to a folder, and print the tables."""
     results, head = Results(table), f"{note}\n\n" if note else ""
     single = [task for task in selection.tasks if not is_on_streams(task)]
     tables = [each for task in single for each in views.sweep_tables(task, results)]
     others = (task for task in selection.tasks if task not in single)
-    unseen = [each for task in others for each in stream_views.unseen_tables(task, results)]
+    unseen = [each for task in others for each in views.unseen_tables(task, results)]
     if tables:
         write_markdown(tables, folder / "robustness.md", SWEEP_TITLE + head)
-        plots.draw_sweep(single, results, folder / "robustness.png")
+        pictures.draw_sweep(single, results, folder / "robustness.png")
     if unseen:
         write_markdown(unseen, folder / "generalisation.md", head)
-    write_numbers(selection.tasks, results, folder / "robustness.csv")
     show_tables([*unseen, *tables], console, note)
-
-
-def write_numbers(tasks: Iterable[str], results: Results, file: Path) -> None:
-    """Write every number of tasks as CSV; numbers that are not finite stay empty."""
-    rows = [row for task in tasks for row in views.list_numbers(task, results)]
-    with replacing(file) as part:
-        pd.DataFrame(rows).replace([np.inf, -np.inf], np.nan).to_csv(part, index=False)
 
 
 def show_tables(tables: Iterable[Table], console: Console, note: str) -> None:
@@ -180,25 +154,13 @@ def show_tables(tables: Iterable[Table], console: Console, note: str) -> None:
         console.print(note)
 
 
-def _draw_starts(task: str, methods: Sequence[Method], results: Results, folder: Path) -> Pictures:
-    compared, label = start_benchmark(task), library.task_label(task)
-    success = folder / f"{label}-success.png"
-    plots.draw_success(task, results, success)
-    pictures = [(success, "Success by preset, with 95 % intervals.")]
-    both = rivals(methods)
-    if compared.grid is not None:
-        times, paths = folder / f"{label}-times.png", folder / f"{label}-trajectories.png"
-        if views.speed_tables(task, results):
-            plots.draw_times(task, compared.grid, results, times)
-            said = "Time to sort by entry speed; no line where a parcel is not sorted."
-            pictures.append((times, said))
-        write_trajectories(both, paths)
-        pictures.append((paths, "Trajectories by entry speed; dotted where it is not sorted."))
-    elif compared.error is not None:
-        errors = folder / f"{label}-errors.png"
-        plots.draw_errors(task, compared.error, results, errors)
-        pictures.append((errors, "Share of starts by the size of the error, exact sensors."))
-    return [*pictures, write_example(both, folder)]
+def _draw_starts(methods: Sequence[Method], folder: Path) -> Pictures:
+    task, both, drawn = methods[0].task, rivals(methods), []
+    if start_benchmark(task).grid is not None:
+        file = folder / f"{library.task_label(task)}-trajectories.png"
+        write_trajectories(both, file)
+        drawn.append((file, "Trajectories by entry speed; dotted where it is not sorted."))
+    return [*drawn, write_example(both, folder)]
 
 
 def write_trajectories(methods: Sequence[Method], file: Path) -> None:
@@ -207,7 +169,7 @@ def write_trajectories(methods: Sequence[Method], file: Path) -> None:
     if grid is not None:
         exact = StartScenario(methods[0].task, "exact", WHOLE)
         episodes = {each.name: exact.run(each, each.seeds[0])[0] for each in methods}
-        plots.draw_trajectories(grid, episodes, file)
+        pictures.draw_trajectories(grid, episodes, file)
 
 
 def start_player(method: Method, rng: np.random.Generator) -> Player:
@@ -249,24 +211,16 @@ def stream_player(method: Method, scenario: StreamScenario, rate: float | None =
     return Player(method.name, controller, config, np.random.default_rng((SEED, 0)))
 
 
-def stream_picture(player: Player, latest: float = SHOWN_AT) -> np.ndarray:
-    """Draw a stream in mid-course, or where a jam ends it before."""
-    time = min(latest, 0.5 * player.config.stream_task.duration)
-    at = round(time / player.config.control_period)
-    *_, (picture, _) = islice(play(player, every=at), at + 1)
-    return picture
-
-
 def _draw_streams(
     task: str, methods: Sequence[Method], results: Results, folder: Path, extent: Extent
 ) -> Pictures:
-    found = stream_views.list_capacities(task, results)
-    label, pictures = library.task_label(task), []
+    found = views.list_capacities(task, results)
+    label, drawn = library.task_label(task), []
     if found:
         first, file = found[0], folder / f"{label}-capacity.png"
-        plots.draw_capacities(first, file)
+        pictures.draw_capacities(first, file)
         exits = f"exits “{first.group}”"
-        pictures.append((file, f"Capacity by stream, {exits}, exact sensors, 95 % intervals."))
+        drawn.append((file, f"Capacity by stream, {exits}, exact sensors, 95 % intervals."))
         scenario = filmed_scenario(task, group=first.group, extent=extent)
         name = scenario.offer.name
         shown = [
@@ -274,30 +228,26 @@ def _draw_streams(
         ]
         shown = shown[-(extent.rungs or len(shown)) :]
         if not shown:
-            return pictures
+            return drawn
         rate = NEAR * first.throughput(shown[-1].name, name)
         said = f"{name}, {exits}, {rate:.0f} parcels an hour offered"
-        return [*pictures, *_film(shown, scenario, rate, folder / label, said)]
+        return [*drawn, _film(shown, scenario, rate, folder / f"{label}.mp4", said)]
     for preset in FILMED:
         scenario = filmed_scenario(task, preset, extent=extent)
         if preset in (extent.presets or scenario.benchmark.presets):
             said = f"{scenario.offer.name}, {preset}"
-            pictures += _film(rivals(methods), scenario, None, folder / f"{label}-{preset}", said)
-    return pictures
+            file = folder / f"{label}-{preset}.mp4"
+            drawn.append(_film(rivals(methods), scenario, None, file, said))
+    return drawn
 
 
 def _film(
     methods: Sequence[Method], scenario: StreamScenario, rate: float | None, file: Path, said: str
-) -> Pictures:
-    """Record methods side by side, and draw the last one."""
-    picture, video = file.with_suffix(".png"), file.with_suffix(".mp4")
+) -> tuple[Path, str]:
+    """Record methods side by side; return file and caption."""
     players = [stream_player(each, scenario, rate) for each in methods]
-    length = scenario.extent.film
-    write_comparison(players, video, length)
-    last = stream_player(methods[-1], scenario, rate)
-    imageio.imwrite(picture, stream_picture(last, min(length, SHOWN_AT)))
-    names = " and ".join(each.name for each in methods)
-    return [(picture, f"{methods[-1].name}: {said}."), (video, f"{names}: {said}.")]
+    write_comparison(players, file, scenario.extent.film)
+    return file, f"{' and '.join(each.name for each in methods)}: {said}."
 
 
 def evaluate_run(
@@ -314,7 +264,7 @@ def evaluate_run(
     jobs = make_jobs(scenarios, methods)
     with show_progress(console, f"comparing on {agent.task}", len(jobs)) as advance:
         results = Results(compute(jobs, workers, advance=advance))
-    tables = make_tables(agent.task, results)
+    tables = views.make_tables(agent.task, results)
     write_markdown(tables, run / TABLE)
     show_tables(tables, console, "")
     if not streams:

@@ -1,25 +1,37 @@
-"""Scenarios: conditions of the comparison, and their episodes."""
+"""Scenarios of the comparison, and their episodes; all scenarios of one parcel.
+
+In the robustness study, one factor at a time differs from training.
+"""
 
 import math
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig, Preset
+from surface_gym.parcel import Base
 from surface_gym.tasks.benchmark import Benchmark
 
+from ..base import time_for, with_zone
+from ..planning.oracle import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
-from .method import Method, find_benchmark, start_benchmark
-from .results import KEY, Key
+from .method import ANY_ANGLE, BEST_FIXED, PLANNER, Method, find_benchmark, start_benchmark
 
+KEY = ("task", "scenario", "preset", "method", "seed")  # key of a job
 SEED = 20_261_121  # seed of every episode
 STARTS = "starts"  # scenario name of tasks of one parcel
 
+# Methods with a long look-ahead use a quarter of the starts of a changed scenario, the planner a
+# sixth.
+FEWER = {"turning rule": 4, "sliding mode": 4, PLANNER: 6}
+
+Key = tuple[Any, ...]
 Row = dict[str, Any]
 
 
@@ -98,6 +110,13 @@ class ScenarioJob:
     def episodes(self) -> int:
         return self.scenario.episodes(self.method)
 
+    @property
+    def is_slow(self) -> bool:
+        """Whether the job takes much longer than most jobs."""
+        method = self.method
+        several = method.kind == PLANNER or method.most is not None
+        return several or method.name in FEWER or "gate" in method.arguments
+
     def __call__(self) -> list[Row]:
         """Run the job; return rows of the table of results."""
         names = dict(zip(KEY, self.key, strict=True)) | {"kind": self.method.kind}
@@ -126,14 +145,11 @@ def make_jobs(scenarios: Sequence[Scenario], methods: Sequence[Method]) -> list[
 class StartScenario(Scenario):
     """The starts of a benchmark of one parcel under a preset."""
 
+    presets: ClassVar[Mapping[str, Preset]] = PRESETS
+
     @property
     def name(self) -> str:
         return STARTS
-
-    @property
-    def chosen_preset(self) -> Preset:
-        """The preset by its name."""
-        return PRESETS[self.preset]
 
     def count(self, method: Method) -> int | None:
         """Return the number of starts for a method; None: all."""
@@ -148,25 +164,30 @@ class StartScenario(Scenario):
 
     def play(self, method: Method, seed: int) -> list[Row]:
         episodes, config, starts = self.run(method, seed)
-        metrics = episodes.metrics | _path_metrics(config, episodes, starts)
-        return [
-            {
-                "success": episodes.success[k], "time": episodes.time[k],
-                **{name: values[k] for name, values in metrics.items()},
-                "decision_time": episodes.decision_time,
-            }
-            for k in range(len(starts))
-        ]  # fmt: skip
+        more = _path_metrics(config, episodes, starts)
+        return _list_rows(
+            episodes, more | {"decision_time": [episodes.decision_time] * len(starts)}
+        )
 
     def run(
         self, method: Method, seed: int
     ) -> tuple[Episodes, EnvConfig, tuple[dict[str, Any], ...]]:
         """Run a seed of a method from every start."""
-        preset, benchmark = self.chosen_preset, start_benchmark(self.task)
+        preset, benchmark = self.presets[self.preset], start_benchmark(self.task)
         starts = choose_starts(benchmark, self.count(method), preset)
         config = method.config(benchmark.task, preset)
         run = run_episodes if method.most is None else run_sequentially
         return run(method.controller(config, seed), config, starts, SEED), config, starts
+
+
+def _list_rows(episodes: Episodes, more: Mapping[str, Sequence[Any]]) -> list[Row]:
+    """List outcome, metrics and more numbers of each episode."""
+    columns: dict[str, Any] = {
+        "success": episodes.success, "time": episodes.time, **episodes.metrics, **more,
+    }  # fmt: skip
+    return [
+        {name: values[k] for name, values in columns.items()} for k in range(len(episodes.success))
+    ]
 
 
 def start_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
@@ -216,3 +237,219 @@ def _path_metrics(
         for name, value in task.path_metrics(episodes.path(k), parcel, line, None).items():
             found.setdefault(name, []).append(value)
     return found
+
+
+# Methods for one parcel or zone, or with a search per start.
+LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
+EXACT = PRESETS["exact"]
+TRAINED, LAB = "trained", "lab"
+# The planner sees the true state of a start, so it shows the reachable success. It runs on these
+# factors, at the displayed levels.
+PLANNED = (TRAINED, "square", LAB)
+FOLLOWED = 32  # maximum environments of the planner at a time
+DIRECTIONS = 16  # number of evenly spaced directions of an off-centre load
+SENSORS = {
+    "exact": sg.sensors.Exact(),
+    "camera": sg.sensors.Camera(),
+    "presence": sg.sensors.Presence(),
+}
+SHAPES = ("square", "rectangle", "disc", "polygon")
+
+Level = float | int | str
+
+
+@dataclass(frozen=True)
+class Change:
+    """Differences from a method's own environment; none by default."""
+
+    preset: Preset = EXACT  # sensors, randomisation, actuators and parcels
+    control_period: float | None = None  # [s] between decisions; None: the method's
+    # Obeying columns of the line; None: the line's. With more columns, episodes may last longer.
+    zone_columns: int | None = None
+    drag: float = 1.0  # [-] factor of mu_max, unknown to every controller
+    rolling: float = 1.0  # [-] factor of mu_min and mu_support, unknown to every controller
+    offset: float = 0.0  # [m] lateral offset of the entry, to either side
+    turn: float = 0.0  # [rad] angle at the entry, to the same side
+
+
+class Situation(NamedTuple):
+    """An environment: assumed by the controller, and true."""
+
+    assumed: EnvConfig
+    true: EnvConfig
+
+
+def situation(method: Method, benchmark: Benchmark, change: Change) -> Situation:
+    """Make the environment of a method on a benchmark under a change."""
+    period = change.control_period or method.control_period
+    task = benchmark.task
+    line = task.line
+    slower = method.control_period / period
+    if change.zone_columns is not None:
+        assert isinstance(line, sg.lines.Line)
+        slower *= time_for(line, change.zone_columns)
+        line = with_zone(line, change.zone_columns)
+    limit = None if slower == 1.0 else round(task.periods * slower)
+    task = replace(task, entry_offset=change.offset, entry_turn=change.turn, time_limit=limit)
+    config = method.config(task, change.preset)
+    assumed = replace(config, control_period=period, line=line)
+    factors = {"mu_max": change.drag, "mu_min": change.rolling, "mu_support": change.rolling}
+    changed = {name: np.multiply(getattr(line, name), each) for name, each in factors.items()}
+    return Situation(assumed, replace(assumed, line=replace(line, **changed)))
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One changed factor."""
+
+    name: str
+    label: str  # label of its panels
+    unit: str  # unit of its levels; "": names, or numbers without a unit
+    levels: tuple[Level, ...]
+    change: Callable[[Any], Change]  # function from a level to a change
+    shown: tuple[Level, ...]  # levels in the table
+    trained: Level | None = None  # level of the training; None: none
+    of_lines: bool = False  # whether it applies to tasks on a line only
+
+    @property
+    def swept(self) -> tuple[Level, ...]:
+        return tuple(level for level in self.levels if level != self.trained)
+
+    @property
+    def is_named(self) -> bool:
+        return any(isinstance(level, str) for level in self.levels)
+
+
+def _square(length: float) -> Change:
+    return Change(replace(EXACT, parcels=(sg.Parcel(sg.Rectangle(length, length)),)))
+
+
+def _load(centimetres: float) -> Change:
+    # Half S-boxes and half B-boxes, in the tasks' order of drawing.
+    turns = [2.0 * math.pi * k / DIRECTIONS for k in range(DIRECTIONS)]
+    away = 0.01 * centimetres
+    parcels = tuple(
+        replace(sg.layouts.box(size), com_offset=(away * math.cos(turn), away * math.sin(turn)))
+        for size in ("S", "B")
+        for turn in turns
+    )
+    return Change(replace(EXACT, parcels=parcels))
+
+
+def _axis(milliseconds: float) -> Change:
+    speed = 0.5 * math.pi / (1e-3 * milliseconds) if milliseconds else math.inf
+    return Change(replace(EXACT, actuators=sg.Actuators(axis_speed=speed)))
+
+
+def _stuck(percent: float) -> Change:
+    return Change(replace(EXACT, actuators=sg.Actuators(stuck_share=0.01 * percent)))
+
+
+_EACH = (
+    Factor(TRAINED, "as trained", "", (TRAINED,), lambda _: Change(), (TRAINED,)),
+    Factor(
+        "square", "square", "m", tuple(k / 100.0 for k in range(15, 51)), _square,
+        (0.15, 0.20, 0.30, 0.35, 0.40, 0.50),
+    ),
+    Factor("load", "load off centre", "cm", tuple(range(9)), _load, (3, 5, 8), 0),
+    Factor("axis", "axes, 90 deg in", "ms", (0, 25, 50, 100, 200), _axis, (50, 100, 200), 0),
+    Factor(
+        "drag", "friction", "times", (0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3),
+        lambda level: Change(drag=level), (0.7, 1.3), 1.0,
+    ),
+    Factor(
+        "rolling", "rolling friction", "times", (0.5, 0.75, 1.0, 1.3, 1.6, 2.0),
+        lambda level: Change(rolling=level), (0.5, 1.3, 2.0), 1.0,
+    ),
+    Factor(
+        "sensors", "sensors", "", tuple(SENSORS),
+        lambda level: Change(replace(EXACT, sensors=SENSORS[level])), ("camera", "presence"),
+        "exact",
+    ),
+    Factor(
+        "period", "decision every", "ms", (20, 40, 60, 80, 120),
+        lambda level: Change(control_period=1e-3 * level), (20, 80, 120), 40,
+    ),
+    Factor(
+        "zone", "zone", "columns", (8, 12, 16, 20, 24), lambda level: Change(zone_columns=level),
+        (8, 12, 24), 16, of_lines=True,
+    ),
+    Factor(
+        "aside", "entry aside", "cm", tuple(range(6)), lambda level: Change(offset=0.01 * level),
+        (2, 5), 0,
+    ),
+    Factor(
+        "turned", "entry turned", "deg", (0, 2, 4, 6, 8, 10),
+        lambda level: Change(turn=math.radians(level)), (4, 10), 0,
+    ),
+    Factor("stuck", "stuck modules", "%", (0, 2, 4, 6, 8, 10), _stuck, (2, 10), 0),
+    Factor(LAB, "lab", "", (LAB,), lambda _: Change(PRESETS["lab"]), (LAB,)),
+)  # fmt: skip
+FACTORS = {factor.name: factor for factor in _EACH}
+
+
+@dataclass(frozen=True)
+class ChangedScenario(Scenario):
+    """Random starts of a task, with one factor at one level."""
+
+    factor: str
+    level: Level
+
+    @property
+    def name(self) -> str:
+        return scenario_name(self.factor, self.level)
+
+    def accepts(self, method: Method) -> bool:
+        factor = FACTORS[self.factor]
+        if method.name in LEFT_OUT or self.level == factor.trained:
+            return False
+        if factor.of_lines and not isinstance(start_benchmark(self.task).task.line, sg.lines.Line):
+            return False
+        return method.kind != PLANNER or (self.factor in PLANNED and self.level in factor.shown)
+
+    def episodes(self, method: Method) -> int:
+        return max(1, self.extent.level_starts // FEWER.get(method.name, 1))
+
+    def play(self, method: Method, seed: int) -> list[Row]:
+        benchmark = start_benchmark(self.task)
+        where = situation(method, benchmark, FACTORS[self.factor].change(self.level))
+        count = self.episodes(method)
+        drawn: list[dict[str, Any]] = [{}] * count
+        if method.kind == PLANNER:
+            episodes = run_oracle(where.true, drawn, SEED, FOLLOWED)
+        else:
+            run = run_episodes if method.most is None else run_sequentially
+            episodes = run(method.controller(where.assumed, seed), where.true, drawn, SEED)
+        shapes = {"shape": lab_shapes(self.task, count)} if self.factor == LAB else {}
+        return _list_rows(episodes, shapes)
+
+
+def scenario_name(factor: str, level: Level) -> str:
+    """Return the name of a factor's level; the level of the training is common to all factors."""
+    return TRAINED if level in (FACTORS[factor].trained, TRAINED) else f"{factor} {level}"
+
+
+def changed_scenarios(task: str, extent: Extent = WHOLE) -> list[Scenario]:
+    """List the robustness scenarios of a task."""
+    found: list[Scenario] = []
+    for factor in FACTORS.values():
+        levels = factor.shown[: extent.levels] if extent.levels else factor.levels
+        for level in levels:
+            preset = factor.change(level).preset.name
+            found.append(ChangedScenario(task, preset, extent, factor.name, level))
+    return found
+
+
+def name_shape(base: Base) -> str:
+    """Return the name of the shape of a base in the lab."""
+    if isinstance(base, sg.Rectangle):
+        return "square" if base.length == base.width else "rectangle"
+    return "disc" if isinstance(base, sg.Disc) else "polygon"
+
+
+@lru_cache(maxsize=16)
+def lab_shapes(task: str, starts: int) -> tuple[str, ...]:
+    """Return the name of the shape of each start's parcel in the lab."""
+    config = EnvConfig(task=start_benchmark(task).task, preset=PRESETS[LAB])
+    drawn = drawn_parcels(config, [{}] * starts, SEED)
+    return tuple(name_shape(each.base) for each in drawn)

@@ -1,17 +1,23 @@
-"""Text tables: on screen, as Markdown and as HTML."""
+"""Tables of texts: on screen, as Markdown, and on a page with pictures and videos."""
 
+import base64
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import Literal
 
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table as Screen
 from rich.text import Text
+
+from surface_gym.config import PRESETS
+from surface_gym.player import frame_page
+from surface_gym.tasks.benchmark import ResultColumn
 
 NOTHING = "-"
 BOLD = "**"  # on both sides, as in Markdown
@@ -133,3 +139,65 @@ def _shown(text: str) -> Text:
 def write_markdown(tables: Iterable[Table], file: Path, title: str = "") -> None:
     """Write tables to a file, one below the other."""
     file.write_text(title + "\n".join(table.markdown() for table in tables))
+
+
+Pictures = list[tuple[Path, str]]  # files with captions
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page: a table, pictures and videos, and explanations of columns."""
+
+    table: Table
+    pictures: Pictures
+    columns: tuple[ResultColumn, ...] = ()
+
+
+def write_page(sections: Sequence[Section], file: Path, note: str = "") -> None:
+    """Write the self-contained page with its pictures and videos."""
+    page = Template((Path(__file__).parent / "page.html").read_text(encoding="utf-8"))
+    text = page.substitute(
+        contents="".join(
+            f'<a href="#{escape(each.table.title)}">{escape(each.table.heading)}</a>'
+            for each in sections
+            if each.pictures
+        ),
+        note=escape(f" {note}" if note else ""),
+        presets=_definitions({each.label: each.meaning for each in PRESETS.values()}),
+        sections="\n".join(map(_section, sections)),
+    )
+    file.write_text(text, encoding="utf-8")
+
+
+def _section(section: Section) -> str:
+    table = section.table
+    parts = [
+        f'<h2 id="{escape(table.title)}">{escape(table.heading)}</h2>',
+        f'<p class="caption">{escape(table.caption)}</p>',
+        f'<div class="wide">{table.html()}</div>',
+        *(_figure(file, caption) for file, caption in section.pictures),
+    ]
+    if section.columns:
+        meanings = _definitions({column.label: column.meaning for column in section.columns})
+        parts.append(
+            f"<details><summary>What the columns mean</summary><dl>{meanings}</dl></details>"
+        )
+    return "\n".join(parts)
+
+
+def _figure(file: Path, caption: str) -> str:
+    data = base64.b64encode(file.read_bytes()).decode()
+    if file.suffix == ".mp4":
+        shown = (
+            f'<video controls loop muted playsinline src="data:video/mp4;base64,{data}"></video>'
+        )
+        replayed = file.with_suffix(".html")
+        if replayed.exists():
+            shown += frame_page(caption, replayed.read_text(encoding="utf-8"))
+    else:
+        shown = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{shown}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _definitions(meanings: Mapping[str, str]) -> str:
+    return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in meanings.items())

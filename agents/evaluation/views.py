@@ -1,4 +1,4 @@
-"""Views of results with one parcel: tables, and all numbers.
+"""Views of the table of results: all tables, of one parcel and of streams.
 
 A view is a function of a task and of results. It returns no table if the results are missing.
 """
@@ -6,23 +6,29 @@ A view is a function of a task and of results. It returns no table if the result
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from surface_gym.config import PRESETS
 from surface_gym.tasks.benchmark import PARCELS, ResultColumn, StreamBenchmark
 
-from ..base import Booleans
+from ..base import Booleans, Numbers
 from ..library import task_label
-from .method import FIXED, PLANNER, find_benchmark, start_benchmark
-from .results import Key, Results, Sample, interval
-from .robustness import FACTORS, LAB, SHAPES, Factor, Level, scenario_name
-from .scenario import STARTS
-from .tables import Table, number, tabulate
+from .method import FIXED, PLANNED, PLANNER, is_on_streams, start_benchmark, stream_benchmark
+from .results import Results, Sample, half_interval, is_ahead
+from .scenario import FACTORS, LAB, SHAPES, STARTS, Factor, Level, scenario_name
+from .streams import BOUNDED, LEAST_CORRECT, QUIET, SCHEDULER, STEPS, STREAM_PRESETS, UNSEEN, ZONES
+from .tables import NOTHING, Table, bold, number, tabulate
 
 SHOWN_SPEEDS = np.arange(3, 28, 2) / 10.0  # [m/s] entry speeds in the table
 NAME, SUCCESS = "controller", "success (95 % interval)"
+
+
+def make_tables(task: str, results: Results) -> list[Table]:
+    """Make the tables of a task, the most important one first."""
+    if is_on_streams(task):
+        return stream_tables(task, results)
+    return [*task_tables(task, results), *speed_tables(task, results)]
 
 
 def task_tables(task: str, results: Results) -> list[Table]:
@@ -108,37 +114,13 @@ def speed_tables(task: str, results: Results) -> list[Table]:
     )
 
 
-def decision_tables(tasks: Sequence[str], results: Results) -> list[Table]:
-    """Make the table of decision times by method and task, with exact sensors.
-
-    Times differ from run to run. This table has its own file, so that the other tables can be
-    compared byte by byte.
-    """
-    ran = {task_label(task): results.at(task, STARTS, "exact") for task in tasks}
-    times = {
-        label: {name: 1e6 * sample.decision_time for name, sample in samples.items()}
-        for label, samples in ran.items()
-    }
-    names = dict.fromkeys(name for task in tasks for name in results.methods(task, STARTS))
-    return tabulate(
-        "decisions",
-        "time of one decision in one environment [us], decided many at a time, median; only these "
-        "numbers differ from run to run",
-        [{NAME: k} | {task: number(us.get(k), ".1f") for task, us in times.items()} for k in names],
-    )
-
-
 class Sweep:
     """Results of the robustness study of one task."""
 
     def __init__(self, task: str, results: Results) -> None:
-        self.task = task
-        self.samples = {
-            (scenario, method): sample
-            for (_, scenario, _, method), sample in results.among(task)
-            if scenario != STARTS
-        }
-        self.methods = list(dict.fromkeys(method for _, method in self.samples))
+        ran = [each for each in results.among(task) if each[0][1] != STARTS]
+        self.samples = {(scenario, name): each for (_, scenario, _, name), each in ran}
+        self.methods = list(dict.fromkeys(name for _, name in self.samples))
 
     def find(self, method: str, factor: str, level: Level) -> Sample | None:
         """Return the sample of a method at a level; None if it did not run."""
@@ -156,6 +138,12 @@ class Sweep:
         success = sample.success
         shape = sample.rows["shape"].to_numpy()[: success.shape[1]]
         return {each: success[:, shape == each] for each in SHAPES if each in shape}
+
+
+def sweep_tables(task: str, results: Results) -> list[Table]:
+    """Make the tables of a task's robustness study."""
+    makers = (factor_tables, square_tables, shape_tables)
+    return [table for make in makers for table in make(task, results)]
 
 
 def factor_tables(task: str, results: Results) -> list[Table]:
@@ -245,61 +233,314 @@ def shape_tables(task: str, results: Results) -> list[Table]:
     return tabulate(f"{task_label(task)}: lab", "success in the lab, by shape", rows)
 
 
-def sweep_tables(task: str, results: Results) -> list[Table]:
-    """Make the tables of a task's robustness study."""
-    makers = (factor_tables, square_tables, shape_tables)
-    return [table for make in makers for table in make(task, results)]
+# Upper bounds for all controllers, and for schedules of a rung's maneuvers.
+ENTRANCE = "entrance"
+BEST = "best known for {}"
+CANNOT = "cannot"  # cannot sort all kinds, even one at a time
+TOUCHES, TURNS = "touches/1000", "turns/parcel"
+EXITS = {  # descriptions by name of a group
+    "sides": "left, right (a chute as long as the line on either side) and straight on",
+    "chutes": "two chutes on either side and straight on, the environment's default",
+}
 
 
-def list_numbers(task: str, results: Results) -> list[dict[str, Any]]:
-    """List every number of a task, one row each."""
-    rows = []
-    for key, sample in results.among(task):
-        names = dict(zip(("task", "scenario", "preset", "method"), key, strict=True))
-        count = {"seeds": len(sample.seeds), "episodes": len(sample.rows) // len(sample.seeds)}
-        for part, values in _values(key, sample, results).items():
-            names["scenario"] = key[1] + part
-            rows += [{**names, **count, "metric": k, "value": each} for k, each in values.items()]
-    return rows
+class Capacities:
+    """Capacities of methods on a group of offered streams, given by name, under a preset."""
+
+    def __init__(self, results: Results, task: str, group: str, preset: str) -> None:
+        self.task, self.group, self.preset = task, group, preset
+        offers = [each for each in stream_benchmark(task).offers if each.group == group]
+        self._samples = {each.name: results.at(task, each.scenario, preset) for each in offers}
+        self.offers = list(self._samples)
+        found = {name for samples in self._samples.values() for name in samples}
+        self.names = [name for name in results.methods(task) if name in found]
+
+    def find(self, name: str, offer: str) -> Sample | None:
+        """Return the sample of a method; None if it did not run."""
+        return self._samples[offer].get(name)
+
+    def throughput(self, name: str, offer: str) -> float:
+        """Return the capacity of a method [parcels/h]; 0 if it sustains no rate."""
+        sample = self.find(name, offer)
+        return 0.0 if sample is None else sample.throughput
+
+    def able(self, name: str, offer: str) -> Sample | None:
+        """Return the sample of a method if it sustains any rate."""
+        sample = self.find(name, offer)
+        return sample if sample is not None and sample.is_sustained else None
+
+    def constants(self, name: str, column: str) -> list[float]:
+        """Return a constant of a method on each stream; NaN where it did not run."""
+        samples = [self.find(name, offer) for offer in self.offers]
+        return [math.nan if each is None else each.constant(column) for each in samples]
+
+    def bound(self, offer: str) -> float:
+        """Return the entry limit [parcels/h]; NaN if nothing ran."""
+        return next((each.constant("bound") for each in self._samples[offer].values()), math.nan)
+
+    def difference(self, name: str, other: str, offer: str) -> tuple[float, float] | None:
+        """Return the difference of two capacities and half of its 95 % interval [parcels/h], or
+        None.
+
+        Replications are paired if both had the same offered parcels at the same times.
+        """
+        one, two = self.able(name, offer), self.able(other, offer)
+        if one is None or two is None:
+            return None
+        if (one.constant("offered"), len(one.rates)) == (two.constant("offered"), len(two.rates)):
+            apart = one.rates - two.rates
+            return float(apart.mean()), half_interval(apart)
+        return one.throughput - two.throughput, math.hypot(one.margin, two.margin)
+
+    def leader(self, offer: str) -> str | None:
+        """Find the method whose capacity is above every other capacity, beyond the interval."""
+        able = {n: each for n in self.names if (each := self.able(n, offer)) is not None}
+        first = max(able, key=lambda name: able[name].throughput, default="")
+        apart = [self.difference(first, name, offer) for name in able if name != first]
+        ahead = [each is not None and each[0] > each[1] for each in apart]
+        return first if ahead and all(ahead) else None
 
 
-def _values(key: Key, sample: Sample, results: Results) -> dict[str, dict[str, float]]:
-    """Return the numbers of a sample, in the lab also of each shape."""
-    task, scenario, preset, method = key
-    benchmark = find_benchmark(task)
-    if isinstance(benchmark, StreamBenchmark):
-        return {"": _stream_values(sample, benchmark)}
-    values = _success(sample.success)
-    if scenario == STARTS:
-        fixed = results.find(task, STARTS, preset, FIXED)
-        if fixed is not None:
-            values |= {c.name: column_value(c, sample, fixed) for c in benchmark.columns}
-        return {"": values}
-    if metrics := benchmark.task.metrics:
-        sizes = np.median(sample.metric(metrics[0]), axis=1)
-        values["median_error"] = float(np.mean(sizes))
-    shapes = Sweep(task, results).by_shape(method) if preset == LAB else {}
-    return {"": values, **{f" {shape}": _success(each) for shape, each in shapes.items()}}
+def list_capacities(task: str, results: Results) -> list[Capacities]:
+    """List the capacities by group and preset."""
+    benchmark = stream_benchmark(task)
+    searched = [each for each in benchmark.offers if not each.rates]
+    ran = {(key[1], key[2]) for key, _ in results.among(task)}
+    return [
+        Capacities(results, task, group, preset)
+        for group in dict.fromkeys(each.group for each in searched)
+        for preset in benchmark.presets
+        if any((each.scenario, preset) in ran for each in searched if each.group == group)
+    ]
 
 
-def _success(success: Booleans) -> dict[str, float]:
-    low, high = interval(success)
-    return {"success": float(success.mean()), "success_low": low, "success_high": high}
+def stream_tables(task: str, results: Results) -> list[Table]:
+    """Make all tables of a task, the most important one first."""
+    found = list_capacities(task, results)
+    groups = dict.fromkeys(each.group for each in found)
+    return [
+        *(
+            table
+            for group in groups
+            for make in (ladder_tables, step_tables)
+            for each in found
+            if each.group == group
+            for table in make(each)
+        ),
+        *offer_tables(task, results),
+    ]
 
 
-def _stream_values(sample: Sample, benchmark: StreamBenchmark) -> dict[str, float]:
-    values = {"rate": sample.throughput, "bound": sample.constant("bound")}
-    if len(sample.seeds) > 1:
-        means = sample.of_seeds.mean(axis=1)
-        values |= {f"rate of seed {k}": r for k, r in zip(sample.seeds, means, strict=True)}
-    for name in ("actuators", "columns", "best"):
-        if math.isfinite(sample.constant(name)):
-            values[name] = sample.constant(name)
+def ladder_tables(found: Capacities) -> list[Table]:
+    """Make the table of hardware, capacity on all streams, touches and turns by method."""
+    leaders = {offer: found.leader(offer) for offer in found.offers}
+    rows: list[dict[str, str]] = []
+
+    def row(name: str, hardware: str, cells: Sequence[str], *more: str) -> None:
+        values = (hardware, *cells, *(more or (NOTHING, NOTHING)))
+        heads = ("actuators", *found.offers, TOUCHES, TURNS)
+        rows.append({NAME: name, **dict(zip(heads, values, strict=True))})
+
+    for name in found.names:
+        samples = {offer: found.find(name, offer) for offer in found.offers}
+        able = [each for each in samples.values() if each is not None and each.is_sustained]
+        cells = [
+            bold(_capacity(sample)) if name == leaders[offer] else _capacity(sample)
+            for offer, sample in samples.items()
+        ]
+        delivered = sum(each.values("delivered").sum() for each in able)
+        touches = 1000.0 * sum(each.touches for each in able) / max(1, delivered)
+        turns = [each.turns for each in able]
+        row(
+            name, _span([int(each) for each in found.constants(name, "actuators") if each > 0.0]),
+            cells, number(touches if able else None, ".1f"),
+            number(float(np.mean(turns)) if able else None, ".1f"),
+        )  # fmt: skip
+    for name in BOUNDED:
+        best = found.constants(name, "best")
+        if not np.isnan(best).all():
+            row(BEST.format(name), NOTHING, [number(each, ".0f") for each in best])
+    row(ENTRANCE, NOTHING, [number(found.bound(offer), ".0f") for offer in found.offers])
+    measured = [found.find(name, offer) for name in found.names for offer in found.offers]
+    replications = max(len(each.rates) for each in measured if each is not None)
+    bounds = f"No controller exceeds the row “{ENTRANCE}”."
+    if any(each[NAME].startswith(BEST.format("")) for each in rows):
+        bounds += f" A row “{BEST.format('...')}” is the best rate of a search, and no bound."
+    return tabulate(
+        _title("ladder of hardware", found),
+        "Correct deliveries per hour at the highest steady rate with at least "
+        f"{100.0 * LEAST_CORRECT[found.preset]:g} % correct deliveries and no jam, with Student's "
+        f"95 % interval over {replications} replications. Parcels go at equal odds to the "
+        f"{_exits(found)}. {STREAM_PRESETS[found.preset].meaning} Bold marks a rate above every "
+        "other by more than the interval. An actuator turns the axes of a module, a column or a "
+        "zone, on 6 m of line. A fixed layout would lead all parcels one way. Touches per 1000 "
+        "deliveries and turns of an actuator per parcel are means over all streams. "
+        f"{_zones(found)}{bounds}",
+        rows,
+    )
+
+
+def _capacity(sample: Sample | None) -> str:
+    if sample is None:
+        return NOTHING
     if sample.is_sustained:
-        values |= {
-            "margin": sample.margin, "offered": sample.constant("offered"),
-            "share correct": sample.share_correct, "jams": sample.jams,
-            "waiting": sample.waiting, "turns per parcel": sample.turns_per_actuator,
-            **{each.name: each.value(sample, sample) for each in benchmark.columns},
-        }  # fmt: skip
-    return values
+        return _throughput(sample)
+    return "0" if sample.constant("actuators") else CANNOT
+
+
+def _throughput(sample: Sample) -> str:
+    return f"{sample.throughput:.0f} ±{sample.margin:.0f}"
+
+
+def _span(values: Sequence[int]) -> str:
+    """Return the smallest and the largest of numbers as text."""
+    return " to ".join(map(str, sorted({min(values), max(values)}))) if values else NOTHING
+
+
+def _zones(found: Capacities) -> str:
+    """Describe the numbers of columns in the zones of each stream."""
+    columns = {name: found.constants(name, "columns") for name in ZONES}
+    said = [
+        f"{name}: {', '.join(f'{each:.0f}' if each > 0.0 else CANNOT for each in of_streams)}"
+        for name, of_streams in columns.items()
+        if not np.isnan(of_streams).all()
+    ]
+    return f"Columns of a zone, stream by stream: {'; '.join(said)}. " if said else ""
+
+
+def step_tables(found: Capacities) -> list[Table]:
+    """Make the table of differences between rungs."""
+
+    def text(name: str, other: str, offer: str) -> str:
+        apart, below = found.difference(name, other, offer), found.able(other, offer)
+        if apart is None or below is None:
+            return NOTHING
+        change = 100.0 * apart[0] / below.throughput
+        return f"{apart[0]:+.0f} ±{apart[1]:.0f} ({change:+.1f} %)"
+
+    return tabulate(
+        _title("what a rung has over another", found),
+        "difference of capacities [parcels/h], with Student's 95 % interval over pairs of "
+        f"replications with the same parcels; {_exits(found)}",
+        [
+            {"rungs": f"{name} over {other}"}
+            | {offer: text(name, other, offer) for offer in found.offers}
+            for name, other in STEPS
+            if name in found.names and other in found.names
+        ],
+    )
+
+
+def _title(title: str, found: Capacities) -> str:
+    label = STREAM_PRESETS[found.preset].label
+    return f"{task_label(found.task)}: {title}, {label}, exits “{found.group}”"
+
+
+def _exits(found: Capacities) -> str:
+    return f"exits “{found.group}”: {EXITS.get(found.group, found.group)}"
+
+
+def offer_tables(task: str, results: Results) -> list[Table]:
+    """Make the table of deliveries by method, offered stream and preset."""
+    benchmark = stream_benchmark(task)
+    columns = benchmark.columns
+    rows: list[dict[str, str]] = []
+    shown: list[Sample] = []
+    for offer in (each for each in benchmark.offers if each.rates):
+        for preset in benchmark.presets:
+            samples = results.at(task, offer.scenario, preset)
+            shown += samples.values()
+            ahead = _find_ahead({k: v.rates for k, v in samples.items() if v.kind != PLANNER})
+            for name, sample in samples.items():
+                rate, bound = _throughput(sample), number(sample.constant("bound"), ".0f")
+                row = {"scenario": offer.name, "preset": preset, "method": name}
+                row["correct per hour"] = bold(rate) if name == ahead else rate
+                row["correct"] = f"{100.0 * sample.share_correct:.2f} %"
+                row |= {c.label: format_value(c, c.value(sample, sample)) for c in columns}
+                rows.append(row | {"jams": f"{sample.jams:.1f}", "full belt": bound})
+    return tabulate(f"{task_label(task)} on streams", _describe(benchmark, shown), rows, keys=3)
+
+
+def _find_ahead(rates: dict[str, Numbers]) -> str | None:
+    """Find the method that is significantly ahead of every other."""
+    if len(rates) < 2:
+        return None
+    best = max(rates, key=lambda name: float(rates[name].mean()))
+    others = [rates[best] - each for name, each in rates.items() if name != best]
+    return best if all(map(is_ahead, others)) else None
+
+
+def _describe(benchmark: StreamBenchmark, samples: Sequence[Sample]) -> str:
+    count = max((len(each.rates) for each in samples), default=0)
+    seconds = max((each.constant("counted") for each in samples), default=0.0)
+    planner = ""
+    if any(each.kind == PLANNER for each in samples):
+        planner = (
+            f" The planner knows the true state and all arrivals. It runs on {PLANNED} streams "
+            "only, and is not compared for the bold."
+        )
+    return (
+        f"{count} streams of {seconds:g} s, the same for all methods; {benchmark.description}. "
+        "Correct deliveries per hour have Student's 95 % interval; agents have the mean over their "
+        "seeds. Bold marks results that are significantly best (95 % confidence, paired). "
+        f"{'; '.join(f'{each.label}: {each.meaning}' for each in benchmark.columns)}; jams: "
+        f"streams in which nothing moved, or nothing left in the last {QUIET:g} s; full belt: "
+        "the rate at which the take-away is full, if all departures are correct and each kind of "
+        f"parcel departs in its share.{planner}"
+    )
+
+
+def unseen_tables(task: str, results: Results) -> list[Table]:
+    """Make the table of the scheduler and agents on streams that are not in their training."""
+    rows, agents = [], set[str]()
+    for offer in stream_benchmark(task).held_out:
+        samples = results.at(task, offer.scenario, UNSEEN)
+        if (rule := samples.pop(SCHEDULER, None)) is None:
+            continue
+        agents |= samples.keys()
+        for sample in samples.values():
+            seeds = [Sample(each) for _, each in sample.rows.groupby("seed", sort=False)]
+            ratio, ahead = _compare(rule.rates, list(sample.of_seeds))
+            rows.append(
+                (
+                    offer.name, _throughput(rule), _touches([rule]), _throughput(sample),
+                    _touches(seeds), ratio, ahead, f"{rule.constant('bound'):.0f}",
+                )
+            )  # fmt: skip
+    if not rows:
+        return []
+    agent = ", ".join(sorted(agents))
+    table = Table(
+        f"{task_label(task)}: {agent} beside the scheduler where it never trained",
+        "Correct deliveries per hour at the entry limit, with Student's 95 % interval, mean over "
+        "the agent's seeds; touches per 1000 deliveries. The ratio is of the same parcels; bold "
+        "marks an interval without 1. Seeds ahead have an interval of their own above 1. Both "
+        "choose in a trial how close parcels follow each other: without a touch, or with at most "
+        "50 per 1000 deliveries where modules are stuck and where speeds differ, and 100 in the "
+        "lab.",
+        (
+            "scenario", "scheduler", "touches", agent, "touches", "agent / scheduler",
+            "seeds ahead", "entrance",
+        ),
+        tuple(rows),
+    )  # fmt: skip
+    return [table]
+
+
+def _touches(seeds: Sequence[Sample]) -> str:
+    each = [1000.0 * one.touches / max(1.0, one.values("delivered").sum()) for one in seeds]
+    return f"{np.mean(each):.1f}"
+
+
+def _compare(rule: Numbers, agents: Sequence[Numbers]) -> tuple[str, str]:
+    """Compare agents with a rule.
+
+    Returns:
+        Two texts: the ratio of the agents' mean to the rule's mean, and the number of agents
+        significantly ahead of the rule.
+    """
+    apart = np.mean(agents, axis=0) - rule
+    ratio, margin = 1.0 + apart.mean() / rule.mean(), half_interval(apart) / rule.mean()
+    text = f"{ratio:.3f} ±{margin:.3f}"
+    ahead = sum(is_ahead(each - rule) for each in agents)
+    return bold(text) if abs(ratio - 1.0) > margin else text, f"{ahead} of {len(agents)}"

@@ -18,9 +18,9 @@ from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.web.starts import describe, goal_marks
 
-from ..evaluation.ladder import ARRANGED, MODULES, TASK, ladder
 from ..evaluation.method import Method, stream_benchmark
 from ..evaluation.report import filmed_scenario
+from ..evaluation.streams import ARRANGED, MODULES, TASK, ladder
 from ..scheduling.leading import schedule
 from ..scheduling.scheduler import Scheduler
 from .rules import write, write_machine

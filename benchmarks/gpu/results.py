@@ -120,7 +120,7 @@ def plot_rates(rates: Sequence[Rate], file: Path) -> None:
     """
     from matplotlib.figure import Figure as Plot
 
-    from surface_gym.agents.evaluation.plots import choose_colours
+    from surface_gym.agents.evaluation.pictures import choose_colours
 
     names = list(dict.fromkeys(rate.name for rate in rates))
     plot = Plot(figsize=(9.0, 4.4), layout="constrained")

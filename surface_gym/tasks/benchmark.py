@@ -62,18 +62,6 @@ class ResultColumn:
     every_start: bool = False  # whether it needs results of all starts
 
 
-@dataclass(frozen=True)
-class ErrorPlot:
-    """The metric whose distribution is plotted."""
-
-    metric: str
-    label: str
-    scale: float = 1.0  # to the label's unit
-    limit: float | None = (
-        None  # [label's unit] limit of success; None: success is defined otherwise
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class SpeedGrid:
     """Starts of every parcel, at every entry speed, to both sides, in this order."""
@@ -139,7 +127,7 @@ class Benchmark:
     description: str = f"{DRAWN} starts drawn by the task's own law"
     example: dict[str, Any] = field(default_factory=dict)  # reset options of the filmed start
     example_description: str = "a start drawn by the task"
-    error: ErrorPlot | None = None
+    error: str | None = None  # metric that tells how good a success is; None: the time
     grid: SpeedGrid | None = None  # starts whose times are compared by entry speed
 
 
@@ -173,9 +161,7 @@ def default_benchmark(task: "Task") -> Benchmark:
         "time", "time [s]", "of an episode, median over starts",
         lambda runs, _: float(np.median(runs.time)),
     )  # fmt: skip
-    first = task.metrics[0] if task.metrics else None
-    error = None if first is None else ErrorPlot(first, first.replace("_", " "))
-    return Benchmark(task, (*columns, time), error=error)
+    return Benchmark(task, (*columns, time), error=next(iter(task.metrics), None))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
 from surface_gym.tasks import base, planning
-from surface_gym.tasks.benchmark import PARCELS, Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.benchmark import PARCELS, Benchmark, high_column, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
@@ -163,7 +163,7 @@ class Orient(base.Task):
             "by 15, 30 and 45 deg to either side, entry speeds 1.3 to 1.7 m/s, both boxes",
             {"speed": 1.5, "parcel": "B", "angle": 0.5236},
             "the B-box at 1.5 m/s, by 30 deg",
-            ErrorPlot("angle_error", "error of the angle [deg]", degrees, 2.0),
+            "angle_error",
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:

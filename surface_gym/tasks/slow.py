@@ -11,7 +11,7 @@ from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
 from surface_gym.state import SUCCESS, EnvState, planar_speed
 from surface_gym.tasks import base, planning
-from surface_gym.tasks.benchmark import Benchmark, ErrorPlot, high_column, median_column
+from surface_gym.tasks.benchmark import Benchmark, high_column, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.start import Draw, Start, between
 
@@ -163,7 +163,7 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
             ),
             example={"speed": 1.8, "parcel": "B", "ratio": 0.4},
             example_description="the B-box at 1.8 m/s, to 0.4 of it",
-            error=ErrorPlot("ratio_error", "error of the speed ratio", limit=0.01),
+            error="ratio_error",
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from surface_gym.state import (
 )
 from surface_gym.tasks import paths as shapes
 from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures, rising
-from surface_gym.tasks.benchmark import DRAWN, Benchmark, ErrorPlot, median_column
+from surface_gym.tasks.benchmark import DRAWN, Benchmark, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
 from surface_gym.tasks.start import Draw, Numbers, Start, between
@@ -269,7 +269,7 @@ the path and the asked speed |
             (of_rms, of_speed),
             example={"speed": 0.8, "parcel": "S", "tilt": 0.21},
             example_description="the S-box on a sine, at 12 deg of tilt",
-            error=ErrorPlot("rms_error", "rms error across the path [mm]", 1e3),
+            error="rms_error",
         )
         if self != Track():
             return found

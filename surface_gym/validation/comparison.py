@@ -1,10 +1,12 @@
-"""The runs of Section 6 and their errors: one box and one layout with 37 tilts and one push."""
+"""Section 6 of the paper with MuJoCo: 37 tilts and one push, convergence, and speed of methods."""
 
 import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -17,10 +19,17 @@ from surface_gym.simulation import expect_tipping, simulate
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
+from surface_gym.validation.simulation import RECIPE, Recipe
 
 PARCEL = Parcel(Rectangle(0.25, 0.25), mass=5.48, com_height=0.1, inertia=5.70e-2)  # Table 5
-IMPLICIT = Integration("implicit", 1e-3)
-EXPLICIT = COARSE  # our inferred step of Section 5
+# Names of the compared models.
+MUJOCO: Final = "MuJoCo"
+IMPLICIT: Final = "implicit"
+EXPLICIT: Final = "explicit"
+INTEGRATIONS = {
+    IMPLICIT: Integration(IMPLICIT, 1e-3),
+    EXPLICIT: COARSE,  # our inferred step of Section 5
+}
 UNIT = np.array([1e3, 1e3, 1.0])  # factors from [m, m, deg] to [mm, mm, deg]
 
 
@@ -51,13 +60,13 @@ class SlopeCase:
         """(vx, vy, omega) [m/s, m/s, rad/s] at the start."""
         return (self.speed, 0.0, 0.0)
 
-    def mujoco(self, recipe: simulation.Recipe = simulation.RECIPE) -> Trajectory:
+    def mujoco(self, recipe: Recipe = RECIPE) -> Trajectory:
         return simulation.simulate(
             self.surface, PARCEL, self.pose, self.velocity, self.duration, recipe
         )
 
     @expect_tipping()
-    def analytic(self, integration: Integration = IMPLICIT) -> Trajectory:
+    def analytic(self, integration: Integration = INTEGRATIONS[IMPLICIT]) -> Trajectory:
         """Run the case by the model of Section 3."""
         start = (self.pose, self.velocity, self.duration)
         return simulate(self.surface, PARCEL, *start, integration.dt, integration.method)
@@ -69,25 +78,26 @@ LONG = SlopeCase(tilt=5.0, duration=1.8)  # Figure 12c
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """A case by MuJoCo and by the analytic model."""
+    """A case by MuJoCo, by the implicit method at 1 ms, and by the explicit method at 5 ms."""
 
     case: SlopeCase
-    mujoco: Trajectory
-    implicit: Trajectory  # at 1 ms
-    explicit: Trajectory  # at 5 ms
-
-
-Model = Callable[[ComparedRun], Trajectory]  # selects one trajectory of a run
+    by: dict[str, Trajectory]  # by name of the model
 
 
 def run_case(case: SlopeCase) -> ComparedRun:
-    """Run a case in MuJoCo and by both methods of the analytic model."""
-    return ComparedRun(case, case.mujoco(), case.analytic(IMPLICIT), case.analytic(EXPLICIT))
+    """Run a case by all models."""
+    analytic = {name: case.analytic(each) for name, each in INTEGRATIONS.items()}
+    return ComparedRun(case, {MUJOCO: case.mujoco(), **analytic})
 
 
 def displacement(trajectory: Trajectory) -> Array:
     """Return the displacement (3,) [m, m, deg] from start to end."""
     return np.array(runs.displacement(trajectory))
+
+
+def displacements(runs: Sequence[ComparedRun], model: str) -> Array:
+    """Return the displacements (runs, 3) [m, m, deg] by a model."""
+    return np.array([displacement(run.by[model]) for run in runs])
 
 
 def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
@@ -96,56 +106,47 @@ def is_sorted(case: SlopeCase, trajectory: Trajectory) -> bool:
     return not (under & case.surface.rotor).any()
 
 
-def sorts_from(runs: Sequence[ComparedRun], model: Model) -> float | None:
+def sorts_from(runs: Sequence[ComparedRun], model: str) -> float | None:
     """Return the smallest tilt [deg] such that its run and all steeper runs sort, or None."""
     least = None
     for run in sorted(runs, key=lambda run: -run.case.tilt):
-        if not is_sorted(run.case, model(run)):
+        if not is_sorted(run.case, run.by[model]):
             break
         least = run.case.tilt
     return least
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorSummary:
-    """Values of Table 7: rows are mean and standard deviation, columns x, y and theta."""
+class Errors:
+    """Errors of Eq. (5) by run, or their mean and standard deviation."""
 
-    title: str
-    percent: Array  # (2, 3) [%]
-    absolute: Array  # (2, 3) [mm, mm, deg]
+    absolute: Array  # (rows, 3) [mm, mm, deg] Eq. (5a)
+    percent: Array  # (rows, 3) [%] Eq. (5b)
 
-
-@dataclass(frozen=True, eq=False)
-class DisplacementErrors:
-    """MuJoCo's displacements minus the analytic model's, by run."""
-
-    absolute: Array  # (runs, 3) [mm, mm, deg] Eq. (5a)
-    percent: Array  # (runs, 3) [%] relative to MuJoCo's, Eq. (5b)
-
-    def summary(self, title: str) -> ErrorSummary:
-        """Compute mean and standard deviation over the runs."""
+    def summary(self) -> "Errors":
+        """Return two rows: mean and standard deviation over the runs."""
 
         def rows(values: Array) -> Array:
             deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(3)
             return np.stack([values.mean(axis=0), deviation])
 
-        return ErrorSummary(title, rows(self.percent), rows(self.absolute))
+        return Errors(rows(self.absolute), rows(self.percent))
 
 
-def compute_errors(runs: Sequence[ComparedRun], model: Model) -> DisplacementErrors:
-    """Compute the errors of one analytic model over the runs."""
-    mujoco = np.array([displacement(run.mujoco) for run in runs])
-    difference = mujoco - np.array([displacement(model(run)) for run in runs])
-    return DisplacementErrors(difference * UNIT, 100.0 * difference / mujoco)
+def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
+    """Compare MuJoCo's displacements with an analytic model's; percent are of MuJoCo's."""
+    mujoco = displacements(runs, MUJOCO)
+    difference = mujoco - displacements(runs, model)
+    return Errors(difference * UNIT, 100.0 * difference / mujoco)
 
 
 @dataclass(frozen=True, eq=False)
 class PaperErrors:
     """Errors between Adams and MATLAB in Section 6.2."""
 
-    table7: ErrorSummary
-    tilted: DisplacementErrors  # one run: 10 deg
-    pushed: DisplacementErrors  # one run: v0 = 0.9 m/s
+    table7: Errors  # mean and standard deviation
+    tilted: Errors  # one run: 10 deg
+    pushed: Errors  # one run: v0 = 0.9 m/s
     sorts_from: float  # [deg]
 
 
@@ -156,12 +157,10 @@ def load_paper_errors() -> PaperErrors:
     percent = [[row[f"e{axis}_percent"] for axis in ("x", "y", "theta")] for row in rows]
     absolute = [[row[key] for key in ("ex_mm", "ey_mm", "etheta_deg")] for row in rows]
     tilted, pushed = (
-        DisplacementErrors(
-            np.array([printed[key]["abs"]]) * UNIT, np.array([printed[key]["percent"]])
-        )
+        Errors(np.array([printed[key]["abs"]]) * UNIT, np.array([printed[key]["percent"]]))
         for key in ("gamma10", "v09")
     )
-    table7 = ErrorSummary("Adams / MATLAB, printed", np.array(percent), np.array(absolute))
+    table7 = Errors(np.array(absolute), np.array(percent))
     return PaperErrors(table7, tilted, pushed, printed["completes_from_gamma_deg"])
 
 
@@ -184,3 +183,120 @@ def _half_digits(values: Array) -> Array:
     """Return half a unit of the last printed digit."""
     digits = [Decimal(repr(value)).as_tuple().exponent for value in values.tolist()]
     return np.array([0.5 * 10.0 ** int(digit) for digit in digits])
+
+
+CASES = (SlopeCase(5.0), SlopeCase(14.0), PUSHED)  # cases of convergence and speed
+VARIANTS = {
+    "recipe": RECIPE,
+    "step / 2": RECIPE.finer(2.0),
+    "step x 2": RECIPE.finer(0.5),
+    "stiffness x 2": RECIPE.stiffer(2.0),
+    "stiffness / 2": RECIPE.stiffer(0.5),
+    "rotors / 1000": RECIPE.lighter_rotors(1000.0),
+}
+JOBS = tuple((case, recipe) for case in CASES for recipe in VARIANTS.values())
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A case with a changed recipe."""
+
+    case: SlopeCase
+    change: str
+    shift: Array  # (3,) [mm, mm, deg] difference from the unchanged recipe
+    error: Array  # (3,) [mm, mm, deg] difference from the implicit method
+
+
+def run_variant(job: tuple[SlopeCase, Recipe]) -> Array:
+    """Run one of JOBS, and return its displacement (3,) [m, m, deg]."""
+    case, recipe = job
+    return displacement(case.mujoco(recipe))
+
+
+def compare_variants(ends: Sequence[Array]) -> tuple[Variant, ...]:
+    """Compare the displacements of JOBS."""
+    table = np.reshape(ends, (len(CASES), len(VARIANTS), 3))
+    return tuple(
+        Variant(case, change, UNIT * (end - rows[0]), UNIT * (end - displacement(case.analytic())))
+        for case, rows in zip(CASES, table, strict=True)
+        for change, end in zip(VARIANTS, rows, strict=True)
+    )
+
+
+ACCURACY = 1.0  # [%] of the displacement in x, y and theta, relative to the method's own fine step
+LEAST_TIME = 0.5  # [s] minimum duration of timing
+
+
+@dataclass(frozen=True)
+class TimedMethod:
+    """A method to run a case, with steps to try and a reference step."""
+
+    name: str
+    run: Callable[[SlopeCase, float], Trajectory]
+    fine: float  # [s]
+    steps: tuple[float, ...]  # [s] increasing
+
+
+@dataclass(frozen=True)
+class MethodSpeed:
+    """Speed of a method at its largest accurate step."""
+
+    method: str
+    step: float  # [s]
+    error: float  # [%] largest over the cases and over x, y and theta
+    rate: float  # [-] simulated seconds per second
+
+
+METHODS = (
+    TimedMethod(
+        MUJOCO,
+        lambda case, step: case.mujoco(replace(RECIPE, step=step)),
+        fine=2.5e-5,
+        steps=(5e-5, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4),
+    ),
+    TimedMethod(
+        IMPLICIT,
+        lambda case, step: case.analytic(Integration(IMPLICIT, step)),
+        fine=1e-5,
+        steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 1e-2),
+    ),
+    TimedMethod(
+        EXPLICIT,
+        lambda case, step: case.analytic(Integration(EXPLICIT, step)),
+        fine=2e-6,
+        steps=(2e-5, 5e-5, 1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 1e-3, 2e-3, 5e-3),
+    ),
+)
+
+
+def measure(method: TimedMethod) -> MethodSpeed:
+    """Time a method at its largest step up to which every tried step is accurate."""
+
+    def ends(step: float) -> Array:
+        return np.array([displacement(method.run(case, step)) for case in CASES])
+
+    fine = ends(method.fine)
+    step, error = 0.0, np.inf
+    for trial in method.steps:
+        trial_error = float(np.abs(100.0 * (ends(trial) - fine) / fine).max())
+        if trial_error > ACCURACY:
+            break
+        step, error = trial, trial_error
+    if step == 0.0:
+        raise ValueError(
+            f"steps of {method.name} must hold one within {ACCURACY:g} % of its fine solution, "
+            f"got {trial_error:.2f} % at {method.steps[0]:g} s"
+        )
+    return MethodSpeed(method.name, step, error, _rate(method, step))
+
+
+def _rate(method: TimedMethod, step: float) -> float:
+    """Measure the simulated seconds per second; return the best round."""
+    best, spent = np.inf, 0.0
+    while spent < LEAST_TIME:
+        start = time.perf_counter()
+        for case in CASES:
+            method.run(case, step)
+        taken = time.perf_counter() - start
+        best, spent = min(best, taken), spent + taken
+    return float(sum(case.duration for case in CASES) / best)

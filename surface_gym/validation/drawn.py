@@ -1,4 +1,4 @@
-"""Random surfaces in MuJoCo and in the model: uneven supports, and colliding parcels.
+"""Random scenes in MuJoCo and in the model: uneven supports, and parcels that push each other.
 
 Uneven supports. Eq. (1) describes a rigid flat base on equal springs: it minimises the sum of N^2 /
 (2 k) under the balance of forces. If a spring's top is h above the plane, it is compressed by h
@@ -11,9 +11,17 @@ three contacts carry everything.
 Uneven heights are compared with this law, run quasi-statically. Uneven stiffnesses are compared
 with `surface_gym.simulate`, where `Surface.stiffness` randomises the load distribution. The two
 studies together show which spread of stiffness corresponds to how many micrometres.
+
+Meetings. One of two parcels runs into the other.
+
+Crowds. Parcels are scattered over rolling rotors, and pile up before braking rotors. So they start
+at rest, and most of them touch. In phase 1, the front brakes, and the rear rolls and presses
+against it. In phase 2, the front is released and the rear is held. In phase 3, the rear is released
+and hits the front, which brakes again.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,16 +32,28 @@ from scipy.optimize import nnls
 
 from surface_gym import checks
 from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.physics.collision import World
 from surface_gym.physics.references import advance_implicit, find_support, load_point
-from surface_gym.physics.types import ARM_X, ARM_Y, NORMAL, Array, make_scratch, table_row
-from surface_gym.simulation import Encounter, simulate, simulate_together, start_state
+from surface_gym.physics.rollout import distance_between
+from surface_gym.physics.types import (
+    ARM_X,
+    ARM_Y,
+    NORMAL,
+    STATE_SIZE,
+    Array,
+    Booleans,
+    make_scratch,
+    table_row,
+)
+from surface_gym.simulation import Encounter, make_bodies, simulate, simulate_together, start_state
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation
-from surface_gym.validation.comparison import IMPLICIT, PARCEL, PUSHED, SlopeCase
-from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE
+from surface_gym.validation.comparison import IMPLICIT, INTEGRATIONS, PARCEL, PUSHED, SlopeCase
+from surface_gym.validation.simulation import RECIPE, SIDES, TOGETHER_RECIPE, Recipe, Sides
 
 CASES = (SlopeCase(10.0), PUSHED)
+UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # factors from [m, m, rad] to [mm, mm, deg]
 
 
 def uneven_normal_forces(
@@ -168,16 +188,17 @@ def run_draw(draw: SurfaceDraw) -> Array:
     case, surface, heights = draw.case, draw.surface, draw.heights
     start = (case.pose, case.velocity, case.duration)
     mujoco = simulation.simulate(surface, PARCEL, *start, heights=heights).pose[-1]
+    step = INTEGRATIONS[IMPLICIT].dt
     if draw.unevenness.height > 0.0:
-        analytic = end_pose(surface, PARCEL, *start, heights, RECIPE.stiffness, IMPLICIT.dt)
+        analytic = end_pose(surface, PARCEL, *start, heights, RECIPE.stiffness, step)
     else:
-        analytic = simulate(surface, PARCEL, *start, IMPLICIT.dt, IMPLICIT.method).pose[-1]
+        analytic = simulate(surface, PARCEL, *start, step, IMPLICIT).pose[-1]
     return np.stack([mujoco, analytic])
 
 
 def compare_draws(draws: Sequence[SurfaceDraw], results: Sequence[Array]) -> tuple[PoseShifts, ...]:
     """Compare the end poses (2, 3) of the draws from `run_draw`."""
-    table = np.array(results) * [1e3, 1e3, 180.0 / math.pi]
+    table = UNIT * np.array(results)
 
     def ends_of(case: SlopeCase, unevenness: Unevenness) -> Array:
         return table[[draw.case == case and draw.unevenness == unevenness for draw in draws]]
@@ -195,15 +216,38 @@ def root_mean_square(shifts: Array) -> tuple[float, float]:
     return math.sqrt(x + y), math.sqrt(theta)
 
 
-DURATION = 0.5  # [s]
 STEPS = (1e-3, 5e-3)  # [s] steps of the analytic model
-COM_HEIGHT = 0.05  # [m] of both parcels, so that they press at one height
+COM_HEIGHT = 0.05  # [m] of parcels that touch, so that they press at one height
 MARGIN = 0.12  # [m] elements are built up to this distance from the analytic model's paths
-UNIT = np.array([1e3, 1e3, 180.0 / math.pi])  # factors from [m, m, rad] to [mm, mm, deg]
+MEETING = 0.5  # [s] duration
+
+
+class TouchingScene(ABC):
+    """Random parcels that push each other."""
+
+    seed: int
+
+    @abstractmethod
+    def analytic(self, dt: float) -> tuple[Encounter, ...]:
+        """Run the phases of the scene one after the other, with step `dt` [s]."""
+
+    @abstractmethod
+    def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
+        """Run all phases in MuJoCo, with a step smaller and sides harder by a factor."""
+
+    def within_reach(self, surface: Surface, parcels: Sequence[Parcel], every: int) -> Booleans:
+        """Find the elements (rows, columns) near every n-th pose of the analytic model."""
+        within = np.zeros((surface.rows, surface.columns), dtype=bool)
+        for run in self.analytic(STEPS[0]):
+            for parcel, path in zip(parcels, run.trajectories, strict=True):
+                for x, y, _ in path.pose[::every]:
+                    away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
+                    within |= away < parcel.base.reach + MARGIN
+        return within
 
 
 @dataclass(frozen=True)
-class Meeting:
+class Meeting(TouchingScene):
     """A random surface and two random parcels; one runs into the other at 0.5 to 2 m/s."""
 
     seed: int
@@ -216,32 +260,30 @@ class Meeting:
         """
         rng = np.random.default_rng(self.seed)
         while True:
-            drawn = _draw(rng)
-            encounter = simulate_together(*drawn, DURATION, STEPS[0])
-            ends = {trajectory.end for trajectory in encounter.trajectories}
-            tips = any(trajectory.tipping.any() for trajectory in encounter.trajectories)
-            if len(encounter.touches.time) > 0 and ends == {"duration"} and not tips:
+            drawn = _draw_meeting(rng)
+            encounter = simulate_together(*drawn, MEETING, STEPS[0])
+            if len(encounter.touches.time) > 0 and _stays(encounter):
                 return drawn
 
-    def analytic(self, dt: float) -> Encounter:
-        return simulate_together(*self.drawn, DURATION, dt)
+    def analytic(self, dt: float) -> tuple[Encounter, ...]:
+        return (simulate_together(*self.drawn, MEETING, dt),)
 
     def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
-        """Run the meeting in MuJoCo, with a step smaller and sides harder by a factor."""
-        surface, parcels, poses, velocities = self.drawn
-        within = np.zeros((surface.rows, surface.columns), dtype=bool)
-        paths = self.analytic(STEPS[0]).trajectories
-        for parcel, path in zip(parcels, paths, strict=True):
-            for x, y, _ in path.pose[::10]:
-                away = np.hypot(*np.meshgrid(surface.x - x, surface.y - y))
-                within |= away < parcel.base.reach + MARGIN
-        return simulation.simulate_together(
-            surface, parcels, poses, velocities, DURATION, within, TOGETHER_RECIPE.finer(harder),
-            SIDES.harder(harder),
-        )  # fmt: skip
+        surface, parcels, *_ = self.drawn
+        within = self.within_reach(surface, parcels, every=10)
+        recipe, sides = TOGETHER_RECIPE.finer(harder), SIDES.harder(harder)
+        return simulation.simulate_together(*self.drawn, MEETING, within, recipe, sides)
 
 
-def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
+def _stays(encounter: Encounter) -> bool:
+    """Return whether all parcels stay on the surface, and none tips."""
+    paths = encounter.trajectories
+    return all(path.end == "duration" and not path.tipping.any() for path in paths)
+
+
+def _draw_meeting(
+    rng: np.random.Generator,
+) -> tuple[Surface, tuple[Parcel, Parcel], Array, Array]:
     """Draw a surface, two parcels and their starts, one behind the other."""
     shape = (20, 24)
     surface = Surface(
@@ -250,7 +292,7 @@ def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Arr
         mu_max=rng.uniform(0.1, 0.5),
         tilt=math.radians(rng.uniform(0.0, 8.0)),
     )
-    parcels = (_draw_parcel(rng), _draw_parcel(rng))
+    parcels = (_draw_one_of_two(rng), _draw_one_of_two(rng))
     apart = sum(parcel.base.reach for parcel in parcels) + rng.uniform(0.01, 0.1)
     turns = rng.uniform(-math.pi, math.pi, 2)
     poses = np.array([[0.5, 1.0, turns[0]], [0.5 + apart, 1.0 + rng.uniform(-0.1, 0.1), turns[1]]])
@@ -259,47 +301,164 @@ def _draw(rng: np.random.Generator) -> tuple[Surface, tuple[Parcel, Parcel], Arr
     return surface, parcels, poses, velocities
 
 
-def _draw_parcel(rng: np.random.Generator) -> Parcel:
+def _draw_one_of_two(rng: np.random.Generator) -> Parcel:
     kind = rng.integers(3)
     base: Base
     if kind == 0:
         base = Rectangle(rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.4))
-    elif kind == 1:
-        base = Disc(rng.uniform(0.12, 0.2))
     else:
-        corners = rng.integers(4, 8)
-        angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-0.3, 0.3, corners)) / corners
-        reach = rng.uniform(0.15, 0.22)
-        base = Polygon(reach * np.column_stack([np.cos(angle), np.sin(angle)]))
+        base = Disc(rng.uniform(0.12, 0.2)) if kind == 1 else _draw_polygon(rng, 0.3, 0.15, 0.22)
     return Parcel(base, mass=math.exp(rng.uniform(0.0, 2.5)), com_height=COM_HEIGHT)
 
 
-@dataclass(frozen=True, eq=False)
-class MeetingRun:
-    """Differences of a meeting's end poses from MuJoCo's [mm, mm, deg]."""
+def draw_parcel(rng: np.random.Generator) -> Parcel:
+    """Draw a parcel of a crowd: four in six are rectangles, one is a polygon and one a disc."""
+    kind = rng.integers(6)
+    base: Base
+    if kind > 1:
+        base = Rectangle(rng.uniform(0.2, 0.45), rng.uniform(0.2, 0.4))
+    else:
+        base = Disc(rng.uniform(0.12, 0.2)) if kind == 0 else _draw_polygon(rng, 0.2, 0.17, 0.24)
+    return Parcel(base, mass=math.exp(rng.uniform(0.0, 2.5)), com_height=COM_HEIGHT)
 
-    meeting: Meeting
-    analytic: Array  # (steps, 2, 3) analytic model, by step and parcel
-    harder: Array  # (2, 3) MuJoCo with half the step and sides twice as hard
+
+def _draw_polygon(rng: np.random.Generator, spread: float, least: float, most: float) -> Polygon:
+    """Draw corners on a circle with a radius [m] between two; `spread` is in their distances."""
+    corners = rng.integers(4, 8)
+    angle = 2.0 * math.pi * (np.arange(corners) + rng.uniform(-spread, spread, corners)) / corners
+    return Polygon(rng.uniform(least, most) * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+TILT = math.radians(6.0)
+SHAPE = (14, 42)  # rows and columns: 1.4 m x 4.2 m
+BRAKE, ROLL = 0.0, math.pi / 2  # [rad] axes along the slope, and across it
+GATE = 28  # column from which on axes brake while the crowd gathers
+GATHERING, STOPPING = 2.5, 0.5  # [s]
+LEAST, MOST = 6, 12  # parcels
+# [s] start of: front brakes, rear rolls; front rolls, rear brakes; front brakes, rear rolls
+PHASES = (0.0, 0.2, 0.5)
+CROWD = 1.0  # [s] duration
+# Impacts are stopped five times more slowly than in meetings, which allows a longer step. Crowds
+# close by less than 0.5 m/s. Pressed sides yield as little as in meetings.
+CROWD_RECIPE = Recipe().lighter_rotors(1000.0)
+CROWD_SIDES = Sides(damping=1e3, creep_damping=0.5)
+
+
+def scatter(
+    rng: np.random.Generator,
+    parcels: Sequence[Parcel],
+    low: tuple[float, float, float],
+    high: tuple[float, float, float],
+    gap: float,
+) -> Array:
+    """Draw poses (parcels, 3) between two corners; repeat each until parcels keep a gap [m]."""
+    count = len(parcels)
+    poses = np.zeros((count, 3))
+    present, rows = np.ones(count, dtype=np.bool_), np.arange(count)
+    world = World(np.zeros((count, STATE_SIZE)), present, rows, make_bodies(parcels))
+    for k, parcel in enumerate(parcels):
+        clear = False
+        while not clear:
+            poses[k] = rng.uniform(low, high)
+            world.state[k] = start_state(parcel, poses[k], np.zeros(3))
+            clear = all(distance_between(world, other, k) > gap for other in range(k))
+    return poses
+
+
+@dataclass(frozen=True)
+class Crowd(TouchingScene):
+    """A random crowd of 6 to 12 parcels on a slope of 6 deg, held by braking axes and released."""
+
+    seed: int
+
+    @cached_property
+    def pile(self) -> tuple[tuple[Parcel, ...], Array]:
+        """Parcels, and their poses (parcels, 3) [m, m, rad] at rest before the axes turn.
+
+        Returns the first pile in which all parcels stay on the surface and do not tip.
+        """
+        rng = np.random.default_rng(self.seed)
+        while True:
+            parcels = tuple(draw_parcel(rng) for _ in range(rng.integers(LEAST, MOST + 1)))
+            poses = scatter(rng, parcels, (0.3, 0.3, -math.pi), (2.8, 1.1, math.pi), 0.0)
+            for columns, duration in ((GATE, GATHERING), (0, STOPPING)):
+                brakes = np.arange(SHAPE[1]) >= columns
+                run = simulate_together(_make_slope(brakes), parcels, poses, duration=duration)
+                poses = ends(run.trajectories)
+                if any(each.end != "duration" for each in run.trajectories):
+                    break
+            else:
+                if all(map(_stays, _run_phases(parcels, poses, STEPS[0]))):
+                    return parcels, poses
+
+    def analytic(self, dt: float) -> tuple[Encounter, ...]:
+        return _run_phases(*self.pile, dt)
+
+    def mujoco(self, harder: float = 1.0) -> tuple[Trajectory, ...]:
+        parcels, poses = self.pile
+        first, *others = _make_slopes(poses)
+        turns = [(time, each.axis) for time, each in zip(PHASES[1:], others, strict=True)]
+        return simulation.simulate_together(
+            first, parcels, poses, np.zeros_like(poses), CROWD,
+            self.within_reach(first, parcels, every=20), CROWD_RECIPE.finer(harder),
+            CROWD_SIDES.harder(harder), turns,
+        )  # fmt: skip
+
+
+def _make_slope(brakes: Booleans) -> Surface:
+    """Make a slope of rotors with some braking columns."""
+    axis = np.broadcast_to(np.where(brakes, BRAKE, ROLL), SHAPE)
+    return Surface(axis, np.ones(SHAPE, dtype=bool), tilt=TILT)
+
+
+def _make_slopes(poses: Array) -> tuple[Surface, ...]:
+    """Make one surface per phase. Half of the parcels have their centres over the front."""
+    columns = 0.05 + 0.1 * np.arange(SHAPE[1])
+    front = columns > np.median(poses[:, 0])
+    return _make_slope(front), _make_slope(~front), _make_slope(front)
+
+
+def _run_phases(parcels: Sequence[Parcel], poses: Array, dt: float) -> tuple[Encounter, ...]:
+    """Run the phases of a pile at poses (parcels, 3), until a parcel leaves."""
+    velocities = np.zeros_like(poses)
+    runs = []
+    for surface, begin, end in zip(_make_slopes(poses), PHASES, (*PHASES[1:], CROWD), strict=True):
+        run = simulate_together(surface, parcels, poses, velocities, end - begin, dt)
+        poses = ends(run.trajectories)
+        velocities = np.array([each.velocity[-1] for each in run.trajectories])
+        runs.append(run)
+        if any(each.end != "duration" for each in run.trajectories):
+            break
+    return tuple(runs)
+
+
+@dataclass(frozen=True, eq=False)
+class TouchingRun:
+    """Differences of the end poses of a meeting or a crowd from MuJoCo's [mm, mm, deg]."""
+
+    seed: int
+    analytic: Array  # (steps, parcels, 3) analytic model, by step
+    harder: Array  # (parcels, 3) MuJoCo with half the step and sides twice as hard
     tips: bool  # whether MuJoCo's parcels tilt by more than 1 mrad
 
 
-def run_meeting(meeting: Meeting) -> MeetingRun:
-    """Run a meeting in MuJoCo (twice) and by the analytic model."""
-    mujoco = meeting.mujoco()
+def run_touching(scene: TouchingScene) -> TouchingRun:
+    """Run a scene in MuJoCo (twice) and by the analytic model."""
+    mujoco = scene.mujoco()
     reference = ends(mujoco)
-    analytic = [ends(meeting.analytic(dt).trajectories) for dt in STEPS]
+    analytic = [ends(scene.analytic(dt)[-1].trajectories) for dt in STEPS]
     tips = any(bool(trajectory.tipping.any()) for trajectory in mujoco)
-    harder = UNIT * (ends(meeting.mujoco(2.0)) - reference)
-    return MeetingRun(meeting, UNIT * (np.array(analytic) - reference), harder, tips)
+    harder = UNIT * (ends(scene.mujoco(2.0)) - reference)
+    return TouchingRun(scene.seed, UNIT * (np.array(analytic) - reference), harder, tips)
 
 
 def ends(trajectories: tuple[Trajectory, ...]) -> Array:
-    """Return the end poses (2, 3) [m, m, rad]."""
+    """Return the end poses (parcels, 3) [m, m, rad]."""
     return np.array([trajectory.pose[-1] for trajectory in trajectories])
 
 
-def apart(differences: Array) -> tuple[float, float]:
-    """Return distance [mm] and angle [deg] of the larger of two differences (2, 3)."""
-    distance = np.hypot(differences[:, 0], differences[:, 1])
-    return float(distance.max()), float(np.abs(differences[:, 2]).max())
+def distances(differences: Array) -> Array:
+    """Return distance [mm] and angle [deg] (parcels, 2) of differences (parcels, 3)."""
+    return np.column_stack(
+        [np.hypot(differences[:, 0], differences[:, 1]), np.abs(differences[:, 2])]
+    )

@@ -365,11 +365,8 @@ def simulate(
             f"the base, got {recipe.step:g}"
         )
     within = reachable(surface, parcel, start, motion, duration)
-    scene = build(surface, parcel, recipe, heights, within)
-    tops = np.zeros(bearing.shape) if heights is None else np.asarray(heights, dtype=np.float64)
-    sag = static_sag(tops[bearing], stiffness, GRAVITY * math.cos(surface.tilt))
-    only = (start[np.newaxis], motion[np.newaxis], [sag])
-    return _run(scene, surface, [parcel], *only, duration, recipe)[0]
+    only = ([parcel], start[np.newaxis], motion[np.newaxis])
+    return simulate_together(surface, *only, duration, within, recipe, heights=heights)[0]
 
 
 def simulate_together(
@@ -382,6 +379,7 @@ def simulate_together(
     recipe: Recipe = TOGETHER_RECIPE,
     sides: Sides = SIDES,
     turns: Sequence[tuple[float, Array]] = (),
+    heights: ArrayLike | None = None,
 ) -> tuple[Trajectory, ...]:
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
@@ -391,13 +389,13 @@ def simulate_together(
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
     duration = checks.positive("duration", duration)
-    scene = build(surface, parcels, recipe, None, within, sides)
+    scene = build(surface, parcels, recipe, heights, within, sides)
+    tops = np.zeros(within.shape) if heights is None else np.asarray(heights, dtype=np.float64)
     sags = []
     for parcel, pose in zip(parcels, start, strict=True):
         bearing = elements_under(surface, parcel, pose) & within
         stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
-        weight = GRAVITY * math.cos(surface.tilt)
-        sags.append(static_sag(np.zeros(len(stiffness)), stiffness, weight))
+        sags.append(static_sag(tops[bearing], stiffness, GRAVITY * math.cos(surface.tilt)))
     return _run(scene, surface, parcels, start, motion, sags, duration, recipe, turns)
 
 
@@ -453,8 +451,7 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 
 def _run(
     scene: MujocoScene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
-    sags: Sequence[float], duration: float, recipe: Recipe,
-    turns: Sequence[tuple[float, Array]] = (),
+    sags: Sequence[float], duration: float, recipe: Recipe, turns: Sequence[tuple[float, Array]],
 ) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to the end."""
     mujoco = load_mujoco()

@@ -116,7 +116,7 @@ def test_the_comparison_of_a_task(tmp_path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("loading what compares\n")
     assert done.stdout.count("Quick: few starts") == 1
-    for name in ("results.csv", "stop.md", "comparison.csv", "decisions.md", "stop.mp4"):
+    for name in ("results.csv", "stop.md", "stop.mp4"):
         assert (out / name).stat().st_size > 0
     text = (out / "report.html").read_text()
     assert "Quick: few starts" in text

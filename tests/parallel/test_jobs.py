@@ -22,7 +22,7 @@ from rich.console import Console
 
 from surface_gym import checks, parallel, ray_executor
 from surface_gym.agents.evaluation.method import policy_folders, rules, trained
-from surface_gym.agents.evaluation.runner import compute
+from surface_gym.agents.evaluation.results import compute
 from surface_gym.agents.evaluation.scenario import make_jobs, start_scenarios
 from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds

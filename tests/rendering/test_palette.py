@@ -68,7 +68,7 @@ def test_plots_tell_the_first_controllers_apart(eye):
     pytest.importorskip("matplotlib", reason="matplotlib, of the extra `agents`, is missing")
     from matplotlib.colors import to_rgb
 
-    from surface_gym.agents.evaluation.plots import choose_colours
+    from surface_gym.agents.evaluation.pictures import choose_colours
 
     chosen = list(choose_colours(map(str, range(11))).values())
     assert chosen[:10] == list(dict.fromkeys(chosen))

@@ -14,6 +14,7 @@ from surface_gym.validation.drawn import (
     UNEVEN,
     SurfaceDraw,
     draw_surfaces,
+    ends,
     uneven_normal_forces,
 )
 from surface_gym.validation.simulation import simulate_together
@@ -26,15 +27,48 @@ PARCEL = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=2.0, com_height=0.05)
 
 
 @needs_mujoco
-@pytest.mark.parametrize("seed", [3, 6, 8, 19])
-def test_drawn_meetings_end_as_in_mujoco(seed):
-    meeting = drawn.Meeting(seed)
-    mujoco = np.array([trajectory.pose[-1] for trajectory in meeting.mujoco()])
-    for dt, distance, angle in ((1e-3, 1.0, 0.5), (5e-3, 2.0, 1.0)):
-        ends = [trajectory.pose[-1] for trajectory in meeting.analytic(dt).trajectories]
-        millimetres, degrees = drawn.apart(drawn.UNIT * (np.array(ends) - mujoco))
-        assert millimetres < distance
-        assert degrees < angle
+@pytest.mark.parametrize(
+    ("scene", "bounds"),
+    [
+        *((drawn.Meeting(seed), [(1.0, 0.5), (2.0, 1.0)]) for seed in (3, 6, 8, 19)),
+        (drawn.Crowd(1), [(1.5, 0.5)] * 2),
+    ],
+    ids=str,
+)
+def test_parcels_that_push_each_other_end_as_in_mujoco(scene, bounds):
+    """Within bounds [mm, deg] for each step of the model."""
+    mujoco = ends(scene.mujoco())
+    for dt, bound in zip(drawn.STEPS, bounds, strict=True):
+        differences = drawn.UNIT * (ends(scene.analytic(dt)[-1].trajectories) - mujoco)
+        assert (drawn.distances(differences) < bound).all()
+
+
+def test_a_drawn_crowd_is_held_then_runs_into_itself():
+    crowd = drawn.Crowd(3)
+    parcels, poses = crowd.pile
+    first, second, third = crowd.analytic(5e-3)
+    assert 6 <= len(parcels) <= 12
+    assert len(first.touches.time) > 40  # it lies in touch
+    moved = [ends(run.trajectories) - poses for run in (first, second, third)]
+    assert np.abs(moved[0]).max() < 0.01
+    assert 0.03 < moved[1][:, 0].max() < 0.06
+    assert len(third.touches.time) > 40
+    np.testing.assert_array_equal(drawn.Crowd(3).pile[1], poses)
+
+
+@needs_mujoco
+def test_axes_turn_in_mujoco_when_they_are_to():
+    """0.1 s along the slope hold the parcel; then it rolls down for 0.2 s."""
+    surface = sg.Surface(np.zeros((10, 10)), np.ones((10, 10), dtype=bool), tilt=math.radians(6.0))
+    parcel = sg.Parcel(sg.Rectangle(0.3, 0.25), com_height=0.05)
+    (run,) = simulate_together(
+        surface, [parcel], [(0.4, 0.5, 0.0)], np.zeros((1, 3)), 0.3, np.ones((10, 10), bool),
+        drawn.CROWD_RECIPE, drawn.CROWD_SIDES, [(0.1, np.full((10, 10), math.pi / 2))],
+    )  # fmt: skip
+    pull = 9.81 * (math.sin(surface.tilt) - surface.mu_min * math.cos(surface.tilt))
+    moved = run.pose[:, 0] - 0.4
+    assert moved[run.time <= 0.1].max() < 1e-4
+    assert moved[-1] == pytest.approx(0.5 * pull * 0.2**2, rel=0.02)
 
 
 def test_the_parcels_of_a_meeting_touch_on_the_surface():
@@ -42,7 +76,7 @@ def test_the_parcels_of_a_meeting_touch_on_the_surface():
     for seed in range(8):
         meeting = drawn.Meeting(seed)
         _, parcels, poses, velocities = meeting.drawn
-        encounter = meeting.analytic(2e-3)
+        (encounter,) = meeting.analytic(2e-3)
         seen |= {type(parcel.base) for parcel in parcels}
         assert len(encounter.touches.time) > 0
         assert {trajectory.end for trajectory in encounter.trajectories} == {"duration"}

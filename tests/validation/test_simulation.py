@@ -7,7 +7,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import validation
-from surface_gym.validation.comparison import compute_errors
+from surface_gym.validation.comparison import IMPLICIT, MUJOCO, compute_errors
 from surface_gym.validation.simulation import static_sag
 
 pytestmark = pytest.mark.usefixtures("mujoco")
@@ -18,13 +18,14 @@ BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=5.48)
 
 @pytest.mark.parametrize("name", ["tilted", "pushed"])
 def test_a_run_agrees_with_the_implicit_method(name, request):
-    error = compute_errors([request.getfixturevalue(name)], lambda run: run.implicit)
+    error = compute_errors([request.getfixturevalue(name)], IMPLICIT)
     assert (np.abs(error.absolute) < [5.0, 4.0, 2.5]).all()  # [mm, mm, deg]
-    assert (np.abs(error.percent) < [1.0, 2.5, 6.0]).all()
+    bound = [0.75, 1.5, 2.0] if name == "tilted" else [1.0, 2.5, 6.0]
+    assert (np.abs(error.percent) < bound).all()
 
 
 def test_the_trajectory_is_that_of_simulate(pushed):
-    ours, theirs = pushed.mujoco, pushed.implicit
+    ours, theirs = pushed.by[MUJOCO], pushed.by[IMPLICIT]
     np.testing.assert_array_equal(ours.pose[0], theirs.pose[0])
     np.testing.assert_array_equal(ours.velocity[0], theirs.velocity[0])
     assert ours.time[-1] == pytest.approx(theirs.time[-1])

@@ -15,6 +15,8 @@ from contextlib import suppress
 
 import numpy as np
 
+USED = (subprocess, urllib.request)  # by policies that are written out in tests
+
 OUTSIDE = "/var/tmp/surface-gym-outside"
 LIBC = None if sys.platform == "win32" else ctypes.CDLL(None)
 
@@ -75,14 +77,6 @@ class Bad(Zeros):
         """Return actions; None: good ones."""
 
 
-class LoopsAtStart(Zeros):
-    env_kwargs = {"actions": "halves"}
-
-    def __init__(self, config, seed):
-        while True:
-            pass
-
-
 class Loops(Bad):
     def act(self):
         with suppress(BaseException):
@@ -91,30 +85,9 @@ class Loops(Bad):
             time.sleep(0.001)
 
 
-class LoopsInAsking(Zeros):
-    @staticmethod
-    def env_kwargs(task, preset):
-        time.sleep(100.0)
-
-
-class Forks(Bad):
+class Raises(Bad):
     def act(self):
-        with suppress(OSError):
-            os.fork()
-
-
-class StartsProgram(Bad):
-    def act(self):
-        with suppress(OSError):
-            subprocess.run(["touch", OUTSIDE], check=False)
-
-
-class ForksNatively(Bad):
-    def act(self):
-        if LIBC.fork() == 0:
-            time.sleep(100.0)
-            os._exit(0)
-        time.sleep(10.0)
+        raise ValueError("two\nlines \x1b[31m")
 
 
 class ForksTwiceNatively(Bad):
@@ -127,49 +100,6 @@ class ForksTwiceNatively(Bad):
                 time.sleep(100.0)
             os._exit(0)
         time.sleep(10.0)
-
-
-class ForksBomb(Bad):
-    def act(self):
-        for _ in range(6):
-            LIBC.fork()
-        time.sleep(100.0)
-
-
-class Writes(Bad):
-    def act(self):
-        with suppress(OSError):
-            pathlib.Path(OUTSIDE).write_text("text")
-
-
-class WritesByDescriptor(Bad):
-    def act(self):
-        os.close(os.open(OUTSIDE, os.O_CREAT | os.O_WRONLY))
-
-
-class WritesByLink(Bad):
-    def act(self):
-        link = pathlib.Path("link")
-        link.symlink_to(OUTSIDE)
-        link.write_text("text")
-
-
-class Removes(Bad):
-    def act(self):
-        with suppress(OSError):
-            os.remove(__file__)
-
-
-class Renames(Bad):
-    def act(self):
-        with suppress(OSError):
-            os.rename(__file__, "here")
-
-
-class MakesFolder(Bad):
-    def act(self):
-        with suppress(OSError):
-            os.makedirs(OUTSIDE)
 
 
 class FillsDisk(Bad):
@@ -187,28 +117,11 @@ class WritesLongFile(Bad):
                 file.write(bytes(2**20))
 
 
-class Connects(Bad):
-    def act(self):
-        with suppress(OSError):
-            urllib.request.urlopen("http://127.0.0.1:9/")
-
-
-class Kills(Bad):
-    def act(self):
-        with suppress(OSError):
-            os.kill(os.getppid(), signal.SIGKILL)
-
-
 class EatsMemory(Bad):
     def act(self):
         kept = []
         while True:
             kept.append(np.ones(2**22))
-
-
-class EatsAtOnce(Bad):
-    def act(self):
-        np.ones(2**33)
 
 
 class EatsSharedMemory(Bad):
@@ -219,22 +132,6 @@ class EatsSharedMemory(Bad):
         for k in range(2**8):
             memory[k * 2**24 : (k + 1) * 2**24] = bytes(2**24)
             time.sleep(0.005)
-
-
-class Exits(Bad):
-    def act(self):
-        print("the last", "line", sep="\n")
-        os._exit(3)
-
-
-class ExitsByPython(Bad):
-    def act(self):
-        sys.exit(3)
-
-
-class Faults(Bad):
-    def act(self):
-        ctypes.string_at(0)
 
 
 class PrintsMuch(Bad):
@@ -252,120 +149,12 @@ def connection():
     raise AssertionError("no socket")
 
 
-class SendsGarbage(Bad):
-    def act(self):
-        connection().sendall(b"garbage " * 100)
+def send_message(header):
+    """Send a header with eight bytes of arrays."""
+    prefix = len(header).to_bytes(4, "little") + (8).to_bytes(4, "little")
+    connection().sendall(prefix + header + bytes(8))
 
 
-class SendsMuch(Bad):
-    def act(self):
-        connection().sendall(b"\x40\x00\x00\x00\xff\xff\xff\xff")
-
-
-class SendsHalf(Bad):
-    def act(self):
-        connection().sendall(b"\x40\x00\x00\x00")
-        time.sleep(100.0)
-
-
-class SendsWrongShape(Bad):
-    header = b'{"fields": {"state": true}, "arrays": [["int64", [3, 4]]]}'
-
-    def act(self):
-        prefix = len(self.header).to_bytes(4, "little") + (8).to_bytes(4, "little")
-        connection().sendall(prefix + self.header + bytes(8))
-
-
-class SendsObjects(SendsWrongShape):
-    header = b'{"fields": {"state": true}, "arrays": [["object", [1]]]}'
-
-
-class SendsConstant(SendsWrongShape):
-    header = b'{"fields": {"state": NaN}, "arrays": []}'
-
-
-class Closes(Bad):
-    def act(self):
-        for each in range(3, 256):
-            with suppress(OSError):
-                os.close(each)
-        time.sleep(100.0)
-
-
-class Raises(Bad):
-    def act(self):
-        raise ValueError("two\nlines \x1b[31m")
-
-
-class RaisesStrangely(Bad):
-    class StrangeError(Exception):
-        def __str__(self):
-            raise RuntimeError
-
-    def act(self):
-        raise self.StrangeError
-
-
-class ReturnsShape(Bad):
-    def act(self):
-        return np.zeros(3, dtype=np.int64)
-
-
-class ReturnsNumber(Bad):
-    def act(self):
-        return np.full(2, 16)
-
-
-class ReturnsObjects(Bad):
-    def act(self):
-        return [object(), 1]
-
-
-class ReturnsRagged(Bad):
-    def act(self):
-        return [[1, 2], [3]]
-
-
-class ReturnsMuch(Bad):
-    def act(self):
-        return np.zeros(2**24)
-
-
-class ReturnsActionsOnly(Zeros):
-    env_kwargs = {"actions": "halves"}
-
-    def predict(self, *_, **__):
-        return np.zeros(3)
-
-
-class HasNoPredict:
-    def __init__(self, config, seed):
-        pass
-
-
-class AsksForObject(Zeros):
-    env_kwargs = {"actions": object()}
-
-
-class AsksForNan(Zeros):
-    env_kwargs = {"control_period": float("nan")}
-
-
-class AsksForMore(Zeros):
-    env_kwargs = {"randomisation": None}
-
-
-class AsksForUnknownActions(Zeros):
-    env_kwargs = {"actions": "others"}
-
-
-class AsksForWrongKind(Zeros):
-    env_kwargs = {"orientations": {"a": 1}}
-
-
-class AsksForNumber(Zeros):
-    env_kwargs = 3
-
-
-class AsksForMuch(Zeros):
-    env_kwargs = {"orientations": [0.0] * 100_000}
+class StrangeError(Exception):
+    def __str__(self):
+        raise RuntimeError

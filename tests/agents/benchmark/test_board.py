@@ -4,12 +4,17 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy import stats
 
 from surface_gym.agents.benchmark.board import Board, compute_iqm, make_page, score_cells
-from surface_gym.agents.benchmark.entry import BenchmarkEntry, Row
-from surface_gym.agents.benchmark.protocol import CELLS, EPISODES, TestCell, read_protocol
+from surface_gym.agents.benchmark.entry import (
+    CELLS,
+    EPISODES,
+    BenchmarkEntry,
+    Row,
+    TestCell,
+    read_protocol,
+)
 
 ZERO, ONE = read_protocol()["references"]["sort"]
 
@@ -33,7 +38,7 @@ def entry(
 
 def test_references_score_zero_and_one_and_others_between() -> None:
     board = Board([entry(ZERO, 0.25), entry(ONE, 0.75), entry("half", 0.5), entry("more", 1.0)])
-    scores = [board.score(each, ("sort",)).value for each in board.entries]
+    scores = [board.score(each, "sort").value for each in board.entries]
     assert scores == [0.0, 1.0, 0.5, 1.5]
 
 
@@ -71,19 +76,13 @@ def test_a_table_ranks_and_names_failures() -> None:
     assert [row[0] for row in table.rows] == ["seeds", ONE, ZERO, "broken"]
     assert table.rows[0][table.header.index("seeds")] == "5"
     assert "failed" in table.rows[-1]
-    assert math.isnan(Board(entries).score(entries[-1], ("sort",)).value)
+    assert math.isnan(Board(entries).score(entries[-1], "sort").value)
     assert "| seeds |" in make_page(Board(entries))
 
 
 def test_without_references_there_are_results_but_no_scores() -> None:
     board = Board([entry("alone", 0.9)])
-    assert math.isnan(board.score(board.entries[0], ("sort",)).value)
+    assert math.isnan(board.score(board.entries[0], "sort").value)
     table = board.table("sort")
     assert table is not None
     assert "0.898" in table.rows[0]
-
-
-@pytest.mark.parametrize("tasks", [("sort", "slow")])
-def test_a_score_over_tasks_needs_all_of_them(tasks: tuple[str, ...]) -> None:
-    board = Board([entry(ZERO, 0.25), entry(ONE, 0.75)])
-    assert math.isnan(board.score(board.entries[0], tasks).value)

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from surface_gym.agents.benchmark.cli import main
-from surface_gym.agents.benchmark.entry import read_entry
-from surface_gym.agents.benchmark.protocol import CELLS
+from surface_gym.agents.benchmark.entry import CELLS, read_entry
 
 BROKEN = """
 class Policy:

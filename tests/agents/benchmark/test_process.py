@@ -15,7 +15,7 @@ import pytest
 
 from surface_gym import agents
 from surface_gym.agents import library
-from surface_gym.agents.benchmark import frames, watch
+from surface_gym.agents.benchmark import process, watch
 from surface_gym.agents.benchmark.process import PolicyFailure, PolicyLimits, PolicyProcess
 from surface_gym.agents.rollout import Episodes, run_episodes
 from surface_gym.config import EnvConfig
@@ -59,11 +59,11 @@ def check_same(found: Episodes, wanted: Episodes) -> None:
     assert found.outcome == wanted.outcome
 
 
-def fail(name: str, limits: PolicyLimits = LATE) -> str:
+def fail(source: str, limits: PolicyLimits = LATE) -> str:
     """Run a policy that fails; return the reason, and check that nothing is left."""
     since, before = time.monotonic(), watch.find_descendants(os.getpid())
     with pytest.raises(PolicyFailure) as failure:
-        play(f"{FILE}:{name}", limits)
+        play(source, limits)
     assert time.monotonic() - since < PROMPT
     assert watch.find_descendants(os.getpid()) <= before
     assert find_files() == []
@@ -139,61 +139,79 @@ LIMIT = "used more than 0.75 GiB of memory"
 WROTE = f"wrote to {own.OUTSIDE}"
 STARTED = "started a process"
 MESSAGE = "sent a message that is not allowed"
-FAILURES = {
-    "LoopsAtStart": "took more than 1 s to begin",
-    "Loops": "took more than 1 s to decide",
-    "LoopsInAsking": "took more than 1 s to load",
-    "Forks": STARTED,
-    "StartsProgram": STARTED,
-    "ForksNatively": STARTED,
-    "ForksTwiceNatively": STARTED,
-    "ForksBomb": STARTED,
-    "Writes": WROTE,
-    "WritesByDescriptor": WROTE,
-    "WritesByLink": WROTE,
-    "Removes": f"wrote to {FILE}",
-    "Renames": f"wrote to {FILE}",
-    "MakesFolder": WROTE,
-    "WritesLongFile": "raised OSError in line",
-    "Connects": "used the network",
-    "Kills": "sent a signal to another process",
-    "EatsMemory": LIMIT,
-    "EatsAtOnce": LIMIT,
-    "Exits": "ended with exit code 3: line",
-    "ExitsByPython": "raised SystemExit in line",
-    "Faults": "ended with signal 11 (Segmentation fault)",
-    "SendsGarbage": MESSAGE,
-    "SendsMuch": MESSAGE,
-    "SendsHalf": "took more than 1 s to decide",
-    "SendsWrongShape": MESSAGE,
-    "SendsObjects": MESSAGE,
-    "SendsConstant": MESSAGE,
-    "Closes": "closed its connection",
+ACTIONS = "returned actions that are not allowed"
+LATE_BY = "took more than 1 s"
+# What a policy does in `predict`, and the reason of its failure.
+ACTS = {
+    "os.fork()": STARTED,
+    'subprocess.run(["touch", OUTSIDE], check=False)': STARTED,
+    "LIBC.fork() or time.sleep(100.0) or os._exit(0); time.sleep(10.0)": STARTED,
+    'pathlib.Path(OUTSIDE).write_text("text")': WROTE,
+    'os.symlink(OUTSIDE, "link"); pathlib.Path("link").write_text("text")': WROTE,
+    "os.makedirs(OUTSIDE)": WROTE,
+    "os.remove(__file__)": "wrote to FILE",
+    'urllib.request.urlopen("http://127.0.0.1:9/")': "used the network",
+    "os.kill(os.getppid(), signal.SIGKILL)": "sent a signal to another process",
+    "np.ones(2**33)": LIMIT,
+    r'print("the last\nline"); os._exit(3)': "ended with exit code 3: line",
+    "sys.exit(3)": "raised SystemExit in line",
+    "ctypes.string_at(0)": "ended with signal 11 (Segmentation fault)",
+    'connection().sendall(b"garbage " * 100)': MESSAGE,
+    r'connection().sendall(b"\x40\x00\x00\x00"); time.sleep(100.0)': f"{LATE_BY} to decide",
+    """send_message(b'{"fields": {"state": true}, "arrays": [["int64", [3, 4]]]}')""": MESSAGE,
+    """send_message(b'{"fields": {"state": true}, "arrays": [["object", [1]]]}')""": MESSAGE,
+    """send_message(b'{"fields": {"state": NaN}, "arrays": []}')""": MESSAGE,
+    "os.closerange(3, 256); time.sleep(100.0)": "closed its connection",
+    "raise StrangeError": "raised StrangeError in line",
+    "return np.zeros(3, dtype=np.int64)": f"{ACTIONS}: action must have the shape ()",
+    "return np.full(2, 16)": f"{ACTIONS}: action must be between 0 and 15",
+    "return [object(), 1]": "returned actions of object, allowed numbers",
+    "return [[1, 2], [3]]": "returned actions that are not an array",
+    "return np.zeros(2**24)": "raised ValueError: arrays must have at most",
+}
+# Bodies of classes.
+BODIES = {
+    "def __init__(self, config, seed): time.sleep(100.0)": f"{LATE_BY} to begin",
+    "env_kwargs = lambda task, preset: time.sleep(100.0)": f"{LATE_BY} to load",
+    "predict = lambda *_, **__: np.zeros(3)": (
+        "returned ndarray from predict, allowed (actions, state)"
+    ),
+    "predict = None": "must have a method predict, got Own",
+    'env_kwargs = {"actions": object()}': "asked for env_kwargs that are not JSON",
+    'env_kwargs = {"control_period": float("nan")}': "asked for env_kwargs that are not JSON",
+    'env_kwargs = {"randomisation": None}': "asked for env_kwargs 'randomisation', allowed are",
+    'env_kwargs = {"actions": "others"}': (
+        "asked for env_kwargs that are not allowed: actions must be"
+    ),
+    'env_kwargs = {"orientations": [0.0] * 100_000}': "raised ValueError: header must have at most",
+}
+BODIES |= {
+    f"def act(self):\n        with suppress(OSError): {act}": reason for act, reason in ACTS.items()
+}
+NAMED = {
     "Raises": "raised ValueError in line",
-    "RaisesStrangely": "raised StrangeError in line",
-    "ReturnsShape": "returned actions that are not allowed: action must have the shape ()",
-    "ReturnsNumber": "returned actions that are not allowed: action must be between 0 and 15",
-    "ReturnsObjects": "returned actions of object, allowed numbers",
-    "ReturnsRagged": "returned actions that are not an array",
-    "ReturnsMuch": "raised ValueError: arrays must have at most",
-    "ReturnsActionsOnly": "returned ndarray from predict, allowed (actions, state)",
-    "HasNoPredict": "must have a method predict, got HasNoPredict",
+    "Loops": f"{LATE_BY} to decide",
+    "ForksTwiceNatively": STARTED,
+    "WritesLongFile": "raised OSError in line",
+    "EatsMemory": LIMIT,
     "Missing": "raised ValueError: own.py must have a class Missing",
-    "AsksForObject": "asked for env_kwargs that are not JSON",
-    "AsksForNan": "asked for env_kwargs that are not JSON",
-    "AsksForMore": "asked for env_kwargs 'randomisation', allowed are",
-    "AsksForUnknownActions": "asked for env_kwargs that are not allowed: actions must be",
-    "AsksForWrongKind": "asked for env_kwargs that are not allowed: orientations must be",
-    "AsksForNumber": "asked for env_kwargs that are not JSON",
-    "AsksForMuch": "raised ValueError: header must have at most",
 }
 
 
 class TestBad:
-    @pytest.mark.parametrize("name", FAILURES)
-    def test_it_ends_with_a_reason_and_leaves_nothing(self, name: str) -> None:
-        reason = FAILURES[name]
-        assert fail(name, SOON if reason.startswith("took") else LATE).startswith(reason)
+    @pytest.mark.parametrize("body", BODIES)
+    def test_it_ends_with_a_reason_and_leaves_nothing(self, body: str, tmp_path: Path) -> None:
+        file, reason = tmp_path / "bad.py", BODIES[body]
+        base = "from tests.agents.benchmark.own import *\nclass Own(Bad):\n    "
+        file.write_text(f"{base}{body}\n")
+        found = fail(f"{file}:Own", SOON if reason.startswith("took") else LATE)
+        assert found.startswith(reason.replace("FILE", str(file)))
+
+    @pytest.mark.parametrize("name", NAMED)
+    def test_so_does_a_longer_one(self, name: str) -> None:
+        reason = NAMED[name]
+        found = fail(f"{FILE}:{name}", SOON if reason.startswith("took") else LATE)
+        assert found.startswith(reason)
 
     @pytest.mark.parametrize(
         ("name", "reason"),
@@ -204,7 +222,7 @@ class TestBad:
         ],
     )
     def test_the_watch_ends_what_no_resource_limit_does(self, name: str, reason: str) -> None:
-        assert fail(name) == reason
+        assert fail(f"{FILE}:{name}") == reason
 
     def test_the_reason_stays(self) -> None:
         with PolicyProcess(f"{FILE}:Raises", SOON) as policy:
@@ -220,7 +238,7 @@ class TestBad:
             arguments = {"task": "sort", "preset": "lab", **policy.env_kwargs("sort")}
             policy.begin(arguments, SEED)
             fail_beside = pytest.raises(PolicyFailure)
-            with fail_beside, PolicyProcess(f"{FILE}:ForksNatively", SOON) as other:
+            with fail_beside, PolicyProcess(f"{FILE}:ForksTwiceNatively", SOON) as other:
                 other.begin({"task": "sort", "actions": "halves"}, 0)
                 other.predict(np.zeros((2, 15), dtype=np.float32))
             found = run_episodes(policy, EnvConfig(**arguments), STARTS, seed=1)
@@ -228,7 +246,7 @@ class TestBad:
 
     def test_a_child_of_this_process_is_left_alone(self) -> None:
         with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
-            assert fail("ForksTwiceNatively") == STARTED
+            assert fail(f"{FILE}:ForksTwiceNatively") == STARTED
             assert child.poll() is None
             child.kill()
 
@@ -332,11 +350,11 @@ def test_a_message_is_read_as_it_was_sent() -> None:
     one, other = socket.socketpair()
     with one, other:
         arrays = [np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((0, 2), dtype=np.int8)]
-        frames.send(one, frames.to_frame({"kind": "any"}, *arrays))
-        fields, found = frames.read_message(other)
+        process.send(one, process.to_frame({"kind": "any"}, *arrays))
+        fields, found = process.read_message(other)
         assert fields == {"kind": "any"}
         for each, wanted in zip(found, arrays, strict=True):
             np.testing.assert_array_equal(each, wanted)
             assert each.dtype == wanted.dtype
         with pytest.raises(TimeoutError):
-            frames.read_message(other, time.monotonic() + 0.01)
+            process.read_message(other, time.monotonic() + 0.01)

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.benchmark.board import Board, make_page
-from surface_gym.agents.benchmark.entry import make_jobs, play_cell, read_entries
+from surface_gym.agents.benchmark.entry import (
+    CELLS,
+    TestCell,
+    make_jobs,
+    play_cell,
+    read_entries,
+    read_protocol,
+)
 from surface_gym.agents.benchmark.process import PolicyLimits, PolicyProcess
-from surface_gym.agents.benchmark.protocol import CELLS, TestCell, read_protocol
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "benchmarks/results"
@@ -45,7 +51,7 @@ def test_a_sample_comes_out_the_same(name: str) -> None:
         source = str(ROOT / "examples/entries" / source)
     (job, *_) = make_jobs(source, (row.task,), (row.seed,), {}, PolicyLimits())
     with PolicyProcess(job.source) as policy:
-        policy.env_kwargs(row.task, CELLS[row.cell].preset)
+        policy.env_kwargs(row.task, CELLS[row.cell].name)
         scores, times = play_cell(test, policy, row.seed, dict(row.env_kwargs), SAMPLE)
     np.testing.assert_array_equal(scores, row.scores[:SAMPLE])
     np.testing.assert_array_equal(times, row.times[:SAMPLE])

@@ -6,11 +6,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from surface_gym.agents.evaluation import ladder
+from surface_gym.agents.evaluation import streams as ladder
 from surface_gym.agents.evaluation.method import start_benchmark, stream_benchmark
 from surface_gym.agents.evaluation.results import Results, make_rows
-from surface_gym.agents.evaluation.robustness import FACTORS, LAB, SHAPES, Level, scenario_name
-from surface_gym.agents.evaluation.scenario import STARTS
+from surface_gym.agents.evaluation.scenario import (
+    FACTORS,
+    LAB,
+    SHAPES,
+    STARTS,
+    Level,
+    scenario_name,
+)
 from surface_gym.tasks.benchmark import PARCELS
 
 COUNT = 24  # starts of the sweep

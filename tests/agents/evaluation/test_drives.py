@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.evaluation import drives
-from surface_gym.agents.evaluation.results import Results
-from surface_gym.agents.evaluation.runner import compute
+from surface_gym.agents.evaluation.results import Results, compute
 from surface_gym.agents.evaluation.scenario import QUICK
 from surface_gym.config import EnvConfig
 from surface_gym.modules import surface_velocities

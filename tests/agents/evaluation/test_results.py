@@ -1,16 +1,28 @@
-"""Samples of the table of results, their intervals, and the file that keeps the table."""
+"""The table of results: samples, intervals, its file, and jobs that fill it, each once."""
 
+import io
 import math
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 from scipy.stats import binomtest
 
 from surface_gym.agents.evaluation import results as res
-from surface_gym.agents.evaluation.method import start_benchmark
+from surface_gym.agents.evaluation.method import Method, all_methods, rules, start_benchmark
 from surface_gym.agents.evaluation.results import Sample
-from surface_gym.agents.evaluation.scenario import STARTS
+from surface_gym.agents.evaluation.scenario import (
+    STARTS,
+    WHOLE,
+    Row,
+    Scenario,
+    ScenarioJob,
+    make_jobs,
+    start_scenarios,
+)
 from surface_gym.agents.evaluation.views import column_value
 from tests.agents.evaluation.made import GRID, results, slow_rows, sort_rows, stream_rows
 
@@ -65,7 +77,6 @@ class TestStarts:
         first = made.samples["slow", STARTS, "exact", "a"]
         assert (first.rate, first.success.shape, first.seeds) == (0.5, (2, 2), (0, 1))
         np.testing.assert_array_equal(first.metric("ratio_error"), [[0.001, 0.02]] * 2)
-        assert first.decision_time == 2e-5
         assert np.isnan(first.values("nothing")).all()
         assert made.methods("slow") == ["a", "b"]
         assert made.find("slow", STARTS, "lab", "a") is None
@@ -75,13 +86,13 @@ class TestStreams:
     def test_figures_are_those_of_all_replications(self) -> None:
         found = Sample(
             stream_rows(
-                KEY, [10, 12], counted=20.0, delivered=[10, 15], waiting_mean=[0.2, 0.4],
+                KEY, [10, 12], counted=20.0, delivered=[10, 15],
                 touches_per_1000=[100.0, 0.0],
             )
         )  # fmt: skip
         assert (found.rates.tolist(), found.throughput) == ([1800.0, 2160.0], pytest.approx(1980.0))
         assert found.share_correct == pytest.approx(22 / 25)
-        assert (found.touches, found.waiting) == (pytest.approx(1.0), pytest.approx(0.3))
+        assert found.touches == pytest.approx(1.0)
         # Two values: half the interval is 12.706 of the mean's standard error.
         assert found.margin == pytest.approx(12.706 * 180.0, rel=1e-4)
         assert found.mean("touches_per_1000") == pytest.approx(40.0)  # by the parcels delivered
@@ -114,12 +125,6 @@ def test_one_seed_has_wilsons_interval(successes, count) -> None:
     for size in range(1, 100):
         low, high = res.wilson(successes / count, size)
         assert 0.0 <= low <= high <= 1.0
-
-
-def test_half_the_interval_holds_the_mean_in_95_of_100() -> None:
-    samples = np.random.default_rng(0).normal(size=(2000, 30))
-    within = [abs(values.mean()) <= res.half_interval(values) for values in samples]
-    assert np.mean(within) == pytest.approx(0.95, abs=0.015)
 
 
 def test_seeds_alike_are_no_surer_than_one_and_a_seed_that_fails_widens_it() -> None:
@@ -172,3 +177,104 @@ class TestFile:
         (tmp_path / "a.csv").write_text(text)
         with pytest.raises(ValueError, match=rf"a\.csv holds something else .*{message}"):
             res.read_results(tmp_path / "a.csv")
+
+
+FEW = [replace(each.under("exact", "stuck"), most=2) for each in rules("slow")]
+
+
+def apart_from_time(table: pd.DataFrame) -> pd.DataFrame:
+    return table.drop(columns="decision_time")
+
+
+@dataclass(frozen=True)
+class CountingScenario(Scenario):
+    """Two episodes that say how often they were played."""
+
+    file: Path
+
+    @property
+    def name(self) -> str:
+        return "counted"
+
+    def episodes(self, _: Method) -> int:
+        return 2
+
+    def play(self, method: Method, seed: int) -> list[Row]:
+        with self.file.open("a") as file:
+            file.write(f"{method.name}\n")
+        more = {"own": 0.5} if method.name == "c" else {}
+        return [{"success": k, "time": 0.1 + seed, **more} for k in range(2)]
+
+
+def counted_jobs(file: Path, names: str) -> list[ScenarioJob]:
+    methods = [Method(name, "slow", lambda *_: None, seeds=(0, 1)) for name in names]
+    return make_jobs([CountingScenario("slow", "exact", WHOLE, file)], methods)
+
+
+def test_processes_make_no_difference(tmp_path) -> None:
+    jobs = make_jobs(start_scenarios("slow"), FEW)
+    alone, shared = res.compute(jobs, 1), res.compute(jobs, 2, tmp_path / res.FILE)
+    pd.testing.assert_frame_equal(apart_from_time(alone), apart_from_time(shared), check_exact=True)
+    assert list(alone.groupby(["method", "preset"], sort=False).size()) == [2] * 6
+    assert list(dict.fromkeys(alone["method"])) == [each.name for each in FEW]
+
+
+def test_what_is_kept_is_not_computed_again(tmp_path) -> None:
+    played, file = tmp_path / "played", tmp_path / res.FILE
+    first = res.compute(counted_jobs(played, "a"), 1, file)
+    with file.open("a") as kept:
+        kept.write("slow,counted,exact,b,0,rule,0,1.0")  # a line broken off
+    seen: list[tuple[int, int, str]] = []
+    jobs = counted_jobs(played, "abc")
+    whole = res.compute(jobs, 1, file, lambda *given: seen.append(given))
+    assert [each[:2] for each in seen] == [(k, 6) for k in (2, 3, 3, 4, 4, 5, 5, 6)]
+    phases = [each[2].split()[0] for each in seen]
+    assert phases == ["compiling", "finished", *["running", "finished"] * 3]
+    assert played.read_text().split() == [*"aa", *"bb", *"cc"]
+    pd.testing.assert_frame_equal(whole[:4][list(first)], first)
+    # A job that was broken off in its midst is computed anew, and no other.
+    file.write_text("".join(file.read_text().splitlines(keepends=True)[:-1]))
+    again = res.compute(jobs, 1, file)
+    assert played.read_text().split() == [*"aabbcc", "c"]
+    pd.testing.assert_frame_equal(again, whole)
+    pd.testing.assert_frame_equal(res.read_results(file), whole)
+    # What others asked for stays.
+    res.compute(counted_jobs(played, "a"), 1, file)
+    assert len(res.read_results(file)) == len(whole)
+    assert res.compute([], 1, file).empty
+
+
+def test_slow_jobs_come_neither_first_nor_last() -> None:
+    """Quick results show that it works; a slow job at the end would keep processes waiting."""
+    jobs = make_jobs(start_scenarios("slow"), all_methods("slow"))
+    ordered = res.order_jobs(jobs)
+    slow = [k for k, job in enumerate(ordered) if job.is_slow]
+    assert {job.key for job in ordered} == {job.key for job in jobs}
+    assert slow
+    assert slow[0] > 1
+    assert slow[-1] < len(jobs) - 2
+    assert res.order_jobs(ordered[:1]) == ordered[:1]
+    assert res.order_jobs([ordered[slow[0]]]) == [ordered[slow[0]]]
+
+
+def test_lines_of_progress_have_a_total_from_the_beginning(tmp_path) -> None:
+    screen = io.StringIO()
+    jobs = counted_jobs(tmp_path / "played", "ab")
+    with res.show_progress(Console(file=screen, width=60), "comparing", len(jobs)) as advance:
+        assert screen.getvalue() == "comparing: 0/4\n"
+        res.compute(jobs, 1, advance=advance)
+    lines = screen.getvalue().splitlines()
+    assert lines[1] == "comparing: 0/4, compiling slow, a, exact, counted"
+    assert lines[-1] == "comparing: 4/4, finished slow, b, exact, counted"
+
+
+def test_an_interrupt_leaves_what_is_done(tmp_path) -> None:
+    played, file = tmp_path / "played", tmp_path / res.FILE
+
+    def stop(done: int, *_: object) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        res.compute(counted_jobs(played, "ab"), 1, file, stop)
+    assert len(res.read_results(file)) == 4

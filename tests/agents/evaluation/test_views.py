@@ -10,13 +10,12 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from surface_gym.agents.evaluation import ladder, plots, stream_views as streams, views
+from surface_gym.agents.evaluation import pictures, streams as ladder, views
 from surface_gym.agents.evaluation.method import PLANNER, stream_benchmark
 from surface_gym.agents.evaluation.results import Results, interval
-from surface_gym.agents.evaluation.robustness import FACTORS, LAB, SHAPES, TRAINED
-from surface_gym.agents.evaluation.scenario import STARTS
-from surface_gym.agents.evaluation.stream_scenario import UNSEEN
-from surface_gym.agents.evaluation.tables import Table, write_markdown
+from surface_gym.agents.evaluation.scenario import FACTORS, LAB, SHAPES, STARTS, TRAINED
+from surface_gym.agents.evaluation.streams import UNSEEN
+from surface_gym.agents.evaluation.tables import Table
 from tests.agents.evaluation import made
 
 SLOW = made.results(
@@ -63,11 +62,10 @@ def unknown(rule: list[float], *agents: list[float], touches: float = 0.0) -> Re
 ONE = merged([1.0, 2.0, 3.0], [0.9, 1.89, 2.91])
 TABLES: dict[str, Callable[[], list[Table]]] = {
     "task": lambda: [*views.task_tables("slow", SLOW), *views.speed_tables("sort", SORT)],
-    "decisions": lambda: views.decision_tables(["slow", "sort"], SLOW),
     "sweep": lambda: views.sweep_tables("slow", SWEPT),
-    "capacity": lambda: streams.stream_tables("flow", FLOW),
-    "offers": lambda: streams.stream_tables("merge", ONE),
-    "unseen": lambda: streams.unseen_tables("flow", unknown([20, 22, 24], [21, 23, 25])),
+    "capacity": lambda: views.stream_tables("flow", FLOW),
+    "offers": lambda: views.stream_tables("merge", ONE),
+    "unseen": lambda: views.unseen_tables("flow", unknown([20, 22, 24], [21, 23, 25])),
 }
 
 
@@ -95,18 +93,6 @@ def test_a_row_for_each_method() -> None:
     assert fixed[2].startswith("0.250 (")
     assert rule[3:5] == ("0.500", "0.0030")  # the median's
     assert (planner[0], planner[3]) == ("planner (2 starts)", "-")
-    # Decision times stand apart.
-    assert not any("decision" in name for name in table.header)
-    (times,) = views.decision_tables(["slow"], SLOW)
-    assert (times.header, dict(times.rows)["a <rule>"]) == (("controller", "slow"), "20.0")
-
-
-def test_files_agree(tmp_path) -> None:
-    write_markdown(views.task_tables("slow", SLOW), tmp_path / "a.md")
-    numbers = views.list_numbers("slow", SLOW)
-    wanted = {"method": "a <rule>", "preset": "exact", "metric": "success"}
-    (rate,) = [each["value"] for each in numbers if wanted.items() <= each.items()]
-    assert f"| a <rule> | 1 | {rate:.3f} (" in (tmp_path / "a.md").read_text()
 
 
 def test_by_speed() -> None:
@@ -167,20 +153,13 @@ class TestSweep:
         assert table.header[2:] == SHAPES
         assert table.rows[0][-1] == "-"
         assert PLANNER not in [row[0] for row in table.rows]
-        numbers = views.list_numbers("slow", SWEPT)
-        (whole,) = [
-            each["value"]
-            for each in numbers
-            if (each["method"], each["scenario"], each["metric"]) == ("PPO", "lab lab", "success")
-        ]
-        assert whole == success.mean()
 
 
 class TestCapacities:
-    FOUND = streams.list_capacities("flow", FLOW)[0]
+    FOUND = views.list_capacities("flow", FLOW)[0]
 
     @staticmethod
-    def with_rates(*correct: list[float], offered: float = 3000.0) -> streams.Capacities:
+    def with_rates(*correct: list[float], offered: float = 3000.0) -> views.Capacities:
         """Of methods "0", "1" and so on, by deliveries in each replication."""
         name = stream_benchmark("flow").offers[0].scenario
         rows = [
@@ -190,7 +169,7 @@ class TestCapacities:
             )
             for k, each in enumerate(correct)
         ]  # fmt: skip
-        return streams.list_capacities("flow", made.results(*rows))[0]
+        return views.list_capacities("flow", made.results(*rows))[0]
 
     def test_replications_are_compared_in_pairs(self) -> None:
         """The same parcels make both fast or slow: so a small difference shows."""
@@ -210,10 +189,10 @@ class TestCapacities:
         assert apart.difference("1", "nobody", offer) is None
 
     def test_the_ladder(self) -> None:
-        (table,) = streams.ladder_tables(self.FOUND)
+        (table,) = views.ladder_tables(self.FOUND)
         rows = {row[0]: row[1:] for row in table.rows}
-        best = streams.BEST.format(ladder.MODULES)
-        assert list(rows) == [*made.SHARES, best, streams.ENTRANCE]
+        best = views.BEST.format(ladder.MODULES)
+        assert list(rows) == [*made.SHARES, best, views.ENTRANCE]
         assert rows[ladder.ARRANGED] == ("-", *["cannot"] * 6, "-", "-")
         assert rows[ladder.SERIES][:2] == ("8", "0")
         # 180 parcels/h either way, ten times: 2.262 * 189.7 / sqrt(10)
@@ -222,31 +201,23 @@ class TestCapacities:
         # As good as another: nothing is bold.
         assert rows[ladder.MODULES][1:7] == rows[ladder.EVENT][1:7]
         assert rows[best][5] == "9632"
-        assert rows[streams.ENTRANCE][1:7] == ("13333", "20000", "26667", "9730", "14595", "19459")
+        assert rows[views.ENTRANCE][1:7] == ("13333", "20000", "26667", "9730", "14595", "19459")
         assert "cannot; zones in series: 7, 7, 7, 7, 7, 7." in table.caption
         shares = {name: share for name, share in made.SHARES.items() if name != ladder.EVENT}
         results = made.results(*made.capacity_rows(shares))
-        (table,) = streams.ladder_tables(streams.list_capacities("flow", results)[1])
+        (table,) = views.ladder_tables(views.list_capacities("flow", results)[1])
         assert dict(zip(table.header, table.rows[3], strict=True))["S, 1 m/s"] == "**7920 ±136**"
 
     def test_steps_of_the_ladder(self) -> None:
-        rows = {row[0]: row[1:] for row in streams.step_tables(self.FOUND)[0].rows}
+        rows = {row[0]: row[1:] for row in views.step_tables(self.FOUND)[0].rows}
         step = f"{ladder.MODULES} over {ladder.COLUMNS}"
         assert (list(rows), rows[step][0]) == ([step], "+2520 ±192 (+46.7 %)")
-
-    def test_every_number_has_a_row(self) -> None:
-        rows = views.list_numbers("flow", FLOW)
-        assert {row["metric"] for row in rows} > {"rate", "best", "turns per parcel", "actuators"}
-        wanted = {"method": ladder.COLUMNS, "preset": "exact", "metric": "rate"}
-        found = [row["value"] for row in rows if wanted.items() <= row.items()]
-        expected = [0.4 * ceiling for ceiling in made.CEILINGS]
-        assert found == [pytest.approx(each, rel=0.05) for each in expected]
 
 
 @pytest.mark.parametrize(("other", "bold"), [([0.9, 1.89, 2.91], True), ([0.9, 2.6, 2.4], False)])
 def test_only_one_that_is_ahead_of_all_others_is_bold(other, bold) -> None:
     """But for the planner, which is not compared."""
-    (table,) = streams.stream_tables("merge", merged([1.0, 2.0, 3.0], other))
+    (table,) = views.stream_tables("merge", merged([1.0, 2.0, 3.0], other))
     assert [cells[3].startswith("**") for cells in table.rows] == [bold, False, False]
     assert table.rows[0][:3] == ("three lines", "exact", "one")
     assert table.header[-2:] == ("jams", "full belt")
@@ -255,9 +226,9 @@ def test_only_one_that_is_ahead_of_all_others_is_bold(other, bold) -> None:
 class TestUnseen:
     def test_rates_are_compared_in_pairs(self) -> None:
         results = unknown([20, 22, 24], *([21, 23, 25 - k] for k in range(2)), touches=45.0)
-        ((_, one, _, two, touches, ratio, ahead, entrance),) = streams.unseen_tables(
-            "flow", results
-        )[0].rows
+        ((_, one, _, two, touches, ratio, ahead, entrance),) = views.unseen_tables("flow", results)[
+            0
+        ].rows
         assert (one.split()[0], entrance) == ("2200", "4000")
         # Each delivers one more in each replication, but for one.
         assert two.split()[0] == "2283"
@@ -268,18 +239,14 @@ class TestUnseen:
         ("correct", "bold"), [([21, 23, 25], True), ([23, 19, 24], False), ([18, 20, 22], True)]
     )
     def test_only_what_is_apart_is_bold(self, correct, bold) -> None:
-        (table,) = streams.unseen_tables("flow", unknown([20, 22, 24], correct))
+        (table,) = views.unseen_tables("flow", unknown([20, 22, 24], correct))
         assert table.rows[0][5].startswith("**") is bold
 
 
 def test_every_plot_is_drawn(tmp_path, monkeypatch) -> None:
     saved: list[int] = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: saved.append(len(self.axes)))
-    plots.draw_success("slow", SLOW, tmp_path / "a.png")
-    error = plots.ErrorPlot("ratio_error", "error", limit=0.01)
-    plots.draw_errors("slow", error, SLOW, tmp_path / "a.png")
-    plots.draw_times("sort", made.GRID, SORT, tmp_path / "a.png")
-    plots.draw_capacities(TestCapacities.FOUND, tmp_path / "a.png")
-    plots.draw_sweep(["slow", "track"], SWEPT, tmp_path / "a.png")
-    assert saved == [1, 1, 2, 1, 2 * (len(FACTORS) - 1)]
+    pictures.draw_capacities(TestCapacities.FOUND, tmp_path / "a.png")
+    pictures.draw_sweep(["slow", "track"], SWEPT, tmp_path / "a.png")
+    assert saved == [1, 2 * (len(FACTORS) - 1)]
     assert SLOW.methods("slow", STARTS) == ["fixed layout", "a <rule>", "planner"]

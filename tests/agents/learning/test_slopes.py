@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from surface_gym import agents
-from surface_gym.agents.evaluation.stream_scenario import NEVER_SEEN, SHAPES_SEED
+from surface_gym.agents.evaluation.streams import NEVER_SEEN, SHAPES_SEED
 from surface_gym.agents.learning import local, shared, slopes
 from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
 from surface_gym.agents.learning.local import LocalLearner

@@ -1,8 +1,14 @@
-"""Scenarios of streams: offered rates, and the capacity of a method by a search."""
+"""Streams: offered rates, the capacity of a method by a search, and the ladder of hardware.
+
+The rungs of the ladder differ in the number of modules per actuator. Each rung has its best
+scheduler.
+"""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -11,18 +17,31 @@ import surface_gym as sg
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.benchmarks import SIX
 from surface_gym.flow.state import BETWEEN, CORRECT, JAM, TURNS, compute_statistics
+from surface_gym.flow.task import Flow
 from surface_gym.parcel import assortment
+from surface_gym.randomisation import Randomisation
 from surface_gym.sensors import Exact
 from surface_gym.state import ENERGIES, RUNNING
 from surface_gym.tasks.benchmark import ENTRANCE, Offer, StreamBenchmark
 
+from .. import library
 from ..base import Booleans, Controller
 from ..planning.receding_horizon import RecedingHorizon
+from ..rules.streams import SortEach, StreamEventRule
 from ..scheduling.bounds import clairvoyant_bound, entrance_bound
-from ..scheduling.scheduler import Scheduler, begin_streams
-from .ladder import count_hardware, methods_of_unseen
-from .method import PLANNER, Method, stream_benchmark
+from ..scheduling.decisions import make_model_library
+from ..scheduling.maneuvers import ColumnGroups, make_library
+from ..scheduling.scheduler import (
+    CLEARANCES,
+    Scheduler,
+    begin_streams,
+    find_plain,
+    make_scheduler,
+    predict_rate,
+)
+from .method import METHODS, PLANNER, Method, seedless, shipped, stream_benchmark
 from .scenario import SEED, WHOLE, Extent, Row, Scenario, ScenarioJob, make_jobs
 
 NEVER_SEEN, SHAPES_SEED = 64, 20_280  # shapes of the lab on streams, never tuned on
@@ -115,45 +134,34 @@ class StreamScenario(Scenario):
         for rate in offer.rates:
             config = self.config(method, rate)
             rows = self._measure(method, config, controller or method.controller(config, seed))
-            correct, delivered = (
-                sum(row[name] for row in rows) for name in ("correct", "delivered")
-            )
-            held = correct / max(1, delivered) >= IN_ORDER and not any(row["jam"] for row in rows)
-            if len(offer.rates) == 1 or held:
+            if len(offer.rates) == 1 or is_sustained(rows, IN_ORDER):
                 break
             controller = None
-        bound = self._bound(config)
+        is_full = offer.rates == (ENTRANCE,)
+        bound = entrance_bound(config) if is_full else config.stream_task.rate_bound(config)
         return [{**row, "bound": bound} for row in rows]
-
-    def _bound(self, config: EnvConfig) -> float:
-        if self.offer.rates in ((), (ENTRANCE,)):
-            return entrance_bound(config)
-        return config.stream_task.rate_bound(config)
 
     def _search(
         self, method: Method, config: EnvConfig, controller: Controller | None
     ) -> list[Row]:
         """Search for the highest sustained rate; numbers are NaN if there is none."""
-        count, ceiling = self.episodes(method), entrance_bound(config)
+        ceiling, least = entrance_bound(config), self.least_correct
         fixed = {"actuators": 0, "columns": 0, "modules": 1, "bound": ceiling, "best": math.nan}
         rows: list[Row] | None = None
         if controller is not None:
+
+            def sustained(rate: float) -> list[Row] | None:
+                found = self._measure(method, self.config(method, rate), controller, least)
+                return found if found and is_sustained(found, least) else None
+
             hardware = count_hardware(config, controller)
             fixed |= dict(zip(("actuators", "columns", "modules"), hardware, strict=True))
-            rows = find_capacity(
-                lambda rate: self._sustained(method, controller, rate), ceiling,
-                config.stream_task.gate,
-            )  # fmt: skip
+            rows = find_capacity(sustained, ceiling, config.stream_task.gate)
         if isinstance(controller, Scheduler):
             made = controller.library
             fixed["best"] = clairvoyant_bound(made, np.ones(len(made.signature)))
         nothing: Row = {"offered": math.nan, "counted": math.nan, "correct": math.nan}
-        return [{**row, **fixed} for row in rows or [nothing] * count]
-
-    def _sustained(self, method: Method, controller: Controller, rate: float) -> list[Row] | None:
-        config, least = self.config(method, rate), self.least_correct
-        rows = self._measure(method, config, controller, least)
-        return rows if rows and is_sustained(rows, least) else None
+        return [{**row, **fixed} for row in rows or [nothing] * self.episodes(method)]
 
     def _measure(
         self, method: Method, config: EnvConfig, controller: Controller, least_correct: float = 0.0
@@ -173,22 +181,16 @@ def stream_scenarios(
     """
     benchmark = stream_benchmark(task)
     known = list(dict.fromkeys(each.group for each in benchmark.offers))
-    chosen = [each for each in groups if each in known] or known[:1]
+    offers = list(benchmark.offers)
+    if extent.offers is not None:  # the example first
+        offers.sort(key=lambda each: each.name != benchmark.filmed)
     return [
         StreamScenario(task, preset, extent, offer.scenario)
-        for group in chosen
+        for group in [each for each in groups if each in known] or known[:1]
         for preset in benchmark.presets
         if extent.presets is None or preset in extent.presets
-        for offer in _some(benchmark, group, extent.offers)
+        for offer in [each for each in offers if each.group == group][: extent.offers]
     ]
-
-
-def _some(benchmark: StreamBenchmark, group: str, count: int | None) -> list[Offer]:
-    """Select `count` offered streams of a group, the example first; None: all."""
-    offers = [each for each in benchmark.offers if each.group == group]
-    return (
-        sorted(offers, key=lambda each: each.name != benchmark.filmed)[:count] if count else offers
-    )
 
 
 def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
@@ -348,3 +350,126 @@ def _most_carried(sustained: Callable[[float], list[Row] | None], most: list[Row
         else:
             high = middle
     return most
+
+
+TASK = Flow().name
+# Rungs, named by the modules that turn together.
+ARRANGED = "zone, arranged anew"
+FOLLOWED = "zone, same exit follows"
+SERIES = "zones in series"
+TRIPLES = "columns in threes"
+COLUMNS = "columns"
+MODULES = "modules"
+SIX_COLUMNS = "columns, six angles"
+SIX_MODULES = "modules, six angles"
+# Other controllers of modules.
+EVENT = "event rule"
+EACH = "sort-ppo for each"
+LEARNED = "flow-schedule"
+SCHEDULER = "scheduler"  # for streams without trained agents
+
+# Pairs of rungs whose difference is shown.
+STEPS = (
+    (FOLLOWED, ARRANGED), (SERIES, FOLLOWED), (TRIPLES, SERIES), (COLUMNS, TRIPLES),
+    (MODULES, COLUMNS),
+    (SIX_COLUMNS, COLUMNS), (SIX_MODULES, MODULES), (SIX_MODULES, SIX_COLUMNS),
+    (LEARNED, MODULES),
+)  # fmt: skip
+ZONES = (ARRANGED, FOLLOWED, SERIES)  # rungs whose columns are chosen for each stream
+BOUNDED = (MODULES, SIX_MODULES)  # rungs with a shown best known rate
+ON_FILM = (ARRANGED, SERIES, COLUMNS, MODULES)
+
+SHORTEST = 4  # minimum columns of a zone; fewer are almost single columns
+# minimum columns of zones in series; in shorter zones, a parcel is over two of them
+SHORTEST_OF_MANY = 5
+WIDEST = 20  # maximum columns of a zone
+LONGER = 2  # additional columns to try beyond the best zone
+PREDICTED = 500  # parcels of a prediction
+
+
+@METHODS.registered(TASK)
+def ladder() -> list[Method]:
+    """List the rungs, then other controllers of modules."""
+    columns, modules = partial(_schedule, ColumnGroups()), partial(_schedule, None)
+    return [
+        _rung(ARRANGED, "modules", partial(_schedule_zones, SHORTEST, 1, True)),
+        _rung(FOLLOWED, "modules", partial(_schedule_zones, SHORTEST, 1, False)),
+        _rung(SERIES, "modules", partial(_schedule_zones, SHORTEST_OF_MANY, None, False)),
+        _rung(TRIPLES, "modules", partial(_schedule, ColumnGroups(3))),
+        _rung(COLUMNS, "modules", columns),
+        _rung(SIX_COLUMNS, "modules", columns, SIX),
+        _rung(MODULES, "parcels", modules),
+        _rung(SIX_MODULES, "parcels", modules, SIX),
+        Method(EVENT, TASK, partial(seedless, StreamEventRule), {"actions": "parcels"}),
+        Method(EACH, TASK, partial(seedless, SortEach), {"actions": "parcels"}, presets=("exact",)),
+        *(replace(each, seeds=each.seeds[:1]) for each in _learned()),
+    ]
+
+
+def methods_of_unseen() -> list[Method]:
+    """List the methods for streams without trained agents."""
+    scheduler = _rung(SCHEDULER, "parcels", make_best_scheduler)
+    return [scheduler, *_learned()]
+
+
+def _learned() -> list[Method]:
+    """Return the shipped agent, with the name of its policies as label."""
+    return [replace(each, name=LEARNED) for each in shipped(TASK)]
+
+
+def _rung(
+    name: str, actions: str, make: Callable[..., Controller | None],
+    orientations: tuple[float, ...] | None = None,
+) -> Method:  # fmt: skip
+    given: dict[str, Any] = {"actions": actions, "gate": True, "queue": library.QUEUE}
+    if orientations is not None:
+        given["orientations"] = orientations
+    return Method(name, TASK, make, given)
+
+
+def _schedule(groups: ColumnGroups | None, config: EnvConfig, _seed: int) -> Scheduler | None:
+    return make_scheduler(config, groups)
+
+
+def _schedule_zones(
+    shortest: int, count: int | None, exclusive: bool, config: EnvConfig, _seed: int
+) -> Scheduler | None:
+    """Make the scheduler of the zones with the highest predicted rate, by their columns.
+
+    Returns None if no zones sort all parcels.
+    """
+    rates: dict[ColumnGroups, float] = {}
+    exact = replace(config, sensors=Exact(), randomisation=Randomisation())
+    for columns in range(shortest, WIDEST + 1):
+        if rates and columns > max(rates, key=rates.__getitem__).columns + LONGER:
+            break
+        groups = ColumnGroups(columns, count, exclusive)
+        made = make_library(exact, groups, slack=CLEARANCES[0][0])
+        if made.correct.all() and np.isfinite(made.gaps).all():
+            odds, queue = np.ones(len(made.signature)), config.stream_task.queue
+            rates[groups] = predict_rate(made, odds, PREDICTED, queue)
+    tried = (
+        make_scheduler(config, groups)
+        for groups in sorted(rates, key=rates.__getitem__, reverse=True)
+    )
+    return next((scheduler for scheduler in tried if scheduler is not None), None)
+
+
+def make_best_scheduler(config: EnvConfig, _seed: int, most_touches: float = 0.0) -> Scheduler:
+    """Make the better of two schedulers: for the nominal surface, or for axes without delay."""
+    whole = [make_model_library(config)]
+    if config.actuators.stuck_share and math.isfinite(config.actuators.axis_speed):
+        whole.append(make_model_library(config.replace(actuators=sg.Actuators())))
+    found = [find_plain(config, made, most_touches) for made in whole]
+    return max(found, key=itemgetter(1))[0]
+
+
+def count_hardware(config: EnvConfig, controller: Controller) -> tuple[int, int, int]:
+    """Return the number of actuators, and the columns and modules per actuator."""
+    first_row, rows, first, obeying = config.site.zone
+    grid = config.site.rotor[first_row : first_row + rows, first : first + obeying]
+    lead = controller.library.lead if isinstance(controller, Scheduler) else None
+    if lead is None or lead.groups is None:
+        return int(grid.sum()), 0, 1
+    each = [int(grid[:, begin:end].sum()) for begin, end in lead.spans.tolist()]
+    return sum(count > 0 for count in each), lead.groups.columns, max(each)
