@@ -91,7 +91,7 @@ OF_INFOS = (
     "[gymnasium-by_gymnasium-SmartSurface/"
 )
 # Pages whose code compiles kernels that no other test needs.
-PAGES_AT_NIGHT = ("sensors.md", "material-flow.md", "identification.md")
+PAGES_AT_NIGHT = ("sensors.md", "material-flow.md")
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
 NIGHTLY = (
     "tests/cuda/test_kernels.py::TestPtx::test_streams_compile",
