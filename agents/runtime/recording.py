@@ -7,8 +7,7 @@ import numpy as np
 
 from surface_gym.config import EnvConfig
 from surface_gym.lines import Site
-from surface_gym.machine.excitation import excitation
-from surface_gym.machine.log import LogWriter
+from surface_gym.machine.log import LogWriter, excitation
 from surface_gym.parcel import Parcel
 
 from ..base import Singles

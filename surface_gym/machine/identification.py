@@ -15,9 +15,9 @@ import numpy as np
 from scipy import stats
 
 from surface_gym import checks
-from surface_gym.machine.estimate import Estimate
+from surface_gym.machine.estimate import PARAMETERS, Estimate
 from surface_gym.machine.log import LoggedRun, MachineLog, read_log
-from surface_gym.machine.search import PARAMETERS, LeastSquares, OnProgress, search_pieces
+from surface_gym.machine.search import LeastSquares, OnProgress, search_pieces
 from surface_gym.physics.types import Array
 
 SHIFTS = ("latency", "dead_time")  # equal changes of both change nothing but the time
