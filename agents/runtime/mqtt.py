@@ -10,8 +10,10 @@ from typing import Any
 
 from paho.mqtt import client as paho
 
+from surface_gym.machine.messages import Message, to_fields
+
 from .config import LOOPBACK, read_secret
-from .protocol import Angles, Device, Message, to_fields
+from .protocol import GatedDevice, Listener
 from .report import STAGES, Counts, Latencies, percentiles
 
 TOPIC = "surface-gym"  # beginning of all topics
@@ -98,13 +100,14 @@ def _is_gone(info: paho.MQTTMessageInfo) -> bool:
         return True
 
 
-class TelemetryDevice:
-    """A `Device` that reports messages of another device, and once per second counts and times."""
+class TelemetryDevice(Listener):
+    """Reports messages of a device, and once per second a loop's counts and times."""
 
     def __init__(
-        self, device: Device, telemetry: Telemetry, now: Callable[[], float] = time.monotonic
+        self, device: GatedDevice, telemetry: Telemetry, now: Callable[[], float] = time.monotonic
     ) -> None:
-        self._device, self._telemetry, self._now = device, telemetry, now
+        super().__init__(device)
+        self._telemetry, self._now = telemetry, now
         self._latest: dict[str, Any] | None = None  # the latest poses
         self._reported = now()
         self._counts, self._latencies = Counts(), Latencies()
@@ -115,14 +118,11 @@ class TelemetryDevice:
 
     def connect(self) -> None:
         self._report()
-        self._device.connect()
-
-    def close(self) -> None:
-        self._device.close()
+        super().connect()
 
     def read(self) -> list[Message]:
         self._report()
-        messages = self._device.read()
+        messages = super().read()
         for message in messages:
             fields = to_fields(message)
             if fields["kind"] in STATES:
@@ -130,14 +130,6 @@ class TelemetryDevice:
             elif fields["kind"] != "taken":
                 self._telemetry.publish(fields["kind"], fields)
         return messages
-
-    def set_axes(self, angles: Angles) -> int:
-        return self._device.set_axes(angles)
-
-    def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s]; only for a device with a gate."""
-        device: Any = self._device
-        device.open_gate(begin, end)
 
     def _report(self) -> None:
         now = self._now()

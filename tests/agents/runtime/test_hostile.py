@@ -15,14 +15,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from benchmarks.tracking import SimulatedClock
 from surface_gym.agents.runtime import cli, protocol, report
 from surface_gym.agents.runtime.config import RuntimeConfig
-from surface_gym.agents.runtime.protocol import (
-    AxesAcknowledgement,
-    Message,
-    ParcelDeparture,
-    to_line,
-)
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import AxesAcknowledgement, Message, ParcelDeparture, to_line
 from tests.agents.runtime import made
 
 STEP = 0.02  # [s] between the machine's turns
@@ -34,7 +31,7 @@ Says = Callable[[float], bytes]  # what the machine sends at a time [s]
 
 
 def line(message: Message, **changed: Any) -> bytes:
-    return json.dumps({**protocol.to_fields(message), **changed}).encode() + b"\n"
+    return json.dumps({**ms.to_fields(message), **changed}).encode() + b"\n"
 
 
 def frame(now: float, **changed: Any) -> bytes:
@@ -59,7 +56,7 @@ def with_frames(says: Says) -> Says:
 class Machine:
     """A machine behind a socket: it greets, has a parcel, and does its worst after a while."""
 
-    clock: made.ManualClock
+    clock: SimulatedClock
     worst: Says
     greeting: bytes | None = HELLO  # None: it does its worst at once
     reads: bool = True
@@ -107,7 +104,7 @@ class Machine:
 
 
 @dataclass
-class SharedClock(made.ManualClock):
+class SharedClock(SimulatedClock):
     def __post_init__(self) -> None:
         super().__init__()
         self.turn: Callable[[], None] = lambda: None
@@ -170,7 +167,7 @@ LOST: dict[str, tuple[Says, str]] = {
     "kind a list": (lambda _: b'{"kind": ["frame"]}\n', "line must be an object"),
     "kind unknown": (lambda _: b'{"kind": "system"}\n', "kind must be one of"),
     "greets again": (lambda _: HELLO, "kind must be one of"),
-    "sends axes": (lambda _: to_line(protocol.axes_to_fields(1, np.zeros((4, 16)))), "kind must"),
+    "sends axes": (lambda _: to_line(ms.axes_to_fields(1, np.zeros((4, 16)))), "kind must"),
     "never stops": (lambda _: b"x" * (1 << 22), "line must have at most"),
     "never stops with frames": (lambda now: frame(now) * 40_000, "must send at most"),
     "20 000 parcels in a burst": (lambda _: burst(), "must send at most"),
@@ -253,7 +250,7 @@ def run(machine: Machine, folder: Any, seconds: float = SECONDS) -> dict[str, An
     assert all(name in printed.getvalue() for name in (*counts["parcels"], *counts["faults"]))
     for sent in machine.received.split(b"\n")[:-1]:
         if b"axes" in sent:
-            _, angles = protocol.axes_from_fields(protocol.from_line(sent), (4, 16))
+            _, angles = ms.axes_from_fields(ms.from_line(sent), (4, 16))
             assert np.abs(angles).max() <= 0.5 * math.pi
     return counts
 

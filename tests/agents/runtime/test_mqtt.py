@@ -16,12 +16,13 @@ from paho.mqtt import client as paho
 from pwdlib import PasswordHash
 from pwdlib.hashers.argon2 import Argon2Hasher
 
+from benchmarks.tracking import SimulatedClock
 from surface_gym.agents.runtime import mqtt
 from surface_gym.agents.runtime.cli import open_telemetry
 from surface_gym.agents.runtime.config import RuntimeConfig
 from surface_gym.agents.runtime.mqtt import BrokerOptions, Telemetry, TelemetryDevice
-from surface_gym.agents.runtime.protocol import ParcelDeparture, to_fields
 from surface_gym.agents.runtime.report import Counts, Latencies
+from surface_gym.machine.messages import ParcelDeparture, to_fields
 from tests.agents.runtime import made
 from tests.agents.runtime.test_opcua import until
 
@@ -98,7 +99,7 @@ class Dashboard:
 def test_a_dashboard_sees_departures_poses_counts_and_times(options) -> None:
     dashboard, telemetry = Dashboard(options), Telemetry(options, "stop")
     until(telemetry._client.is_connected)
-    clock = made.ManualClock()
+    clock = SimulatedClock()
     left = ParcelDeparture(0, "success", {"stop_error": 0.001})
     script = [(0.1, made.entered(0, 0.1)), (0.5, made.frame(0.5)), (2.0, left)]
     device = TelemetryDevice(made.ScriptedDevice(clock, list(script)), telemetry, clock.now)
@@ -205,7 +206,7 @@ def test_a_broker_that_was_gone_is_there_again() -> None:
 
 
 def test_telemetry_is_only_there_if_asked_for_and_safe(tmp_path: Path) -> None:
-    device = made.ScriptedDevice(made.ManualClock())
+    device = made.ScriptedDevice(SimulatedClock())
     with ExitStack() as stack:
         assert open_telemetry(RuntimeConfig("stop-ppo"), device, "stop", stack) is None
         config = RuntimeConfig("stop-ppo", mqtt=f"{HOST}:{free_port()}")

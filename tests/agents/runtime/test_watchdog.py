@@ -10,19 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.runtime import controller as runtime, protocol
+from benchmarks.tracking import SimulatedClock
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.protocol import (
+from surface_gym.agents.runtime.protocol import SocketDevice
+from surface_gym.agents.runtime.simulator import MachineServer
+from surface_gym.agents.runtime.worlds import SimulatedMachine
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import (
     AxesAcknowledgement,
     Frame,
     Message,
     ParcelDeparture,
     ParcelEntry,
-    SocketDevice,
 )
-from surface_gym.agents.runtime.simulator import MachineServer, SimulatedMachine
 from tests.agents.runtime import made
-from tests.agents.runtime.made import Always, ManualClock, entered
+from tests.agents.runtime.made import Always, entered
 from tests.agents.runtime.test_hostile import Machine, SharedClock, frame, line
 
 PERIOD = 0.04  # [s]
@@ -30,7 +33,7 @@ LATE = 0.02  # [s] from a picture to its message
 TOKEN = "0123456789abcdef"
 
 
-class JumpingClock(ManualClock):
+class JumpingClock(SimulatedClock):
     """A clock that jumps once, and on which nobody sleeps for long."""
 
     def __init__(self, at: float = math.inf, by: float = 0.0) -> None:
@@ -64,7 +67,7 @@ class Camera(made.ScriptedDevice):
             messages.append(made.frame(now - LATE, self.number(now), self.x(now - LATE)))
         return messages
 
-    def set_axes(self, angles: protocol.Angles) -> int:
+    def set_axes(self, angles: ms.Angles) -> int:
         number, now = super().set_axes(angles), self.clock.now()
         if self.answers(now):
             self.pending.append(AxesAcknowledgement(number, now))
@@ -150,7 +153,7 @@ class Stopping(Machine):
         if 0.4 <= self.clock.now() < 5.0:
             return
         super().turn()
-        lines = [protocol.from_line(sent) for sent in self.received.split(b"\n")[:-1]]
+        lines = [ms.from_line(sent) for sent in self.received.split(b"\n")[:-1]]
         self.received = self.received.rpartition(b"\n")[2]
         for fields in lines:
             self.waiting += line(AxesAcknowledgement(fields["command"], self.clock.now()))
@@ -217,7 +220,7 @@ def test_a_second_controller_waits_until_the_first_is_gone(token) -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     world = SimulatedMachine(made.CONFIG, 0, 0.0, WorldOptions(pause=0.1))
     server = MachineServer(world, "stop", listener, token)
-    clock = ManualClock()
+    clock = SimulatedClock()
     loops = []
     for action in (made.BRAKE, made.ROLL):
         loop = made.loop_of(made.ScriptedDevice(clock), Always(action, clock))
@@ -275,7 +278,7 @@ def test_commands_whose_numbers_begin_again_are_answered() -> None:
     clock = JumpingClock()
 
     class Restarting(Camera):
-        def set_axes(self, angles: protocol.Angles) -> int:
+        def set_axes(self, angles: ms.Angles) -> int:
             if len(self.sent) == 10:
                 self.sent.clear()
                 self.pending.clear()  # the last answer is lost
