@@ -1,6 +1,8 @@
 """A clock and a device that tests control, a loop around them, and faults to try it with."""
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -15,6 +17,8 @@ from surface_gym.agents.runtime.protocol import DeviceLost
 from surface_gym.config import EnvConfig
 from surface_gym.machine.messages import Angles, Frame, Message, ParcelEntry
 
+TOKEN = "0123456789abcdef"
+PATIENCE = 120.0  # [s] for another thread or process, on a computer that does other work
 QUARTER_TURN = 0.05  # [s]
 CONFIG = EnvConfig(
     task="stop",
@@ -129,3 +133,18 @@ class LocalArranger:
 
 def nothing(now: float) -> None:
     """Between two periods."""
+
+
+def of_kind(kind: type, said: list[Any]) -> list[Any]:
+    """The messages of a kind, each with the time [s] at which it is due."""
+    return [(due, message) for due, message in said if isinstance(message, kind)]
+
+
+def until(call: Callable[[], Any]) -> Any:
+    """What a call returns, once it is something."""
+    ends = time.monotonic() + PATIENCE
+    while time.monotonic() < ends:
+        if found := call():
+            return found
+        time.sleep(0.005)
+    raise TimeoutError

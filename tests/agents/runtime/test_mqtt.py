@@ -24,7 +24,7 @@ from surface_gym.agents.runtime.mqtt import BrokerOptions, Telemetry, TelemetryD
 from surface_gym.agents.runtime.report import Counts, Latencies
 from surface_gym.machine.messages import ParcelDeparture, to_fields
 from tests.agents.runtime import made
-from tests.agents.runtime.test_opcua import until
+from tests.agents.runtime.made import until
 
 USER, PASSWORD = "dashboard", "0123456789abcdef"
 HOST = "127.0.0.1"

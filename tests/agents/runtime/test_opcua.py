@@ -27,21 +27,10 @@ from surface_gym.agents.runtime.protocol import DeviceLost
 from surface_gym.agents.runtime.simulator import SimulatorProcess
 from surface_gym.machine import messages as ms
 from tests.agents.runtime import made
+from tests.agents.runtime.made import PATIENCE, TOKEN, until
 
 SHAPE = (2, 3)
-TOKEN = "0123456789abcdef"
 SECURITY = OpcUaSecurity(TOKEN)
-PATIENCE = 60.0  # [s] for another thread, on a computer that does other work
-
-
-def until(call: Callable[[], Any]) -> Any:
-    """What a call returns, once it is something."""
-    ends = time.monotonic() + PATIENCE
-    while time.monotonic() < ends:
-        if found := call():
-            return found
-        time.sleep(0.005)
-    raise TimeoutError
 
 
 class Machine:

@@ -15,9 +15,9 @@ from surface_gym.agents.runtime import protocol
 from surface_gym.agents.runtime.config import parse_address
 from surface_gym.machine import messages as ms
 from surface_gym.machine.messages import to_line
+from tests.agents.runtime.made import TOKEN
 
 SHAPE = (2, 3)
-TOKEN = "0123456789abcdef"
 TRIANGLE = sg.Polygon([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])
 
 
@@ -119,6 +119,16 @@ DEPARTED = ms.to_fields(ms.ParcelDeparture(0, "missed"))
     [
         (FRAME, {"kind": "system"}, "kind must be one of"), (FRAME, {"taken": "now"}, "taken"),
         (FRAME, {"taken": None}, "taken"), (FRAME, {"number": -1}, "number"),
+        (FRAME, {"number": 2**60}, "number"), (FRAME, {"pose": [1e9, 1.0, 0.0]}, "pose must be be"),
+        (FRAME, {"pose": [0.3, True, 0.0]}, "pose"), (ENTERED, {"mass": True}, "mass must"),
+        (ENTERED, {"goal": {}}, "goal must"), (ENTERED, {"goal": [{}]}, "goal must"),
+        (ENTERED, {"goal": [10**400]}, "goal must"), (ENTERED, {"goal": ["1"]}, "goal must"),
+        (ENTERED, {"goal": [True]}, "goal must"), (ENTERED, {"goal": [1.0, True]}, "goal must"),
+        (ENTERED, {"goal": json.loads("[" * 900 + "]" * 900)}, "goal must"),
+        (ENTERED, {"base": [0.1]}, "base must"), (ENTERED, {"velocity": [1e300, 0, 0]}, "velocity"),
+        (ENTERED, {"base": {"corners": [[math.cos(k), math.sin(k)] for k in range(6000)]}},
+         "corners must be at most"),
+        (DEPARTED, {"outcome": "x" * 100_000}, "outcome must be text of at most"),
         (FRAME, {"pose": [0.0, 1.0]}, "pose"), (FRAME, {"pose": ["0", 1.0, 2.0]}, "pose"),
         (FRAME, {"axes": [[0.0]]}, "axes"), (ENTERED, {"base": {"radius": -1.0}}, "radius"),
         (ENTERED, {"base": {"shape": "disc"}}, "base"), (ENTERED, {"base": "disc"}, "base"),
@@ -242,21 +252,6 @@ class TestDevice:
         lines = (to_line(protocol.hello("stop", SHAPE)), to_line(FRAME), to_line(ACKNOWLEDGED))
         read = [type(each) for each in self.receive(listener, device, *lines)]
         assert read == [ms.Frame, ms.AxesAcknowledgement]
-
-    @pytest.mark.parametrize(
-        "line",
-        [
-            to_line(FRAME),  # before the greeting
-            to_line({**protocol.hello("stop", SHAPE), "protocol": 99}),
-            to_line(protocol.hello("sort", SHAPE)),
-            to_line(protocol.hello("stop", (4, 16))),
-            to_line({"kind": "hello", "protocol": 1, "task": "stop"}),
-            b"what\n",
-        ],
-    )
-    def test_another_device_is_refused(self, listener, device, line) -> None:
-        with pytest.raises(protocol.DeviceLost, match="must"):
-            self.receive(listener, device, line)
 
     def test_one_that_has_the_token_proves_it(self, listener, device) -> None:
         device._token, nonce = TOKEN, "1"

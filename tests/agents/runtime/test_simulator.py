@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -31,22 +31,17 @@ from surface_gym.agents.runtime.simulator import MAX_BEHIND, MachineServer, Simu
 from surface_gym.agents.runtime.worlds import SimulatedMachine
 from surface_gym.config import EnvConfig
 from surface_gym.machine import messages as ms
-from surface_gym.machine.messages import Frame, Message
+from surface_gym.machine.messages import Frame
 from surface_gym.tasks.start import Draw, Start
 from tests.agents.runtime import made
-from tests.agents.runtime.made import CONFIG, entered, estimator
+from tests.agents.runtime.made import CONFIG, PATIENCE, TOKEN, entered, estimator, of_kind, until
 
 PAUSE = 0.1
-TOKEN = "0123456789abcdef"
 BRAKE = 0
 
 
 def world(seed: int = 0, **options: float) -> SimulatedMachine:
     return SimulatedMachine(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
-
-
-def of_kind(kind: type, said: list) -> list:
-    return [(due, message) for due, message in said if isinstance(message, kind)]
 
 
 def test_parcel_after_parcel_enters_and_leaves() -> None:
@@ -122,8 +117,8 @@ class TestOverASocket:
     def run(self, server: MachineServer, steps: int) -> ControlLoop:
         """A loop in step with the server: all arrives within a period, whatever the load."""
         clock = SimulatedClock()
-        loop = made.loop_of(made.ScriptedDevice(clock), made.Always(BRAKE, clock))
-        loop._device = protocol.SocketDevice(self.address(server), "stop", made.estimator().shape)
+        device = protocol.SocketDevice(self.address(server), "stop", made.estimator().shape)
+        loop = made.loop_of(device, made.Always(BRAKE, clock))
         for k in range(1, steps):
             clock.time = 0.005 * k
             if k % 8 == 0:
@@ -215,7 +210,6 @@ class TestOverASocket:
                 pass
 
 
-PATIENCE = 120.0  # [s] for another process, on a computer that does other work
 RUN = cli.RunConditions(
     "stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2
 )
@@ -332,7 +326,8 @@ def test_a_layout_of_another_process_is_the_same() -> None:
         for _ in range(3000):  # more than a pipe holds; the latest counts
             arranger.ask(np.zeros_like(observation))
         arranger.ask(observation)
-        layout = until(arranger.layout)
+        until(lambda: arranger.layout() is not None)
+        layout = arranger.layout()
         arranger._process.kill()
         arranger._process.join()
         arranger.ask(observation)
@@ -343,16 +338,6 @@ def test_a_layout_of_another_process_is_the_same() -> None:
     # Axes on offer are the task's and the conveyors'.
     assert deciders.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
     assert deciders.allowed_angles(replace(CONFIG, orientations="any")) is None
-
-
-def until(call: Callable[[], Message | None]) -> Message:
-    ends = time.monotonic() + PATIENCE
-    while time.monotonic() < ends:
-        found = call()
-        if found is not None:
-            return found
-        time.sleep(0.01)
-    raise TimeoutError
 
 
 def first_frame(device: SocketDevice) -> Frame:

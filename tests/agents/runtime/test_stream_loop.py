@@ -3,7 +3,6 @@
 import json
 import socket
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,14 +18,10 @@ from surface_gym.layouts import ROLLING
 from surface_gym.machine import messages as ms
 from surface_gym.machine.messages import AxesAcknowledgement, Detections, ParcelEntry
 from tests.agents.runtime import made, streams
+from tests.agents.runtime.made import TOKEN, of_kind
 from tests.agents.runtime.streams import CONFIG, entry, picture, world
 
-TOKEN = "0123456789abcdef"
 LATE = streams.LATE
-
-
-def of_kind(kind: type, said: list[Any]) -> list[Any]:
-    return [(due, message) for due, message in said if isinstance(message, kind)]
 
 
 def test_the_machine_reports_what_enters_departs_and_is_seen() -> None:

@@ -25,12 +25,11 @@ from surface_gym.machine.messages import (
     ParcelEntry,
 )
 from tests.agents.runtime import made
-from tests.agents.runtime.made import Always, entered
-from tests.agents.runtime.test_hostile import Machine, SharedClock, frame, line
+from tests.agents.runtime.made import TOKEN, Always, entered
+from tests.agents.runtime.test_hostile import Machine, SharedClock, frame, line, loop_over
 
 PERIOD = 0.04  # [s]
 LATE = 0.02  # [s] from a picture to its message
-TOKEN = "0123456789abcdef"
 
 
 class JumpingClock(SimulatedClock):
@@ -159,22 +158,16 @@ class Stopping(Machine):
             self.waiting += line(AxesAcknowledgement(fields["command"], self.clock.now()))
 
 
-def run_over(machine: Any, clock: Any, seconds: float) -> Any:
+def run_over(machine: Machine, seconds: float) -> Any:
     """Run a loop that brakes on a machine behind a socket, and return its counts."""
-    clock.turn = machine.turn
-    loop = made.loop_of(made.ScriptedDevice(clock), Always(made.BRAKE, clock))
-    address = machine.listener.getsockname()
-    loop._device = SocketDevice(address, "stop", made.estimator().shape, now=clock.now)
+    loop = loop_over(machine)
     loop.run(seconds, made.nothing)
-    machine.close()
-    machine.listener.close()
+    machine.end()
     return loop.counts
 
 
 def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
-    clock = SharedClock()
-    machine = Stopping(clock, frame)
-    counts = run_over(machine, clock, 8.0)
+    counts = run_over(Stopping(SharedClock(), frame), 8.0)
     assert counts.periods == counts.kept == 200
     names = list(counts.faults)
     assert names[0] == "device must send a message within 2 s of a command, got none"
@@ -184,9 +177,7 @@ def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
 
 
 def test_a_device_that_neither_answers_nor_reads_is_lost_when_its_queue_is_full() -> None:
-    clock = SharedClock()
-    machine = Machine(clock, lambda _: b"", reads=False)
-    counts = run_over(machine, clock, 30.0)
+    counts = run_over(Machine(SharedClock(), lambda _: b"", reads=False), 30.0)
     assert set(counts.faults) == {"the other side does not read"}
     assert counts.periods == 750
 
@@ -223,12 +214,12 @@ def test_a_second_controller_waits_until_the_first_is_gone(token) -> None:
     clock = SimulatedClock()
     loops = []
     for action in (made.BRAKE, made.ROLL):
-        loop = made.loop_of(made.ScriptedDevice(clock), Always(action, clock))
-        loop._estimator = made.StateEstimator(made.CONFIG) if loops else made.estimator()
-        loop._estimator.clear()
-        loop._device = SocketDevice(
+        device = SocketDevice(
             listener.getsockname(), "stop", made.estimator().shape, token, clock.now
         )
+        loop = made.loop_of(device, Always(action, clock))
+        loop._estimator = made.StateEstimator(made.CONFIG) if loops else made.estimator()
+        loop._estimator.clear()
         loops.append(loop)
     first, second = loops
     for k in range(1, 1200):
