@@ -442,21 +442,19 @@ def make_marks(scene: "Scene") -> tuple[Mark, ...]:
 def _stream_marks(scene: "Scene", traffic: Any) -> list[Mark]:
     left, least, right, most = _view(scene, True)
     low, high = _rotor_edges(scene)
+
+    def beside(mark: Any) -> Array:
+        ends = (high, most) if mark.side > 0 else (least, low)
+        return _area(mark.first, ends[0], mark.last, ends[1])
+
     marks = []
     for index, inlet in enumerate(traffic.inlets):
-        if inlet.side == 0:
-            area = _area(left, inlet.first, _edges(scene)[0], inlet.last)
-        else:
-            beside = (high, most) if inlet.side > 0 else (least, low)
-            area = _area(inlet.first, beside[0], inlet.last, beside[1])
+        ahead = inlet.side == 0
+        area = _area(left, inlet.first, _edges(scene)[0], inlet.last) if ahead else beside(inlet)
         marks.append(Mark("inlet", area, inlet.name, index))
     for index, mark in enumerate(scene.exits):
-        if mark.side == 0:
-            begin, end = mark.span or (low, high)
-            area = _area(mark.first, begin, right, end)
-        else:
-            beside = (high, most) if mark.side > 0 else (least, low)
-            area = _area(mark.first, beside[0], mark.last, beside[1])
+        begin, end = mark.span or (low, high)
+        area = _area(mark.first, begin, right, end) if mark.side == 0 else beside(mark)
         colour = index if traffic.runs is None else "runs"
         marks.append(Mark("exit", area, mark.name, colour))
     return marks

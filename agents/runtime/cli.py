@@ -19,7 +19,7 @@ from surface_gym.cli import parse_options
 
 from ..yaml_file import current_option
 from .config import OPC_UA, RuntimeConfig, find_token, parse_address
-from .report import RunConditions, make_report, show_report, write_report
+from .report import make_report, show_report, write_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -234,18 +234,18 @@ def run_and_report(
     except KeyboardInterrupt:
         stopped = True
     finally:  # write first, since printing may fail
-        run = RunConditions(
-            agent=config.name,
-            seed=config.seed or 0,
-            task=env_config.task.name,
-            preset=config.preset,
-            device=config.address or "simulator",
-            period=env_config.control_period,
-            watchdog=config.watchdog,
-            seconds=time.monotonic() - begun,
-            load=os.getloadavg(),
-            cores=usable_cores(),
-        )
+        run = {
+            "agent": config.name,
+            "seed": config.seed or 0,
+            "task": env_config.task.name,
+            "preset": config.preset,
+            "device": config.address or "simulator",
+            "period": env_config.control_period,
+            "watchdog": config.watchdog,
+            "seconds": time.monotonic() - begun,
+            "load": os.getloadavg(),
+            "cores": usable_cores(),
+        }
         made = make_report(run, loop.counts, loop.latencies)
         file = write_report(made, config.out)
     if stopped:

@@ -81,22 +81,6 @@ def count_name(counts: Counter[str], name: str) -> None:
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
 
 
-@dataclass(frozen=True)
-class RunConditions:
-    """Conditions of a run."""
-
-    agent: str
-    seed: int  # seed of the policy
-    task: str
-    preset: str  # preset of the machine
-    device: str  # the simulator, or an address
-    period: float  # [s]
-    watchdog: float  # [s]
-    seconds: float  # [s] duration
-    load: tuple[float, float, float]  # load of the computer at the end, over 1, 5 and 15 minutes
-    cores: int  # of the computer
-
-
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
     """Compute `PERCENTILES` [s] of durations; None if there are none."""
     if not seconds:
@@ -104,12 +88,12 @@ def percentiles(seconds: Sequence[float]) -> list[float] | None:
     return np.percentile(np.array(seconds), PERCENTILES).tolist()
 
 
-def make_report(run: RunConditions, counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """Return the report as JSON data."""
+def make_report(run: dict[str, Any], counts: Counts, latencies: Latencies) -> dict[str, Any]:
+    """Return the report as JSON data; `run` are the conditions of the run."""
     parcels = sum(counts.parcels.values())
     named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
     return {
-        "run": asdict(run),
+        "run": run,
         "counts": {**asdict(counts), **named},
         "success": counts.parcels["success"] / parcels if parcels else None,
         "percentiles": list(NAMES),

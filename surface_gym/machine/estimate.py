@@ -85,9 +85,8 @@ class Estimate:
 
     def line(self, line: BaseLine) -> BaseLine:
         """Return an environment's line with the identified friction."""
-        for name in filter(self.is_determined, FRICTIONS):
-            line = _with(line, name, self.values[name])
-        return line
+        found: Any = {name: self.values[name] for name in filter(self.is_determined, FRICTIONS)}
+        return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
         """Return a preset for environments: noise, delay, turning axes, and doubt about friction.
@@ -139,7 +138,10 @@ class Estimate:
     def save(self, file: str | Path) -> None:
         """Write the estimate as JSON; an infinite end of an interval becomes null."""
         content = {"kind": "estimate", "version": VERSION, **asdict(self)}
-        ends = {name: [_or_none(end) for end in pair] for name, pair in self.intervals.items()}
+        ends = {
+            name: [end if math.isfinite(end) else None for end in pair]
+            for name, pair in self.intervals.items()
+        }
         with files.replacing(Path(file)) as part:
             part.write_text(json.dumps({**content, "intervals": ends}, indent=1, allow_nan=False))
 
@@ -162,14 +164,6 @@ class Estimate:
             raise ValueError(
                 f"{file} must be an estimate: {files.describe_damage(error)}"
             ) from None
-
-
-def _with(instance: Any, name: str, value: Any) -> Any:
-    return replace(instance, **{name: value})
-
-
-def _or_none(end: float) -> float | None:
-    return end if math.isfinite(end) else None
 
 
 def _checked(found: dict[str, Any]) -> dict[str, Any]:

@@ -82,19 +82,15 @@ class LoggedSurface:
     zone: tuple[int, int]  # (rows, columns) of the widest zone, the shape of commands
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
+        count = (checks.integer, 1, checks.ELEMENTS)
+        checks.settle(self, rows=count, columns=count, pitch=checks.pitch, origin=checks.place)
         checks.not_negative("quarter_turn", self.quarter_turn, MAX_TURN)
-        pitch = checks.pitch("pitch", tuple(self.pitch))
-        across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+        pitch = self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
         friction = checks.array("friction", self.friction, (3,)).tolist()
         for name, mu in zip(("mu_max", "mu_min", "mu_support"), friction, strict=True):
             checks.friction(name, mu, (1, 1))
         zone = tuple(checks.integer("zone", each, least=1) for each in self.zone)
-        origin = checks.place("origin", self.origin)
-        for name, value in (("pitch", across), ("origin", origin), ("zone", zone)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "friction", tuple(friction))
+        checks.set_fields(self, pitch=pitch, friction=tuple(friction), zone=zone)
 
     @classmethod
     def of_line(cls, line: BaseLine, quarter_turn: float, zone: tuple[int, int]) -> "LoggedSurface":

@@ -213,7 +213,11 @@ def search_pieces(
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
     """Find the least squares: first of short pieces in longer steps, then of pieces."""
-    pieces = [piece for run in runs for piece in _cut(run, math.ceil(_duration(run) / PIECE))]
+    pieces = [
+        piece
+        for run in runs
+        for piece in _cut(run, math.ceil(float(run.taken[-1] - run.taken[0]) / PIECE))
+    ]
     halves = [_cut(piece, 2) for piece in pieces]
     short = [half for each in halves for half in each]
     few = {id(run.sent) for run in _choose(runs)}
@@ -238,11 +242,6 @@ def _choose(runs: Sequence[LoggedRun]) -> list[LoggedRun]:
     """Return a few runs, enough for a first search."""
     order = np.random.default_rng(0).permutation(len(runs))
     return [runs[k] for k in sorted(order[:FEW_RUNS].tolist())]
-
-
-def _duration(run: LoggedRun) -> float:
-    """Return the time [s] between the first and the last picture."""
-    return float(run.taken[-1] - run.taken[0])
 
 
 def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:

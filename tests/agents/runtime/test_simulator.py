@@ -210,9 +210,7 @@ class TestOverASocket:
                 pass
 
 
-RUN = cli.RunConditions(
-    "stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2
-)
+RUN = {"agent": "stop-ppo", "period": 0.04, "seconds": 600.0, "load": (1.0, 2.0, 3.0), "cores": 2}
 
 
 def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
