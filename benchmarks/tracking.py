@@ -27,7 +27,7 @@ from surface_gym.agents.runtime import controller as runtime, protocol
 from surface_gym.agents.runtime.config import WorldOptions
 from surface_gym.agents.runtime.controller import StreamLoop
 from surface_gym.agents.runtime.tracker import StreamTracker
-from surface_gym.agents.runtime.worlds import SimulatedStream, World
+from surface_gym.agents.runtime.worlds import SimulatedStream, SimulatedWorld
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.arrivals import Poisson
@@ -79,7 +79,7 @@ class SimulatedClock:
 class SimulatedDevice:
     """A simulated machine in the same process, as a device."""
 
-    def __init__(self, world: World, clock: protocol.Clock) -> None:
+    def __init__(self, world: SimulatedWorld, clock: protocol.Clock) -> None:
         self._world, self._clock = world, clock
         self._outbox: list[tuple[float, ms.Message]] = []
         self._command = 0

@@ -24,7 +24,7 @@ from surface_gym.machine import messages as ms
 from ..library import find_task
 from . import protocol
 from .config import TOKEN, SimulatorConfig, find_token, parse_address
-from .worlds import SimulatedMachine, SimulatedStream, World
+from .worlds import SimulatedMachine, SimulatedStream, SimulatedWorld
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
@@ -46,7 +46,7 @@ class _Newcomer:
 class PacedMachine:
     """A simulated machine in step with a clock, and its messages until they are due."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
         self._outbox: list[tuple[float, int, ms.Message]] = []  # sorted by due time [s]
         self._count = 0
@@ -86,7 +86,7 @@ class MachineServer(PacedMachine):
 
     def __init__(
         self,
-        world: World,
+        world: SimulatedWorld,
         task: str,
         listener: socket.socket,
         token: str | None = None,
@@ -208,7 +208,7 @@ def serve(server: MachineServer, clock: protocol.Clock, goes_on: Callable[[], bo
 
 async def serve_opcua(
     config: SimulatorConfig,
-    world: World,
+    world: SimulatedWorld,
     place: tuple[str, str],
     clock: protocol.Clock,
     goes_on: Callable[[], bool],
@@ -255,7 +255,7 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
     return EnvConfig(task=task, **given)
 
 
-def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> World:
+def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
     """Make the machine of a configuration, which begins at a time [s]."""
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)

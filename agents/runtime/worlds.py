@@ -44,7 +44,7 @@ SYMMETRIES = 12  # maximum number of turns that leave a base unchanged
 Timed = tuple[float, ms.Message]  # the time [s] at which a message is due
 
 
-class World(ABC):
+class SimulatedWorld(ABC):
     """A machine in simulation.
 
     The physics is at most one step ahead of the caller's clock, so commanded axes never turn early.
@@ -144,7 +144,7 @@ def known_parcel(parcel: Parcel) -> Parcel:
     return replace(parcel, com_offset=(0.0, 0.0), inertia=None)
 
 
-class SimulatedMachine(World):
+class SimulatedMachine(SimulatedWorld):
     """A surface with one parcel after the other."""
 
     def __init__(
@@ -331,7 +331,7 @@ def unchanged_turn(parcel: Parcel) -> float:
     return math.tau
 
 
-class SimulatedStream(World):
+class SimulatedStream(SimulatedWorld):
     """A surface with a stream of parcels, whose camera reports poses without identity."""
 
     has_gate = True
@@ -461,7 +461,7 @@ class SimulatedStream(World):
         return bool(draw.random() < self._options.merged)
 
     def _take_picture(self) -> ms.Detections:
-        """Return a picture with poses of which some are lost, false, or of two parcels."""
+        """Return a picture, in which some poses are lost, false, or shared by two parcels."""
         rows, rng, options = np.flatnonzero(self.streams.present[0]), self._noise, self._options
         truth = self._batch.parcels.truth[rows, :3]
         poses = truth + self._spread * rng.standard_normal(truth.shape)
