@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from ..library import TrainedPolicy
     from .controller import ControlLoop
     from .estimator import Estimator
-    from .mqtt import TelemetryDevice
-    from .protocol import GatedDevice
+    from .protocol import GatedDevice, Listener
 
 Machine = tuple[str, str | None]  # address, and the shared token
 EXCITATION = "excitation"  # name of a controller that is no policy
@@ -88,23 +87,34 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
     return policy, env_config
 
 
-def open_log(
-    config: RuntimeConfig, device: "GatedDevice", estimator: "Estimator", stack: ExitStack
-) -> "GatedDevice":
-    """Return the device, with a log of its messages if one is asked for."""
-    if config.log is None:
-        return device
-    from surface_gym.machine.log import LoggedSurface, LogWriter
-
-    from .protocol import LoggedDevice
-
+def open_listeners(
+    config: RuntimeConfig, estimator: "Estimator", stack: ExitStack
+) -> "list[Listener]":
+    """Return the log and the telemetry, if they are asked for."""
+    listeners: list[Listener] = []
     env_config = estimator.config
-    line, turn = env_config.chosen_line, 0.5 * math.pi / env_config.actuators.axis_speed
-    log = LogWriter(config.log, LoggedSurface.of_line(line, turn, estimator.shape))
-    stack.callback(log.close)
-    return LoggedDevice(
-        device, log, lambda parcel: line.site(parcel.base, env_config.zone), time.monotonic
-    )
+    if config.log is not None:
+        from surface_gym.machine.log import LoggedSurface, LogWriter
+
+        from .protocol import MessageLog
+
+        line, turn = env_config.chosen_line, 0.5 * math.pi / env_config.actuators.axis_speed
+        log = LogWriter(config.log, LoggedSurface.of_line(line, turn, estimator.shape))
+        stack.callback(log.close)
+        listeners.append(
+            MessageLog(log, lambda parcel: line.site(parcel.base, env_config.zone), time.monotonic)
+        )
+    if config.mqtt is not None:
+        from .mqtt import BrokerOptions, Telemetry
+
+        host, port = parse_address(config.mqtt)
+        broker = BrokerOptions(
+            host, port, config.mqtt_user, config.mqtt_password_file, config.mqtt_ca
+        )
+        telemetry = Telemetry(broker, env_config.task.name)
+        stack.callback(telemetry.close)
+        listeners.append(telemetry)
+    return listeners
 
 
 def open_device(
@@ -121,21 +131,6 @@ def open_device(
         raise ValueError("token must be given, by --token-file or SURFACE_GYM_TOKEN, got none")
     security = OpcUaSecurity(token, urlparse(address).username or USER, config.certificates)
     return OpcUaDevice(address, task, shape, security, config.nodes)
-
-
-def open_telemetry(
-    config: RuntimeConfig, device: "GatedDevice", task: str, stack: ExitStack
-) -> "TelemetryDevice | None":
-    """Return the device with telemetry of its messages, if it is asked for."""
-    if config.mqtt is None:
-        return None
-    from .mqtt import BrokerOptions, Telemetry, TelemetryDevice
-
-    host, port = parse_address(config.mqtt)
-    options = BrokerOptions(host, port, config.mqtt_user, config.mqtt_password_file, config.mqtt_ca)
-    telemetry = Telemetry(options, task)
-    stack.callback(telemetry.close)
-    return TelemetryDevice(device, telemetry)
 
 
 def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[str]:
@@ -203,19 +198,16 @@ def make_loop(
     task, is_stream = env_config.task.name, env_config.task.is_stream
     estimator: Any = StreamTracker(env_config) if is_stream else StateEstimator(env_config)
     device = open_device(*machine, config, task, estimator.shape)
-    device = open_log(config, device, estimator, stack)
-    telemetry = open_telemetry(config, device, task, stack)
-    given = (policy, env_config, WallClock(), timing)
+    listeners = open_listeners(config, estimator, stack)
+    given = (policy, env_config, WallClock(), timing, listeners)
     if is_stream:
-        loop: ControlLoop = StreamLoop(telemetry or device, estimator, *given)
+        loop: ControlLoop = StreamLoop(device, estimator, *given)
     else:
         arranger = stack.enter_context(ProcessArranger(estimator.config))
         fixed = arranger, estimator.resolver(FixedLayouts(estimator.config).kind)
-        loop = ControlLoop(telemetry or device, estimator, fixed, *given)
+        loop = ControlLoop(device, estimator, fixed, *given)
         if not arranger.wait_until_ready(READY_TIMEOUT):
             raise ValueError(f"fixed layouts must be ready within {READY_TIMEOUT:g} s")
-    if telemetry is not None:
-        telemetry.attach(loop.counts, loop.latencies)
     loop.warm_up()
     return loop
 

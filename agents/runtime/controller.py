@@ -1,7 +1,7 @@
 """The control loop: the policy decides, or a fixed layout while frames are missing."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -69,6 +69,7 @@ class ControlLoop:
         env_config: configuration of the policy's environment.
         clock: clock of the loop.
         config: timing of the loop.
+        listeners: what hears all messages and commands.
     """
 
     pictures: type[ms.Frame | ms.Detections] = ms.Frame  # others are not used
@@ -82,8 +83,9 @@ class ControlLoop:
         env_config: EnvConfig,
         clock: protocol.Clock,
         config: LoopConfig,
+        listeners: Sequence[protocol.Listener] = (),
     ) -> None:
-        self._device, self._estimator = device, estimator
+        self._device, self._estimator, self._listeners = device, estimator, listeners
         self._policy = Decider(controller, env_config)
         self._arranger, self._by_fixed = fixed
         self._by_policy = estimator.resolver(self._policy.kind)
@@ -153,6 +155,7 @@ class ControlLoop:
                     self._control(woke, due)
             else:
                 counts.unconnected += 1
+                self._hear(())
         except protocol.DeviceLost as error:
             self._lose(str(error))
         done = self._clock.now()
@@ -202,6 +205,7 @@ class ControlLoop:
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
+            self._hear(self._inbox)
             if len(self._inbox) > MAX_MESSAGES:
                 raise protocol.DeviceLost(
                     f"device must give at most {MAX_MESSAGES} messages a period, "
@@ -209,6 +213,11 @@ class ControlLoop:
                 )
         while self._inbox and self._clock.now() <= until:
             self._handle(self._inbox.popleft())
+
+    def _hear(self, messages: Sequence[ms.Message]) -> None:
+        with faults_of_device():
+            for each in self._listeners:
+                each.hear(messages, self.counts, self.latencies)
 
     def _handle(self, message: ms.Message) -> None:
         with faults_of_device():
@@ -318,6 +327,8 @@ class ControlLoop:
         with faults_of_device():
             number = self._device.set_axes(angles)
             checks.integer("command", number, least=0)
+            for each in self._listeners:
+                each.hear_command(number, angles)
         self._estimator.note_sent(number, self._clock.now())
         counts.sent += 1
         if resolver is self._by_fixed:
@@ -374,10 +385,12 @@ class StreamLoop(ControlLoop):
         env_config: EnvConfig,
         clock: protocol.Clock,
         config: LoopConfig,
+        listeners: Sequence[protocol.Listener] = (),
     ) -> None:
         task = tracker.config.stream_task
         safe = SafeAxes(BRAKING if task.takes_away else ROLLING)
-        super().__init__(device, tracker, (safe, None), controller, env_config, clock, config)
+        given = (controller, env_config, clock, config, listeners)
+        super().__init__(device, tracker, (safe, None), *given)
         self._gated_device, self._tracker = device, tracker
         self._dt = tracker.config.timing.dt if task.gate else 0.0  # [s] a step; 0: no gate
         self._open = deque(maxlen=2 * MOST_PARCELS)

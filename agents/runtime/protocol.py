@@ -12,7 +12,7 @@ import secrets
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from surface_gym.lines import Site
     from surface_gym.machine.log import LogWriter
     from surface_gym.parcel import Parcel
+
+    from .report import Counts, Latencies
 
 VERSION = 1  # version of the protocol, equal on both sides
 MAX_LINE = 1 << 18  # [bytes]
@@ -75,60 +77,39 @@ class GatedDevice(Device, Protocol):
         """Let one parcel in between two times [s], as soon as there is room."""
 
 
-class Listener:
-    """A `GatedDevice` that passes all calls on to another device; subclasses listen."""
+class Listener(Protocol):
+    """Hears what passes between a loop and its device; returns at once."""
 
-    def __init__(self, device: GatedDevice) -> None:
-        self._device = device
+    def hear(self, messages: Sequence[Message], counts: "Counts", latencies: "Latencies") -> None:
+        """Hear the messages of a period, possibly none, and what the loop has counted so far."""
 
-    def connect(self) -> None:
-        self._device.connect()
-
-    def close(self) -> None:
-        self._device.close()
-
-    def read(self) -> list[Message]:
-        return self._device.read()
-
-    def set_axes(self, angles: Angles) -> int:
-        return self._device.set_axes(angles)
-
-    def open_gate(self, begin: float, end: float) -> None:
-        self._device.open_gate(begin, end)
+    def hear_command(self, number: int, angles: Angles) -> None:
+        """Hear the angles (rows, columns) [rad] of a command that was sent."""
 
 
-class LoggedDevice(Listener):
-    """Writes all messages of a device to a log.
+class MessageLog:
+    """A `Listener` that writes all messages and commands to a log.
 
     Args:
-        device: the device.
         log: where to write; its owner closes it.
         site_of: returns the rotors and the zone for a parcel.
         now: clock [s] of the messages.
     """
 
     def __init__(
-        self,
-        device: GatedDevice,
-        log: "LogWriter",
-        site_of: "Callable[[Parcel], Site]",
-        now: Callable[[], float],
+        self, log: "LogWriter", site_of: "Callable[[Parcel], Site]", now: Callable[[], float]
     ) -> None:
-        super().__init__(device)
         self._log, self._site_of, self._now = log, site_of, now
 
-    def read(self) -> list[Message]:
-        messages, passed = super().read(), self._now()
+    def hear(self, messages: Sequence[Message], *_: object) -> None:
+        passed = self._now()
         for message in messages:
             if isinstance(message, ms.ParcelEntry):
                 self._log.write_site(passed, self._site_of(message.parcel))
             self._log.write(passed, "in", ms.to_fields(message))
-        return messages
 
-    def set_axes(self, angles: Angles) -> int:
-        number = super().set_axes(angles)
+    def hear_command(self, number: int, angles: Angles) -> None:
         self._log.write(self._now(), "out", ms.axes_to_fields(number, angles))
-        return number
 
 
 class Clock(Protocol):

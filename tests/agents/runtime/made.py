@@ -102,15 +102,16 @@ class Always:
 
 
 def loop_of(
-    device: Any, controller: Any, env_config: EnvConfig = CONFIG, **config: float
-) -> runtime.ControlLoop:
+    device: Any, controller: Any, env_config: EnvConfig = CONFIG, listeners: Any = (),
+    **config: float,
+) -> runtime.ControlLoop:  # fmt: skip
     held = estimator()
     held.clear()
     layouts = deciders.FixedLayouts(held.config)
     arranger = LocalArranger(layouts), held.resolver(layouts.kind)
     timing = runtime.LoopConfig(**config)
     return runtime.ControlLoop(
-        device, held, arranger, controller, env_config, controller.clock, timing
+        device, held, arranger, controller, env_config, controller.clock, timing, listeners
     )
 
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -94,6 +95,24 @@ def test_no_parcel_no_commands(device) -> None:
     assert loop.counts.sent == loop.counts.watchdog == 0
     assert loop.counts.frames == 20
     assert not loop.has_parcel
+
+
+def test_a_listener_hears_all_and_its_error_is_the_loss_of_the_device(device) -> None:
+    script = [(0.0, entered()), (0.1, made.frame(0.08))]
+    device.script, device.away = list(script), [(0.3, 0.4)]
+    listener, heard = Mock(), []
+    listener.hear.side_effect = lambda messages, *_: heard.append([*messages])
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), listeners=[listener])
+    loop.run(0.4, made.nothing)
+    assert [message for each in heard for message in each] == [message for _, message in script]
+    assert len(heard) == loop.counts.periods - loop.counts.lost
+    commands = [call.args for call in listener.hear_command.call_args_list]
+    assert [number for number, _ in commands] == list(range(1, len(device.sent) + 1))
+    assert all(angles is sent for (_, angles), sent in zip(commands, device.sent, strict=True))
+    listener.hear.side_effect = OSError("no space is left")
+    device.away = []
+    loop.run(0.6, made.nothing)
+    assert loop.counts.faults["no space is left"] >= 1
 
 
 def test_parcels_are_counted_by_how_they_left(device) -> None:

@@ -1,4 +1,4 @@
-"""A logged device is the device, and its log tells the surface."""
+"""A log of messages and commands tells the surface."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from benchmarks.tracking import SimulatedClock, SimulatedDevice
 from surface_gym.agents.runtime.cli import load_controller, main
 from surface_gym.agents.runtime.config import RuntimeConfig, WorldOptions
 from surface_gym.agents.runtime.deciders import ExcitationController
-from surface_gym.agents.runtime.protocol import Device, LoggedDevice
+from surface_gym.agents.runtime.protocol import MessageLog
 from surface_gym.agents.runtime.worlds import SimulatedMachine
 from surface_gym.config import EnvConfig
 from surface_gym.machine.command import main as identify
@@ -23,34 +23,29 @@ CONFIG = EnvConfig(
 LINE = CONFIG.chosen_line
 
 
-def drive(device: Device, clock: SimulatedClock, shape: tuple[int, int], seconds: float) -> int:
-    """Excite a device, and return the number of commands."""
-    controller, present, state, sent = ExcitationController(CONFIG), False, None, 0
+def logged(tmp_path, seconds: float) -> int:
+    """Log a simulated machine that is excited, and return the number of commands."""
+    clock = SimulatedClock()
+    world = SimulatedMachine(CONFIG, 0, 0.0, WorldOptions(pause=0.1))
+    device, sent = SimulatedDevice(world, clock), 0
+    log = LogWriter(
+        tmp_path / "run.jsonl.gz", LoggedSurface.of_line(LINE, QUARTER_TURN, world.shape)
+    )
+    listener = MessageLog(log, lambda parcel: LINE.site(parcel.base), clock.now)
+    controller, present, state = ExcitationController(CONFIG), False, None
     offered = np.array(CONFIG.chosen_orientations)
-    device.connect()
     for _ in range(round(seconds / 0.04)):
         clock.time += 0.04
-        for message in device.read():
+        messages = device.read()
+        listener.hear(messages)
+        for message in messages:
             if isinstance(message, ParcelEntry):
                 present, state = True, None
         if present:
             action, state = controller.predict(np.zeros((1, 1), dtype=np.float32), state)
-            device.set_axes(offered[action[0]].reshape(shape))
+            angles = offered[action[0]].reshape(world.shape)
+            listener.hear_command(device.set_axes(angles), angles)
             sent += 1
-    device.close()
-    return sent
-
-
-def logged(tmp_path, seconds: float) -> int:
-    """Log a simulated machine, and return the number of commands."""
-    clock = SimulatedClock()
-    world = SimulatedMachine(CONFIG, 0, 0.0, WorldOptions(pause=0.1))
-    log = LogWriter(
-        tmp_path / "run.jsonl.gz", LoggedSurface.of_line(LINE, QUARTER_TURN, world.shape)
-    )
-    machine = SimulatedDevice(world, clock)
-    device = LoggedDevice(machine, log, lambda parcel: LINE.site(parcel.base), clock.now)
-    sent = drive(device, clock, world.shape, seconds)
     log.close()
     return sent
 
