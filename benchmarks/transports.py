@@ -72,6 +72,9 @@ class _World:
     def stand_still(self, seconds: float) -> None:
         self.now += seconds
 
+    def greet(self) -> list[ms.Message]:
+        return []
+
     def advance(self, until: float) -> list[tuple[float, ms.Message]]:
         messages: list[tuple[float, ms.Message]] = []
         while self.now <= until:
