@@ -25,15 +25,16 @@ from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.runtime import controller as runtime, protocol
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.stream_loop import StreamLoop
-from surface_gym.agents.runtime.stream_simulator import SimulatedStream
+from surface_gym.agents.runtime.controller import StreamLoop
 from surface_gym.agents.runtime.tracker import StreamTracker
+from surface_gym.agents.runtime.worlds import SimulatedStream, SimulatedWorld
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.arrivals import Poisson
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.state import CORRECT, ENTERED
 from surface_gym.flow.stream import Stream
+from surface_gym.machine import messages as ms
 from surface_gym.physics.types import Integers
 
 MISTAKEN = 5  # successive periods after which a parcel counts as swapped or lost
@@ -66,21 +67,21 @@ class SimulatedClock:
     """A clock that only waiting moves, so that runs do not depend on the computer."""
 
     def __init__(self) -> None:
-        self._now = 0.0
+        self.time = 0.0  # [s]
 
     def now(self) -> float:
-        return self._now
+        return self.time
 
     def sleep_until(self, moment: float) -> None:
-        self._now = max(self._now, moment)
+        self.time = max(self.time, moment)
 
 
 class SimulatedDevice:
     """A simulated machine in the same process, as a device."""
 
-    def __init__(self, world: SimulatedStream, clock: runtime.Clock) -> None:
+    def __init__(self, world: SimulatedWorld, clock: protocol.Clock) -> None:
         self._world, self._clock = world, clock
-        self._outbox: list[tuple[float, protocol.Message]] = []
+        self._outbox: list[tuple[float, ms.Message]] = []
         self._command = 0
 
     def connect(self) -> None:
@@ -89,7 +90,7 @@ class SimulatedDevice:
     def close(self) -> None:
         """Nothing is to be closed."""
 
-    def read(self) -> list[protocol.Message]:
+    def read(self) -> list[ms.Message]:
         now = self._clock.now()
         self._outbox += self._world.advance(now - 0.5 * self._world.dt)  # the physics is at `now`
         self._outbox.sort(key=itemgetter(0))
@@ -98,7 +99,7 @@ class SimulatedDevice:
         del self._outbox[:due]
         return messages
 
-    def set_axes(self, angles: protocol.Angles) -> int:
+    def set_axes(self, angles: ms.Angles) -> int:
         self._command += 1
         self._outbox.append((self._clock.now(), self._world.set_axes(self._command, angles)))
         return self._command
@@ -115,7 +116,7 @@ class TimedTracker(StreamTracker):
         self.spent = 0.0  # [s] CPU time of this period
         self.periods: list[tuple[int, float]] = []  # parcels, and CPU time [s]
 
-    def correct(self, picture: protocol.Detections) -> bool:
+    def correct(self, picture: ms.Detections) -> bool:
         begun = time.thread_time()
         used = super().correct(picture)
         self.spent += time.thread_time() - begun
@@ -166,11 +167,8 @@ def run_tracked(
     world = SimulatedStream(config, seed, clock.now(), options)
     tracker.clear()
     comparison = Comparison(world, tracker)
-    loop = StreamLoop(
-        SimulatedDevice(world, clock), tracker, runtime.Decider(controller, config),
-        runtime.AxisLimits(tracker.shape, None), config.observation_space(), clock,
-        runtime.LoopConfig(config.control_period),
-    )  # fmt: skip
+    device, timing = SimulatedDevice(world, clock), runtime.LoopConfig(config.control_period)
+    loop = StreamLoop(device, tracker, controller, config, clock, timing)
     loop.run(seconds, comparison.compare)
     return comparison
 

@@ -27,10 +27,11 @@ from rich.console import Console
 
 from benchmarks.figure import Figure, figure_table
 from surface_gym.agents.runtime import protocol
-from surface_gym.agents.runtime.controller import AxisLimits, LoopConfig
+from surface_gym.agents.runtime.controller import LoopConfig
 from surface_gym.agents.runtime.opcua import NAMESPACE, USER, OpcUaDevice, OpcUaSecurity
 from surface_gym.agents.runtime.opcua_server import OpcUaServer
 from surface_gym.agents.runtime.simulator import MachineServer, PacedMachine
+from surface_gym.machine import messages as ms
 from surface_gym.machine.messages import AxesAcknowledgement, Frame
 
 SHAPE = (11, 20)  # rows and columns of modules
@@ -66,19 +67,22 @@ class _World:
         self.shape, self.now = SHAPE, time.monotonic()
         self.obeyed = self.out_of_range = self.left = 0
         self.kind, self.wrong = "", wrong_message("")
-        self._limits = AxisLimits(SHAPE, None)
+        self._limits = protocol.AxisLimits(SHAPE, None)
 
     def stand_still(self, seconds: float) -> None:
         self.now += seconds
 
-    def advance(self, until: float) -> list[tuple[float, protocol.Message]]:
-        messages: list[tuple[float, protocol.Message]] = []
+    def greet(self) -> list[ms.Message]:
+        return []
+
+    def advance(self, until: float) -> list[tuple[float, ms.Message]]:
+        messages: list[tuple[float, ms.Message]] = []
         while self.now <= until:
             self.now += PERIOD
             messages.append((self.now, Frame(self.now, 0, (1.0, 1.0, 0.0), np.zeros(SHAPE))))
         return messages
 
-    def set_axes(self, command: int, angles: protocol.Angles) -> AxesAcknowledgement:
+    def set_axes(self, command: int, angles: ms.Angles) -> AxesAcknowledgement:
         fault = self._limits.fault(angles)
         if not fault:
             self.obeyed += 1
@@ -109,7 +113,7 @@ def memory() -> float:
 def wrong_message(kind: str) -> dict[str, Any]:
     """Return the fields of a wrong frame; the same one again and again is replayed."""
     at = time.monotonic() - 3600.0 * (kind == "late")
-    fields = protocol.to_fields(Frame(at, 0, (1.0, 1.0, 0.0), np.zeros(SHAPE)))
+    fields = ms.to_fields(Frame(at, 0, (1.0, 1.0, 0.0), np.zeros(SHAPE)))
     if kind == "malformed":
         fields["pose"] = [1e9, 1.0, 0.0]
     elif kind == "oversized":
@@ -127,7 +131,7 @@ async def _serve_opcua(pipe: Connection, port: int) -> None:
     while True:
         machine.advance(time.monotonic())
         for message in machine.due(time.monotonic()):
-            await server.publish(protocol.to_fields(message))
+            await server.publish(ms.to_fields(message))
         await asyncio.sleep(min(0.005, machine.rest(time.monotonic())))
         for fields in world.answer(pipe):
             if world.kind == "replayed":
@@ -146,7 +150,7 @@ def serve(transport: str, pipe: Connection, port: int) -> None:
         server.step(time.monotonic())
         server.wait(time.monotonic())
         for fields in world.answer(pipe):
-            server._send(protocol.to_line(fields))
+            server._send(ms.to_line(fields))
 
 
 class Machine:

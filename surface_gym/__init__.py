@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from surface_gym import layouts, lines, sensors, tasks
     from surface_gym.env import SmartSurfaceEnv
     from surface_gym.machine.estimate import Estimate
-    from surface_gym.machine.excitation import excitation
     from surface_gym.machine.identification import identify
+    from surface_gym.machine.log import excitation
     from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
     from surface_gym.player import replay
     from surface_gym.randomisation import Actuators, Randomisation
@@ -56,8 +56,8 @@ __all__ = [
 _NAMES = {
     "env": ("SmartSurfaceEnv",),
     "machine.estimate": ("Estimate",),
-    "machine.excitation": ("excitation",),
     "machine.identification": ("identify",),
+    "machine.log": ("excitation",),
     "parcel": ("Disc", "Parcel", "Polygon", "Rectangle"),
     "player": ("replay",),
     "randomisation": ("Actuators", "Randomisation"),

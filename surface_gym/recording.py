@@ -124,30 +124,28 @@ class Recording:
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"{name} must be a text, got {getattr(self, name)!r}")
         checks.positive("control_period", self.control_period)
-        checks.settle(self, time=(checks.array, (None,)))
-        checks.set_fields(self, marks=tuple(self.marks))
-        count = len(self.time)
+        checks.set_fields(self, marks=tuple(self.marks), parcels=tuple(self.parcels))
+        checks.settle(
+            self, time=(checks.array, (None,)), rotor=checks.booleans,
+            angles=(checks.array, (None,)), pitch=(checks.array, (2,)), origin=checks.place,
+            obeys=checks.booleans, view=(checks.array, (4,)), heading=checks.number,
+            contacts=(checks.array, (None, 4)), pushes=(checks.array, (None, 6)),
+            delivered=(checks.array, (None, None)),
+        )  # fmt: skip
         _check_time(self.time)
-        checks.settle(self, rotor=checks.booleans, angles=(checks.array, (None,)))
         self._check_axis()
-        pitch = checks.array("pitch", self.pitch, (2,)).tolist()
-        checks.set_fields(self, pitch=tuple(checks.positive("pitch", each) for each in pitch))
-        checks.settle(self, origin=checks.place)
-        if self.obeys is not None:
-            checks.settle(self, obeys=checks.booleans)
-            if self.obeys.shape != self.rotor.shape:
-                raise ValueError(f"obeys must have rotor's shape, got {self.obeys.shape}")
+        pitch = tuple(checks.positive("pitch", each) for each in np.array(self.pitch).tolist())
+        checks.set_fields(self, pitch=pitch)
+        if self.obeys is not None and self.obeys.shape != self.rotor.shape:
+            raise ValueError(f"obeys must have rotor's shape, got {self.obeys.shape}")
         if self.view is not None:
-            left, low, right, high = checks.array("view", self.view, (4,)).tolist()
+            left, low, right, high = np.array(self.view).tolist()
             if right <= left or high <= low:
                 raise ValueError(f"view must enclose an area, got {self.view}")
             checks.set_fields(self, view=(left, low, right, high))
-        checks.settle(self, heading=checks.number)
         self._check_parcels()
-        self._check_contacts()
-        self._check_pushes()
-        checks.settle(self, delivered=(checks.array, (None, None)))
-        exits = sum(mark.kind == "exit" for mark in self.marks)
+        self._check_forces()
+        count, exits = len(self.time), sum(mark.kind == "exit" for mark in self.marks)
         if self.delivered.size and self.delivered.shape != (count, exits):
             raise ValueError(
                 f"delivered must have a row a frame and a column an exit, {(count, exits)}, "
@@ -177,7 +175,6 @@ class Recording:
         checks.set_fields(self, axis=axis)
 
     def _check_parcels(self) -> None:
-        checks.set_fields(self, parcels=tuple(self.parcels))
         for k, each in enumerate(self.parcels):
             last = each.first + len(each.pose)
             if last > len(self.time):
@@ -185,42 +182,30 @@ class Recording:
                     f"parcels[{k}] must be within the {len(self.time)} frames, got frame {last - 1}"
                 )
 
-    def _check_contacts(self) -> None:
-        contacts = checks.array("contacts", self.contacts, (None, 4))
-        element = contacts[:, 0]
+    def _check_forces(self) -> None:
+        element, bearer = self.contacts[:, 0], np.array(self.bearer, dtype=np.int64)
         if len(element) and not (element.min() >= 0 and element.max() < self.rotor.size):
             raise ValueError(f"contacts must be on the {self.rotor.size} elements")
-        bearer = np.array(self.bearer, dtype=np.int64)
         if not bearer.size:
-            bearer = np.zeros(len(contacts), dtype=np.int64)
-        if len(bearer) != len(contacts):
+            bearer = np.zeros(len(self.contacts), dtype=np.int64)
+        if len(bearer) != len(self.contacts):
             raise ValueError(
-                f"bearer must have a parcel for each of {len(contacts)} contacts, got {len(bearer)}"
+                f"bearer must have a parcel for each of {len(self.contacts)} contacts, "
+                f"got {len(bearer)}"
             )
-        self._check_parcel("bearer", bearer)
-        checks.set_fields(self, contacts=contacts, bearer=bearer)
-        self._check_first("first_contact", "contacts")
-
-    def _check_pushes(self) -> None:
-        pushes = checks.array("pushes", self.pushes, (None, 6))
-        self._check_parcel("pushes", pushes[:, :2])
-        checks.set_fields(self, pushes=pushes)
-        self._check_first("first_push", "pushes")
-
-    def _check_parcel(self, name: str, index: Array | Integers) -> None:
+        checks.set_fields(self, bearer=bearer)
         count = len(self.parcels)
-        if index.size and not (index.min() >= 0 and index.max() < count):
-            raise ValueError(f"{name} must be of the {count} parcels")
+        for name, index in (("bearer", bearer), ("pushes", self.pushes[:, :2])):
+            if index.size and not (index.min() >= 0 and index.max() < count):
+                raise ValueError(f"{name} must be of the {count} parcels")
+        self._check_first("first_contact", "contacts")
+        self._check_first("first_push", "pushes")
 
     def _check_first(self, name: str, of: str) -> None:
         """Check the first row of each frame in a table."""
         first, total = np.array(getattr(self, name), dtype=np.int64), len(getattr(self, of))
-        if len(first) and (
-            len(first) != len(self.time) + 1
-            or first[0] != 0
-            or first[-1] != total
-            or (np.diff(first) < 0).any()
-        ):
+        ends = len(first) == len(self.time) + 1 and first[0] == 0 and first[-1] == total
+        if len(first) and not (ends and (np.diff(first) >= 0).all()):
             raise ValueError(f"{name} must rise from 0 to the number of {of}, one more than frames")
         if not len(first) and total:
             raise ValueError(f"{name} must say which frames {of} belong to, got none")

@@ -1,13 +1,6 @@
-"""Results of simulations: motion, contacts, friction forces and energy, and their files.
+"""Results of simulations: motion, contacts, friction forces and energy, and their files."""
 
-An .npz file holds the whole trajectory, a .csv file only its motion.
-"""
-
-import csv
-import hashlib
-import io
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from os import PathLike
@@ -28,12 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from surface_gym.recording import Recording
-
-CONTACT_COLUMNS = (
-    *("step", "time [s]", "row", "column", "x [m]", "y [m]", "rotor", "normal [N]"),
-    *("along [N]", "across [N]", "force x [N]", "force y [N]"),
-    *("slip along [m/s]", "slip across [m/s]"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,22 +85,6 @@ class ContactRecord:
             known = f"between {self.step[0]} and {self.step[-1]}" if len(self) else "in the record"
             raise ValueError(f"step must be {known}, got {step!r}")
         return ContactRecord(*(getattr(self, field.name)[first:end] for field in fields(self)))
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the record as a .csv file (UTF-8): one row per contact, units in the header.
-
-        The path must end in .csv. An existing file is replaced.
-        """
-        file = Path(path)
-        if file.suffix != ".csv":
-            raise ValueError(f"path must end in .csv, got {str(path)!r}")
-        each = (getattr(self, field.name) for field in fields(self))
-        values = [column.tolist() for array in each for column in np.atleast_2d(array.T)]
-        values[CONTACT_COLUMNS.index("rotor")] = self.rotor.astype(int).tolist()
-        with file.open("w", encoding="utf-8", newline="") as stream:
-            rows = csv.writer(stream, lineterminator="\n")
-            rows.writerow(CONTACT_COLUMNS)
-            rows.writerows(zip(*values, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,26 +205,21 @@ class Trajectory:
         replay(self).save(path)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the trajectory to a file, replacing any file that exists.
+        """Write the trajectory to an .npz file, replacing any file that exists.
 
-        An .npz file holds everything including the `run`; user-defined bases are not supported. A
-        .csv file holds the motion, `tipping` and `end`, one row per step, with units in the header.
-        Both hold a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can
-        write another. Remove the first line of a .csv to load it after an edit.
+        The file holds everything including the `run`; user-defined bases are not supported. It
+        holds a SHA-256 checksum, which shows a changed byte. It is no signature: anyone can write
+        another.
         """
         file = _checked_file(path)
         _check_end(self.end)
-        if file.suffix == ".csv":
-            _write_table(file, self)
-            return
         parts: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in MOTION}
         if self.run is not None:
             parts |= _run_parts(self.run)
         for name, most in _sizes(len(self.time)).items():
             if name in parts and parts[name].nbytes > most:
                 raise ValueError(
-                    f"{name} must be of at most {most} bytes to be saved as .npz, got "
-                    f"{parts[name].nbytes}; a .csv holds a motion of any length"
+                    f"{name} must be of at most {most} bytes to be saved, got {parts[name].nbytes}"
                 )
         with file.open("w+b") as packed:
             files.write_arrays(packed, parts, compressed=True)
@@ -268,13 +234,12 @@ class Trajectory:
         """
         file = _checked_file(path)
         try:
-            found = _read_table(file) if file.suffix == ".csv" else _read_arrays(file)
+            return Trajectory(**_read_arrays(file))
         except ValueError as error:
             raise ValueError(
                 f"path must lead to a trajectory that was saved, got {str(path)!r}: "
                 f"{files.describe_damage(error)}"
             ) from None
-        return Trajectory(**found)
 
     def _known_run(self, asked: str) -> Run:
         if self.run is None:
@@ -423,13 +388,7 @@ def _compute_energy(run: Run, time: Array, contacts: ContactRecord) -> Energy:
 Parts = dict[str, NDArray[Any]]
 Fields = dict[str, Any]  # fields of a dataclass
 
-SUFFIXES = (".npz", ".csv")
-CHECKSUM = "# sha256: "  # begins the first line of a .csv; it is no signature
-END = "# end: "  # begins the next line
-COLUMNS = (
-    *("time [s]", "x [m]", "y [m]", "theta [rad]"),
-    *("vx [m/s]", "vy [m/s]", "omega [rad/s]", "tipping"),
-)
+SUFFIX = ".npz"
 MOTION = ("time", "pose", "velocity", "tipping", "end")
 SURFACE = ("axis", "rotor", "pitch", "origin", "mu_max", "mu_min", "mu_support", "tilt")
 PARCEL = ("mass", "com_height", "com_offset")
@@ -449,8 +408,8 @@ BASES: dict[str, Callable[[Array], Base]] = {
 
 def _checked_file(path: str | PathLike[str]) -> Path:
     file = checks.path("path", path)
-    if file.suffix not in SUFFIXES:
-        raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
+    if file.suffix != SUFFIX:
+        raise ValueError(f"path must end in {SUFFIX}, got {str(path)!r}")
     return file
 
 
@@ -512,8 +471,8 @@ def _run_parts(run: Run) -> Parts:
     for name, part, kind in (("surface", surface, Surface), ("parcel", parcel, Parcel)):
         if type(part) is not kind:
             raise ValueError(
-                f"{name} must be a {kind.__name__}, not a user-defined class, to be saved as "
-                f".npz, got a {type(part).__name__}; a .csv holds the motion alone"
+                f"{name} must be a {kind.__name__}, not a user-defined class, to be saved, "
+                f"got a {type(part).__name__}"
             )
     base, lengths = _base_parts(parcel.base)
     parts = {name: np.asarray(getattr(surface, name)) for name in (*SURFACE, *ADDED)}
@@ -535,10 +494,7 @@ def _base_parts(base: Base) -> tuple[str, Array]:
         return "disc", np.array([base.radius])
     if type(base) is Polygon:
         return "polygon", base.vertices
-    raise ValueError(
-        f"base must be a Rectangle, a Disc or a Polygon to be saved as .npz, got {base!r}; "
-        "a .csv holds the motion alone"
-    )
+    raise ValueError(f"base must be a Rectangle, a Disc or a Polygon to be saved, got {base!r}")
 
 
 def _read_run(parts: Parts, rows: int) -> Run | None:
@@ -569,77 +525,3 @@ def _read_run(parts: Parts, rows: int) -> Run | None:
     solver = checks.one_of("normal_forces", plain["normal_forces"], ("dual", "osqp", "scipy"))
     states = _checked_rows("states", parts["states"], (rows, ph.STATE_SIZE))
     return Run(surface, parcel, dt, method, solver, states)
-
-
-def _write_table(file: Path, trajectory: Trajectory) -> None:
-    motion = np.column_stack([trajectory.time, trajectory.pose, trajectory.velocity])
-    text = io.StringIO(newline="")
-    text.write(f"{END}{trajectory.end}\n")
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
-    for row, tipping in zip(motion.tolist(), trajectory.tipping.tolist(), strict=True):
-        rows.writerow([*row, int(tipping)])
-    content = text.getvalue().encode()
-    file.write_bytes(f"{CHECKSUM}{hashlib.sha256(content).hexdigest()}\n".encode() + content)
-
-
-def _hash_lines(lines: Iterator[str], hashed: Any) -> Iterator[str]:
-    """Yield lines, and add their bytes to a hash; a spreadsheet may have changed their ends."""
-    for line in lines:
-        hashed.update(line.rstrip("\r\n").encode() + b"\n")
-        yield line
-
-
-def _read_table(file: Path) -> Fields:
-    """Read a .csv; an error names the line. Older files have no checksum."""
-    lines, hashed = files.read_lines(file), hashlib.sha256()
-    end, checksum, before = next(lines, ""), "", 0
-    if end.startswith(CHECKSUM):
-        checksum, before = end[len(CHECKSUM) :].strip(), 1
-        lines = _hash_lines(lines, hashed)
-        end = next(lines, "")
-    end = end.rstrip("\r\n")
-    if not end.startswith(END):
-        raise ValueError(f"line {1 + before} must begin with {END!r}, got {end!r:.60}")
-    end = end[len(END) :]
-    _check_end(end)
-    rows = csv.reader(lines, strict=True)
-    try:
-        names = next(rows, [])
-        if tuple(names) != COLUMNS:
-            wanted = f"line {2 + before} must be {','.join(COLUMNS)!r}"
-            raise ValueError(f"{wanted}, got {','.join(names)!r:.60}")
-        numbers = np.array(list(_read_rows(rows, 1 + before)))
-    except csv.Error as error:
-        raise ValueError(f"it is not comma-separated values ({error})") from None
-    if checksum and checksum != hashed.hexdigest():
-        raise ValueError(
-            "it is not as it was written: its checksum differs; an edited file is read without "
-            "its first line"
-        )
-    table = numbers.reshape(-1, len(COLUMNS))
-    time, pose, velocity = _check_time(table[:, 0]), table[:, 1:4].copy(), table[:, 4:7].copy()
-    tipping = table[:, 7] == 1.0
-    return {"time": time, "pose": pose, "velocity": velocity, "tipping": tipping, "end": end}
-
-
-def _read_rows(rows: Any, before: int) -> Iterator[list[float]]:
-    """Yield the numbers of each row, after some lines that the reader of rows has not seen."""
-    last = -math.inf
-    for row in rows:
-        line = rows.line_num + before
-        numbers = _numbers(line, row)
-        if numbers[0] <= last:
-            raise ValueError(f"line {line}: time must begin at 0 and rise, got {row[0]!r:.60}")
-        last = numbers[0]
-        yield numbers
-
-
-def _numbers(line: int, row: list[str]) -> list[float]:
-    if len(row) != len(COLUMNS):
-        raise ValueError(f"line {line} must have {len(COLUMNS)} entries, got {len(row)}")
-    checks.one_of(f"line {line}: tipping", row[-1], ("0", "1"))
-    return [
-        files.parse_number(f"line {line}: {name}", text)
-        for name, text in zip(COLUMNS, row, strict=True)
-    ]

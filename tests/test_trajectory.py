@@ -238,25 +238,6 @@ class TestContacts:
             with pytest.raises(ValueError, match=f"^step must be {allowed}, got {step}"):
                 contacts.of_step(step)
 
-    def test_a_file_has_them_all_to_the_bit(self, tmp_path):
-        contacts = sorted_on_a_slope(duration=0.02).contacts
-        contacts.save(tmp_path / "contacts.csv")
-        head, *rows = (tmp_path / "contacts.csv").read_text().splitlines()
-        assert head == (
-            "step,time [s],row,column,x [m],y [m],rotor,normal [N],along [N],across [N],"
-            "force x [N],force y [N],slip along [m/s],slip across [m/s]"
-        )
-        expected = np.column_stack([getattr(contacts, field.name) for field in fields(contacts)])
-        found = np.array([row.split(",") for row in rows], dtype=float)
-        np.testing.assert_array_equal(found, expected)
-
-    def test_no_other_file_is_written(self, tmp_path):
-        contacts = sorted_on_a_slope(duration=0.02).contacts
-        with pytest.raises(ValueError, match=r"^path must end in \.csv, got '.*contacts\.txt'"):
-            contacts.save(tmp_path / "contacts.txt")
-        with pytest.raises(FileNotFoundError, match="nowhere"):
-            contacts.save(tmp_path / "nowhere" / "contacts.csv")
-
 
 class TestEnergy:
     def test_what_the_explicit_step_leaves_goes_to_zero_with_it(self):

@@ -1,223 +1,35 @@
-"""The control loop: the policy decides, or a fixed layout while frames are missing.
+"""The control loop: the policy decides, or a fixed layout while frames are missing."""
 
-Fixed layouts are computed in a separate process, since some take tenths of a second.
-"""
-
-import signal
-import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium import spaces
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.flow.base import MOST_PARCELS
 from surface_gym.layouts import ROLLING
+from surface_gym.machine import messages as ms
 
 from ..base import Controller
-from ..rules import find_rules
 from . import protocol
-from .estimator import MAX_COMMANDS, Estimator, Resolver, StateEstimator, within_right_angles
-from .protocol import MAX_EARLY, MAX_LATE
+from .deciders import Arranger, Command, Decider, Observation, SafeAxes, allowed_angles
+from .estimator import MAX_COMMANDS, Estimator, Resolver, StateEstimator
 from .report import Counts, Latencies, count_name
 
-Command = NDArray[Any]  # (size,) choices, or angles [rad]
-Observation = NDArray[np.float32]  # (features,)
-STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
+if TYPE_CHECKING:
+    from .tracker import StreamTracker
+
 MAX_MESSAGES = 1000  # maximum messages of a device per period
 READING = 0.5  # [-] share of a period for reading; later messages wait for the next period
 MAX_QUIET = 2.0  # [s] maximum time without a message of a device that acknowledges commands
 MAX_OPEN = 16  # maximum number of parcels on the surface
-
-
-class Decider:
-    """A controller for successive parcels."""
-
-    def __init__(self, controller: Controller, config: EnvConfig) -> None:
-        self._controller = controller
-        self.kind = config.action_kind
-        self._state: Any = None
-        self._is_first = True
-
-    def reset(self) -> None:
-        self._state, self._is_first = None, True
-
-    def decide(self, observation: Observation) -> Command:
-        action, self._state = self._controller.predict(
-            observation[np.newaxis],
-            self._state,
-            episode_start=np.array([self._is_first]),
-            deterministic=True,
-        )
-        self._is_first = False
-        return self.kind.commands(action, 1)[0]
-
-
-class FixedLayouts:
-    """Fixed layouts of a task, one for each parcel from its first observation."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        rule = find_rules(config.task_name)[0]  # the fixed layout is first
-        own = replace(config, actions=rule.actions, observe=(), observe_axes=False)
-        self._decider = Decider(rule.make(own), own)
-        self._own = len(own.task.features)
-        self._features = len(own.features)
-        self.kind = self._decider.kind
-
-    def arrange(self, observation: Observation) -> Command | None:
-        """Return the command for a newly entered parcel from the policy's observation.
-
-        Uses only the task's own features, the first of every observation. Returns None if the rule
-        finds the observation impossible.
-        """
-        shown = np.zeros(self._features, dtype=np.float32)
-        shown[: self._own] = observation[: self._own]
-        self._decider.reset()
-        try:
-            return self._decider.decide(shown)
-        except ValueError:
-            return None
-
-
-def allowed_angles(config: EnvConfig) -> tuple[float, ...] | None:
-    """Return the allowed axes [rad]: the orientations and the conveyor's axis; None: any."""
-    if config.action_kind.continuous:
-        return None
-    offered = within_right_angles(np.array(config.chosen_orientations))
-    return (*offered.tolist(), ROLLING)
-
-
-class Arranger(Protocol):
-    """Computes a layout for each parcel."""
-
-    def ask(self, observation: Observation) -> None:
-        """Start to compute the layout for a newly entered parcel; return at once."""
-
-    def layout(self) -> Command | None:
-        """Return the command for the latest parcel; None: it is not ready yet."""
-
-
-class ProcessArranger:
-    """Computes layouts in a separate process, which ends with this context."""
-
-    def __init__(self, config: EnvConfig) -> None:
-        context = get_context("spawn")
-        self._here, there = context.Pipe()
-        self._process = context.Process(target=_arrange, args=(config, there), daemon=True)
-        self._process.start()
-        there.close()
-        self._asked = 0
-        self._is_busy = False  # at most one request at a time, so that sending never waits
-        self._next: Observation | None = None
-        self._layout: Command | None = None
-
-    def __enter__(self) -> "ProcessArranger":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._here.close()
-        self._process.join(STOP_TIMEOUT)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        self._process.close()
-
-    def wait_until_ready(self, timeout: float) -> bool:
-        """Wait at most `timeout` [s] for the process; return whether it is ready."""
-        return self._here.poll(timeout) and self._here.recv() == 0
-
-    def ask(self, observation: Observation) -> None:
-        self._asked += 1
-        self._layout, self._next = None, observation
-        self.layout()
-
-    def layout(self) -> Command | None:
-        """Return the command; None: it is not ready yet, or does not exist for the parcel."""
-        try:
-            while self._here.poll():
-                asked, layout = self._here.recv()
-                self._is_busy = False
-                if asked == self._asked:
-                    self._layout = layout
-            if self._next is not None and not self._is_busy:
-                self._here.send((self._asked, self._next))
-                self._next, self._is_busy = None, True
-        except (EOFError, OSError):  # the process has ended: hold the axes
-            self._next = None
-        return self._layout
-
-
-def _arrange(config: EnvConfig, connection: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the loop ends this process
-    layouts = FixedLayouts(config)
-    connection.send(0)
-    try:
-        while True:
-            asked, observation = connection.recv()
-            connection.send((asked, layouts.arrange(observation)))
-    except (EOFError, OSError):
-        connection.close()
-
+BRAKING = 0.0  # [rad] axis of a module that brakes a parcel along x
 
 Between = Callable[[float], None]  # callback after a period, with the time [s]
-RIGHT_ANGLE = 0.5 * np.pi + 1e-9  # [rad] largest angle of an axis
-
-
-class Clock(Protocol):
-    """Clock of the loop: the machine's clock, or a test clock."""
-
-    def now(self) -> float:
-        """Return a monotonic time [s]."""
-
-    def sleep_until(self, moment: float) -> None:
-        """Wait until a time [s], if it is in the future."""
-
-
-class WallClock:
-    """The machine's clock, `time.monotonic()`."""
-
-    def now(self) -> float:
-        return time.monotonic()
-
-    def sleep_until(self, moment: float) -> None:
-        left = moment - time.monotonic()
-        if left > 0.0:
-            time.sleep(left)
-
-
-class AxisLimits:
-    """Final check of axis commands; invalid commands are not sent.
-
-    Args:
-        shape: (rows, columns) of the widest zone.
-        allowed: [rad] allowed angles; None: any from -pi/2 to pi/2.
-    """
-
-    def __init__(self, shape: tuple[int, int], allowed: tuple[float, ...] | None) -> None:
-        self._shape = shape
-        self._allowed = None if allowed is None else np.array(allowed)
-
-    def fault(self, angles: protocol.Angles) -> str:
-        """Return why angles (rows, columns) [rad] are invalid; empty if they are valid."""
-        if angles.shape != self._shape:
-            return f"axes must have the shape {self._shape}, got {angles.shape}"
-        if not np.isfinite(angles).all():
-            return "axes must be finite"
-        if (np.abs(angles) > RIGHT_ANGLE).any():
-            return f"axes must be between -pi/2 and pi/2, got {np.abs(angles).max():g} in them"
-        if self._allowed is not None:
-            apart = np.abs(angles[..., np.newaxis] - self._allowed).min(axis=-1)
-            if apart.max() > 1e-9:
-                worst = angles.ravel()[int(apart.argmax())]
-                return f"axes must be some of those on offer, got {worst:g}"
-        return ""
 
 
 @dataclass
@@ -247,25 +59,39 @@ class LoopConfig:
 
 
 class ControlLoop:
-    """Runs a policy on a device."""
+    """Runs a policy on a device.
 
-    pictures: type[protocol.Frame | protocol.Detections] = protocol.Frame  # others are not used
+    Args:
+        device: the machine.
+        estimator: estimator of the machine's parcels.
+        fixed: computes layouts that replace the policy, and the resolver of their commands.
+        controller: the policy.
+        env_config: configuration of the policy's environment.
+        clock: clock of the loop.
+        config: timing of the loop.
+        listeners: what hears all messages and commands.
+    """
+
+    pictures: type[ms.Frame | ms.Detections] = ms.Frame  # others are not used
 
     def __init__(
         self,
         device: protocol.Device,
         estimator: Estimator,
-        policy: Decider,
         fixed: tuple[Arranger, Resolver | None],
-        limits: AxisLimits,
-        bounds: spaces.Box,
-        clock: Clock,
+        controller: Controller,
+        env_config: EnvConfig,
+        clock: protocol.Clock,
         config: LoopConfig,
+        listeners: Sequence[protocol.Listener] = (),
     ) -> None:
-        self._device, self._estimator, self._policy = device, estimator, policy
+        self._device, self._estimator, self._listeners = device, estimator, listeners
+        self._policy = Decider(controller, env_config)
         self._arranger, self._by_fixed = fixed
-        self._by_policy = estimator.resolver(policy.kind)
-        self._limits, self._bounds, self._clock, self._config = limits, bounds, clock, config
+        self._by_policy = estimator.resolver(self._policy.kind)
+        self._limits = protocol.AxisLimits(estimator.shape, allowed_angles(env_config))
+        self._bounds = env_config.observation_space()
+        self._clock, self._config = clock, config
         self.counts, self.latencies = Counts(), Latencies()
         self._connected = False
         self._next_attempt = -1e9
@@ -277,8 +103,14 @@ class ControlLoop:
         self._unanswered = False  # whether acknowledgements have stopped for too long
         self._quiet = 0  # periods of control since the latest message
         self._sent: deque[_SentCommand] = deque(maxlen=MAX_COMMANDS)
-        self._inbox: deque[protocol.Message] = deque()  # unhandled messages
+        self._inbox: deque[ms.Message] = deque()  # unhandled messages
         self._open: deque[int] = deque(maxlen=MAX_OPEN)  # parcels on the surface
+
+    def warm_up(self) -> None:
+        """Decide once, since the first decision is slow."""
+        bounds = self._bounds
+        self._policy.decide(np.zeros_like(bounds.low).clip(bounds.low, bounds.high))
+        self._policy.reset()
 
     def run(self, seconds: float, between: Between) -> None:
         """Run for a time [s] or until KeyboardInterrupt; call `between` after each period."""
@@ -323,6 +155,7 @@ class ControlLoop:
                     self._control(woke, due)
             else:
                 counts.unconnected += 1
+                self._hear(())
         except protocol.DeviceLost as error:
             self._lose(str(error))
         done = self._clock.now()
@@ -372,6 +205,7 @@ class ControlLoop:
         if not self._inbox:
             with faults_of_device():
                 self._inbox.extend(self._device.read())
+            self._hear(self._inbox)
             if len(self._inbox) > MAX_MESSAGES:
                 raise protocol.DeviceLost(
                     f"device must give at most {MAX_MESSAGES} messages a period, "
@@ -380,29 +214,34 @@ class ControlLoop:
         while self._inbox and self._clock.now() <= until:
             self._handle(self._inbox.popleft())
 
-    def _handle(self, message: protocol.Message) -> None:
+    def _hear(self, messages: Sequence[ms.Message]) -> None:
         with faults_of_device():
-            protocol.check_message(message, self._estimator.shape)
+            for each in self._listeners:
+                each.hear(messages, self.counts, self.latencies)
+
+    def _handle(self, message: ms.Message) -> None:
+        with faults_of_device():
+            ms.check_message(message, self._estimator.shape)
         self._wait, self._quiet = self._config.first_wait, 0
-        if isinstance(message, (protocol.Frame, protocol.Detections)):
+        if isinstance(message, (ms.Frame, ms.Detections)):
             self._correct(message)
-        elif isinstance(message, protocol.ParcelEntry):
+        elif isinstance(message, ms.ParcelEntry):
             self._enter(message)
-        elif isinstance(message, protocol.AxesAcknowledgement):
+        elif isinstance(message, ms.AxesAcknowledgement):
             self._acknowledge(message)
-        elif isinstance(message, protocol.ParcelDeparture):
+        elif isinstance(message, ms.ParcelDeparture):
             self._depart(message)
 
     def _is_timely(self, moment: float) -> bool:
         """Return whether the estimate can start from a message's time [s]."""
-        return -MAX_EARLY <= self._clock.now() - moment <= MAX_LATE
+        return -ms.MAX_EARLY <= self._clock.now() - moment <= ms.MAX_LATE
 
-    def _correct(self, frame: protocol.Frame | protocol.Detections) -> None:
+    def _correct(self, frame: ms.Frame | ms.Detections) -> None:
         if not isinstance(frame, self.pictures):
             self.counts.unused += 1
             return
         self.counts.frames += 1
-        if isinstance(frame, protocol.Frame) and frame.number is None:
+        if isinstance(frame, ms.Frame) and frame.number is None:
             return
         if self._is_timely(frame.taken_at) and self._estimator.correct(frame):
             self._latest_arrival = self._clock.now()
@@ -410,7 +249,7 @@ class ControlLoop:
         else:
             self.counts.frames_unused += 1
 
-    def _enter(self, entered: protocol.ParcelEntry) -> None:
+    def _enter(self, entered: ms.ParcelEntry) -> None:
         assert isinstance(self._estimator, StateEstimator)
         before = self._estimator.entered
         if before is not None and _describe(entered) == _describe(before):
@@ -422,7 +261,7 @@ class ControlLoop:
         self._open.append(entered.number)
         try:
             if not self._is_timely(entered.at):
-                raise ValueError(f"at must be within {MAX_LATE:g} s of now, got another time")
+                raise ValueError(f"at must be within {ms.MAX_LATE:g} s of now, got another time")
             self._estimator.reset(entered)
         except ValueError as error:
             self.counts.unfit += 1
@@ -436,7 +275,7 @@ class ControlLoop:
         self._policy.reset()
         self._arranger.ask(self._estimator.observe(entered.at))
 
-    def _depart(self, departed: protocol.ParcelDeparture) -> None:
+    def _depart(self, departed: ms.ParcelDeparture) -> None:
         if departed.number not in self._open:
             self.counts.unused += 1
             return
@@ -445,7 +284,7 @@ class ControlLoop:
         if self._estimator.depart(departed.number):
             self._sent.clear()
 
-    def _acknowledge(self, answer: protocol.AxesAcknowledgement) -> None:
+    def _acknowledge(self, answer: ms.AxesAcknowledgement) -> None:
         if answer.refused:
             self.counts.refused += 1
             self._estimator.drop_command(answer.command)
@@ -488,6 +327,8 @@ class ControlLoop:
         with faults_of_device():
             number = self._device.set_axes(angles)
             checks.integer("command", number, least=0)
+            for each in self._listeners:
+                each.hear_command(number, angles)
         self._estimator.note_sent(number, self._clock.now())
         counts.sent += 1
         if resolver is self._by_fixed:
@@ -527,6 +368,64 @@ class ControlLoop:
             return None
 
 
+class StreamLoop(ControlLoop):
+    """Runs a policy of a stream on a device.
+
+    While pictures are missing, the gate stays shut. All axes brake if the task has a take-away;
+    otherwise all parcels roll on to the end.
+    """
+
+    pictures = ms.Detections
+
+    def __init__(
+        self,
+        device: protocol.GatedDevice,
+        tracker: "StreamTracker",
+        controller: Controller,
+        env_config: EnvConfig,
+        clock: protocol.Clock,
+        config: LoopConfig,
+        listeners: Sequence[protocol.Listener] = (),
+    ) -> None:
+        task = tracker.config.stream_task
+        safe = SafeAxes(BRAKING if task.takes_away else ROLLING)
+        given = (controller, env_config, clock, config, listeners)
+        super().__init__(device, tracker, (safe, None), *given)
+        self._gated_device, self._tracker = device, tracker
+        self._dt = tracker.config.timing.dt if task.gate else 0.0  # [s] a step; 0: no gate
+        self._open = deque(maxlen=2 * MOST_PARCELS)
+
+    @property
+    def has_parcel(self) -> bool:
+        """Return False: a stream has no pauses, so that others wait for the end of a period."""
+        return False
+
+    def _enter(self, entered: ms.ParcelEntry) -> None:
+        try:
+            if not entered.waits and not self._is_timely(entered.at):
+                raise ValueError(f"at must be within {ms.MAX_LATE:g} s of now, got another time")
+            self._tracker.enter(entered)
+        except ValueError as error:
+            self.counts.unfit += 1
+            count_name(self.counts.faults, str(error))
+            return
+        if entered.number not in self._open:
+            self._open.append(entered.number)
+
+    def _lose(self, fault: str) -> None:
+        super()._lose(fault)
+        self._policy.reset()
+
+    def _decide(self, observation: Observation) -> Command | None:
+        command = super()._decide(observation)
+        if self._dt > 0.0 and command is not None and command[-1] > 0:
+            now = self._clock.now()
+            begin = now + self._dt * float(command[-1])
+            with faults_of_device():
+                self._gated_device.open_gate(begin, now + self._config.period)
+        return command
+
+
 @contextmanager
 def faults_of_device() -> Iterator[None]:
     """Make a driver's error, or a value that it must not give, the loss of the device."""
@@ -536,7 +435,7 @@ def faults_of_device() -> Iterator[None]:
         raise protocol.DeviceLost(str(error)) from None
 
 
-def _describe(entered: protocol.ParcelEntry) -> dict[str, Any]:
+def _describe(entered: ms.ParcelEntry) -> dict[str, Any]:
     """Return what stays of a parcel: two that differ here are not the same parcel."""
-    fields = protocol.to_fields(entered)
+    fields = ms.to_fields(entered)
     return {name: fields[name] for name in ("number", "base", "mass", "com_height", "goal", "path")}

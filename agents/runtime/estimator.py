@@ -26,6 +26,7 @@ from surface_gym.core.assembly import make_env_params, make_state, task_function
 from surface_gym.core.kernel import EnvParams, Function, KernelFunctions, obeying, showing
 from surface_gym.core.resets import BodyPlan, Placement, place_parcel
 from surface_gym.layouts import ROLLING
+from surface_gym.machine.messages import MAX_LATE, Angles, Frame, ParcelEntry
 from surface_gym.parcel import Parcel
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.step import axis_direction, split_gravity
@@ -35,8 +36,6 @@ from surface_gym.sensors import Camera, Exact, Sensor
 from surface_gym.sensors.base import Physics
 from surface_gym.sensors.camera import EVERY, LAG
 from surface_gym.tasks.start import Parcels
-
-from .protocol import MAX_LATE, Angles, Frame, ParcelEntry
 
 SEEN, NOW = 0, 1  # indices of the environments
 BOTH = np.array([SEEN, NOW])
@@ -100,10 +99,10 @@ class _Command:
 
 @dataclass(frozen=True, eq=False)
 class Resolver:
-    """Converts commands of one kind of action to axes; see `StateEstimator.resolve`."""
+    """Converts commands of one kind of action to axes; see `Estimator.resolve`."""
 
     obey: Callable[..., None]  # compiled
-    surfaces: st.SurfaceState  # the estimator's surfaces, with buffers for these commands
+    command: NDArray[Any]  # (environments, size) buffer
 
 
 class Estimator(ABC):
@@ -181,13 +180,29 @@ class Estimator(ABC):
     def observe(self, now: float) -> NDArray[np.float32]:
         """Return the task's observation at a time [s]: a copy."""
 
-    @abstractmethod
     def resolver(self, kind: actions.ActionKind) -> Resolver:
         """Compile the resolver of commands of a kind of action."""
+        dtype = np.float64 if kind.continuous else np.int64
+        command = np.zeros((len(BOTH), kind.size), dtype=dtype)
+        return Resolver(compile_for(self._make_obey(kind), *self._arguments(command), NOW), command)
+
+    def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
+        """Return the zone's axes (rows, columns) [rad] for a command (size,).
+
+        They depend on the parcels' positions at the last observed time.
+        """
+        assert resolver is not None
+        resolver.command[NOW] = command
+        resolver.obey(*self._arguments(resolver.command), NOW)
+        return self._zone_angles(self._surfaces.target[NOW])
 
     @abstractmethod
-    def resolve(self, resolver: Any, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,)."""
+    def _make_obey(self, kind: actions.ActionKind) -> Any:
+        """Compile the function that sets target axes by commands of a kind of action."""
+
+    @abstractmethod
+    def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
+        """Return the arrays of both environments, with commands (environments, size)."""
 
     @abstractmethod
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
@@ -320,22 +335,12 @@ class StateEstimator(Estimator):
         """Pose and velocity (6,) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
         return self._parcels.sensed[NOW].copy()
 
-    def resolver(self, kind: actions.ActionKind) -> Resolver:
-        """Compile the resolver of commands of a kind of action."""
-        dtype = np.float64 if kind.continuous else np.int64
-        surfaces = self._surfaces._replace(command=np.zeros((len(BOTH), kind.size), dtype=dtype))
-        obey = make_obey(kind, self._mirror)
-        params, _, parcels, bodies = self._arrays
-        return Resolver(compile_for(obey, params, surfaces, parcels, bodies, NOW), surfaces)
+    def _make_obey(self, kind: actions.ActionKind) -> Any:
+        return make_obey(kind, self._mirror)
 
-    def resolve(self, resolver: Resolver, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,).
-
-        They depend on the parcel's position at the last observed time.
-        """
-        resolver.surfaces.command[NOW] = command
-        resolver.obey(self._params, resolver.surfaces, self._parcels, self._plan.bodies, NOW)
-        return self._zone_angles(self._surfaces.target[NOW])
+    def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
+        params, surfaces, parcels, bodies = self._arrays
+        return params, surfaces._replace(command=command), parcels, bodies
 
     def _move_on(self, i: int, begun: float, until: float, looks: bool) -> None:
         """Move an environment forward in equal steps, at most as long as the package's step."""

@@ -3,15 +3,16 @@
 import json
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from paho.mqtt import client as paho
 
+from surface_gym.machine.messages import Angles, Message, to_fields
+
 from .config import LOOPBACK, read_secret
-from .protocol import Angles, Device, Message, to_fields
 from .report import STAGES, Counts, Latencies, percentiles
 
 TOPIC = "surface-gym"  # beginning of all topics
@@ -57,14 +58,19 @@ class _Client(paho.Client):
 
 
 class Telemetry:
-    """Reports to a broker; calls return at once, and what the broker does not read is dropped.
+    """A `Listener` that reports to a broker; what the broker does not read is dropped.
 
     Args:
         options: the broker.
         task: name of the run's task, part of the topics.
+        now: clock [s] of the reports.
     """
 
-    def __init__(self, options: BrokerOptions, task: str) -> None:
+    def __init__(
+        self, options: BrokerOptions, task: str, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._now, self._reported = now, now()
+        self._latest: dict[str, Any] | None = None  # the latest poses
         self._topic = f"{TOPIC}/{task}"
         self._client = _Client(paho.CallbackAPIVersion.VERSION2)
         if options.user is not None:
@@ -86,6 +92,25 @@ class Telemetry:
             payload = json.dumps(data, separators=(",", ":"))
             self._sent.append(self._client.publish(f"{self._topic}/{name}", payload))
 
+    def hear(self, messages: Sequence[Message], counts: Counts, latencies: Latencies) -> None:
+        """Publish entries and departures, and once per second counts, times and poses."""
+        for message in messages:
+            fields = to_fields(message)
+            if fields["kind"] in STATES:
+                self._latest = fields
+            elif fields["kind"] != "taken":
+                self.publish(fields["kind"], fields)
+        now = self._now()
+        if now - self._reported >= REPORT_EVERY:
+            self._reported = now
+            times = {name: percentiles(getattr(latencies, name)[-RECENT:]) for name in STAGES}
+            self.publish("counts", asdict(counts))
+            self.publish("latencies", times)
+            self.publish("parcels", self._latest)
+
+    def hear_command(self, number: int, angles: Angles) -> None:
+        """Commands are not reported."""
+
     def close(self) -> None:
         self._client.disconnect()
         self._client.loop_stop()
@@ -96,58 +121,3 @@ def _is_gone(info: paho.MQTTMessageInfo) -> bool:
         return info.is_published()
     except RuntimeError:  # the connection was lost
         return True
-
-
-class TelemetryDevice:
-    """A `Device` that reports messages of another device, and once per second counts and times."""
-
-    def __init__(
-        self, device: Device, telemetry: Telemetry, now: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._device, self._telemetry, self._now = device, telemetry, now
-        self._latest: dict[str, Any] | None = None  # the latest poses
-        self._reported = now()
-        self._counts, self._latencies = Counts(), Latencies()
-
-    def attach(self, counts: Counts, latencies: Latencies) -> None:
-        """Report a loop's counts and times, which the loop goes on to write."""
-        self._counts, self._latencies = counts, latencies
-
-    def connect(self) -> None:
-        self._report()
-        self._device.connect()
-
-    def close(self) -> None:
-        self._device.close()
-
-    def read(self) -> list[Message]:
-        self._report()
-        messages = self._device.read()
-        for message in messages:
-            fields = to_fields(message)
-            if fields["kind"] in STATES:
-                self._latest = fields
-            elif fields["kind"] != "taken":
-                self._telemetry.publish(fields["kind"], fields)
-        return messages
-
-    def set_axes(self, angles: Angles) -> int:
-        return self._device.set_axes(angles)
-
-    def open_gate(self, begin: float, end: float) -> None:
-        """Let one parcel in between two times [s]; only for a device with a gate."""
-        device: Any = self._device
-        device.open_gate(begin, end)
-
-    def _report(self) -> None:
-        now = self._now()
-        if now - self._reported < REPORT_EVERY:
-            return
-        self._reported = now
-        times = {name: percentiles(getattr(self._latencies, name)[-RECENT:]) for name in STAGES}
-        for name, data in (
-            ("counts", asdict(self._counts)),
-            ("latencies", times),
-            ("parcels", self._latest),
-        ):
-            self._telemetry.publish(name, data)

@@ -26,7 +26,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.ua import ua_binary
 
 from surface_gym import checks
-from surface_gym.machine.messages import MAX_NUMBER, numbers
+from surface_gym.machine import messages as ms
 
 from . import protocol
 from .config import LOOPBACK, check_private
@@ -112,8 +112,8 @@ def sequenced(name: str, value: Any) -> tuple[int, list[float]]:
     """Return the sequence number and the other numbers of an array from outside."""
     if not isinstance(value, list) or not value:
         raise ValueError(f"{name} must be an array of numbers, got {value!r:.80}")
-    values = numbers(name, value, (None,)).tolist()
-    return checks.integer(name, _scalar("command", values[:1]), 0, MAX_NUMBER), values[1:]
+    values = ms.numbers(name, value, (None,)).tolist()
+    return checks.integer(name, _scalar("command", values[:1]), 0, ms.MAX_NUMBER), values[1:]
 
 
 class _NullArray:
@@ -210,7 +210,7 @@ class _Link:
         self.fault = ""  # why it has ended
         self.error = "no answer yet"  # why there is no connection yet
         self.alive = now()  # [s] when it last showed life
-        self.inbox: deque[protocol.Message] = deque()
+        self.inbox: deque[ms.Message] = deque()
         self._last: dict[str, int] = {}  # latest sequence number of each variable
         self._offsets: deque[tuple[float, float]] = deque(maxlen=OFFSETS)
         # by variable, the command to write: its sequence, its times [s], and angles
@@ -287,7 +287,7 @@ class _Link:
         if prefix is None:
             prefix = f"ns={await client.get_namespace_index(NAMESPACE)};s="
         hello = await client.get_node(prefix + HELLO).read_value()
-        protocol.check_hello(protocol.from_line(str(hello).encode()), self._task, self._shape)
+        protocol.check_hello(ms.from_line(str(hello).encode()), self._task, self._shape)
         clock = client.get_node(prefix + CLOCK)
         await self._beat(clock)
         parameters = (self._listen(client, prefix), self._write(client, prefix), self._beats(clock))
@@ -333,7 +333,7 @@ class _Link:
                 except ua.UaStatusCodeError as error:
                     if name == AXES:
                         refusal = (sequence, self._now(), str(error)[:200])
-                        self.inbox.append(protocol.AxesAcknowledgement(*refusal))
+                        self.inbox.append(ms.AxesAcknowledgement(*refusal))
 
     async def _listen(self, client: Client, prefix: str) -> None:
         kinds = {prefix + layout.node: kind for kind, layout in ARRAYS.items()}
@@ -347,7 +347,7 @@ class _Link:
                     for name in TIMES:
                         if name in fields:
                             fields[name] = checks.number(name, fields[name]) + self._offset
-                    self.inbox.append(protocol.from_fields(fields, self._shape))
+                    self.inbox.append(ms.from_fields(fields, self._shape))
                 if len(self.inbox) > MAX_WAITING:
                     raise ValueError(f"device must give at most {MAX_WAITING} messages, got more")
         raise ConnectionError("the machine has ended the subscription")
@@ -359,7 +359,7 @@ class _Link:
             found = {sequence: from_numbers(kind, values, self._shape)} if values else {}
         else:
             lines = [str(each).partition(" ") for each in (value or [])[-RECENT:] if each]
-            found = {int(number): protocol.from_line(line.encode()) for number, _, line in lines}
+            found = {int(number): ms.from_line(line.encode()) for number, _, line in lines}
             sequence = max(found, default=0)
         last = self._last.setdefault(kind, sequence)
         self._last[kind] = max(last, sequence)
@@ -422,11 +422,11 @@ class OpcUaDevice:
             raise protocol.DeviceLost(f"the machine must answer within {SILENCE:g} s")
         return self._link
 
-    def read(self) -> list[protocol.Message]:
+    def read(self) -> list[ms.Message]:
         inbox = self._linked().inbox
         return [inbox.popleft() for _ in range(len(inbox))]
 
-    def set_axes(self, angles: protocol.Angles) -> int:
+    def set_axes(self, angles: ms.Angles) -> int:
         self._command += 1
         self._linked().send(AXES, self._command, [], angles.ravel().tolist())
         return self._command

@@ -9,7 +9,7 @@ import asyncio
 import hmac
 import math
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +23,9 @@ from asyncua.server.internal_session import InternalSession
 from asyncua.server.user_managers import UserManager
 
 from surface_gym import checks
-from surface_gym.machine.messages import MAX_EARLY, MAX_NUMBER, to_line
+from surface_gym.machine import messages as ms
 
 from . import opcua, protocol
-from .controller import RIGHT_ANGLE
 from .opcua import ARRAYS, AXES, CLOCK, GATE, HELLO, LIMITS, MAX_CHUNK, MESSAGES, NAMESPACE, RECENT
 
 MAX_AGE = 0.25  # [s] maximum age of a command
@@ -36,7 +35,7 @@ SESSION_TIMEOUTS = (1000.0, 5000.0)  # [ms] least and greatest, from the last si
 WELCOME_AFTER = 0.1  # [s] from a subscription to the greeting; older messages count as known
 MAX_PENDING = 64  # maximum number of requests of a client at a time
 
-SetAxes = Callable[[int, protocol.Angles], protocol.AxesAcknowledgement]
+SetAxes = Callable[[int, ms.Angles], ms.AxesAcknowledgement]
 Code = ua.StatusCodes
 
 
@@ -157,9 +156,9 @@ class _Guard(InternalServer):
         if not np.isfinite(array).all() or np.abs(array[2:]).max() > given.most:
             return Code.BadOutOfRange
         sequence, late = array[0], self._now() - array[1]
-        if not sequence.is_integer() or not given.sequence < sequence <= MAX_NUMBER:
+        if not sequence.is_integer() or not given.sequence < sequence <= ms.MAX_NUMBER:
             return Code.BadSequenceNumberInvalid
-        return Code.Good if -MAX_EARLY <= late <= MAX_AGE else Code.BadInvalidTimestamp
+        return Code.Good if -ms.MAX_EARLY <= late <= MAX_AGE else Code.BadInvalidTimestamp
 
 
 class _Peer(OPCUAProtocol):
@@ -210,7 +209,7 @@ class OpcUaServer(Server):
         host: str = "127.0.0.1",
         port: int = 0,
         open_gate: Callable[[float, float], None] | None = None,
-        greet: Callable[[], list[protocol.Message]] = list,
+        greet: Callable[[], Sequence[ms.Message]] = tuple,
     ) -> None:
         security.check(host)
         opcua.harden()
@@ -220,7 +219,7 @@ class OpcUaServer(Server):
         self._greetings: set[asyncio.Task[None]] = set()
         super().__init__(self._guard)
         self._security, self._machine_clock = security, now
-        self._greeting = to_line(protocol.hello(task, shape)).decode().strip()
+        self._greeting = ms.to_line(protocol.hello(task, shape)).decode().strip()
         self._shape, self._set_axes, self._open_gate = shape, set_axes, open_gate
         self._sequences = dict.fromkeys((*ARRAYS, MESSAGES), 0)
         self._recent: deque[str] = deque(maxlen=RECENT)
@@ -257,7 +256,7 @@ class OpcUaServer(Server):
         parent = await self.get_objects_node().add_object(index, "Surface")
         double, text = ua.VariantType.Double, ua.VariantType.String
         rows, columns = self._shape
-        inputs = {AXES: _Input(rows * columns, RIGHT_ANGLE, self._turn)}
+        inputs = {AXES: _Input(rows * columns, protocol.RIGHT_ANGLE, self._turn)}
         if self._open_gate is not None:
             inputs[GATE] = _Input(2, math.inf, self._open)
         values = {
@@ -280,7 +279,7 @@ class OpcUaServer(Server):
     async def _turn(self, sequence: int, angles: list[float]) -> bool:
         answer = self._set_axes(sequence, np.reshape(angles, self._shape))
         if not answer.refused:
-            await self.publish(protocol.to_fields(answer))
+            await self.publish(ms.to_fields(answer))
         return not answer.refused
 
     async def _open(self, _: int, times: list[float]) -> bool:
@@ -296,7 +295,7 @@ class OpcUaServer(Server):
     async def _publish_greeting(self) -> None:
         await asyncio.sleep(WELCOME_AFTER)
         for message in self._greet():
-            await self.publish(protocol.to_fields(message))
+            await self.publish(ms.to_fields(message))
 
     async def publish(self, fields: dict[str, Any]) -> None:
         """Show a message's fields to all clients."""
@@ -305,7 +304,7 @@ class OpcUaServer(Server):
         self._sequences[kind] += 1
         sequence = self._sequences[kind]
         if values is None:
-            self._recent.append(f"{sequence} {to_line(fields).decode().strip()}")
+            self._recent.append(f"{sequence} {ms.to_line(fields).decode().strip()}")
             shown = ua.Variant(list(self._recent), ua.VariantType.String)
         else:
             shown = ua.Variant([float(sequence), *map(float, values)], ua.VariantType.Double)

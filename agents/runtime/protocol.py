@@ -1,4 +1,4 @@
-"""Devices of the control loop, and their protocol on a socket.
+"""Devices of the control loop, their limits and clocks, and their protocol on a socket.
 
 A driver of a machine implements `Device`: four calls that never wait. All times are [s] of
 `time.monotonic()` on the loop's computer; a driver converts the clock of its camera.
@@ -12,72 +12,22 @@ import secrets
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.machine.messages import (
-    MAX_EARLY,
-    MAX_LATE,
-    Angles,
-    AxesAcknowledgement,
-    Detections,
-    Frame,
-    Message,
-    ParcelDeparture,
-    ParcelEntry,
-    Triple,
-    axes_from_fields,
-    axes_to_fields,
-    check_message,
-    from_fields,
-    from_line,
-    gate_from_fields,
-    gate_to_fields,
-    numbers,
-    text,
-    to_fields,
-    to_line,
-)
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import Angles, Message
 
-__all__ = [
-    "MAX_EARLY",
-    "MAX_LATE",
-    "Angles",
-    "AxesAcknowledgement",
-    "Connection",
-    "ConnectionLost",
-    "Detections",
-    "Device",
-    "DeviceLost",
-    "Frame",
-    "GatedDevice",
-    "Message",
-    "ParcelDeparture",
-    "ParcelEntry",
-    "SocketDevice",
-    "Triple",
-    "axes_from_fields",
-    "axes_to_fields",
-    "check_hello",
-    "check_message",
-    "check_proof",
-    "from_fields",
-    "from_line",
-    "gate_from_fields",
-    "gate_to_fields",
-    "hello",
-    "make_nonce",
-    "prove",
-    "text",
-    "to_fields",
-    "to_line",
-    "triple",
-]
+if TYPE_CHECKING:
+    from surface_gym.lines import Site
+    from surface_gym.machine.log import LogWriter
+    from surface_gym.parcel import Parcel
+
+    from .report import Counts, Latencies
 
 VERSION = 1  # version of the protocol, equal on both sides
 MAX_LINE = 1 << 18  # [bytes]
@@ -85,6 +35,8 @@ MAX_READ = 1 << 15  # [bytes] per period: 0.8 MB/s at 25 Hz
 MAX_LINES = 64  # lines per period: 1600 per second at 25 Hz
 MAX_TIME = 0.01  # [s] reading time per period
 MAX_FULL = 25  # maximum successive periods with the maximum amount
+TIMEOUT = 0.02  # [s] timeout of connecting
+RIGHT_ANGLE = 0.5 * np.pi + 1e-9  # [rad] largest angle of an axis
 GREETING_TIMEOUT = 2.0  # [s] from the connection to the other side's proof
 
 
@@ -125,10 +77,89 @@ class GatedDevice(Device, Protocol):
         """Let one parcel in between two times [s], as soon as there is room."""
 
 
-def triple(values: NDArray[np.float64]) -> Triple:
-    """Return values (3,) of a pose or a velocity for a message."""
-    first, second, third = values.tolist()
-    return (first, second, third)
+class Listener(Protocol):
+    """Hears what passes between a loop and its device; returns at once."""
+
+    def hear(self, messages: Sequence[Message], counts: "Counts", latencies: "Latencies") -> None:
+        """Hear the messages of a period, possibly none, and what the loop has counted so far."""
+
+    def hear_command(self, number: int, angles: Angles) -> None:
+        """Hear the angles (rows, columns) [rad] of a command that was sent."""
+
+
+class MessageLog:
+    """A `Listener` that writes all messages and commands to a log.
+
+    Args:
+        log: where to write; its owner closes it.
+        site_of: returns the rotors and the zone for a parcel.
+        now: clock [s] of the messages.
+    """
+
+    def __init__(
+        self, log: "LogWriter", site_of: "Callable[[Parcel], Site]", now: Callable[[], float]
+    ) -> None:
+        self._log, self._site_of, self._now = log, site_of, now
+
+    def hear(self, messages: Sequence[Message], *_: object) -> None:
+        passed = self._now()
+        for message in messages:
+            if isinstance(message, ms.ParcelEntry):
+                self._log.write_site(passed, self._site_of(message.parcel))
+            self._log.write(passed, "in", ms.to_fields(message))
+
+    def hear_command(self, number: int, angles: Angles) -> None:
+        self._log.write(self._now(), "out", ms.axes_to_fields(number, angles))
+
+
+class Clock(Protocol):
+    """Clock of the loop: the machine's clock, or a test clock."""
+
+    def now(self) -> float:
+        """Return a monotonic time [s]."""
+
+    def sleep_until(self, moment: float) -> None:
+        """Wait until a time [s], if it is in the future."""
+
+
+class WallClock:
+    """The machine's clock, `time.monotonic()`."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep_until(self, moment: float) -> None:
+        left = moment - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+class AxisLimits:
+    """Final check of axis commands; invalid commands are not sent.
+
+    Args:
+        shape: (rows, columns) of the widest zone.
+        allowed: [rad] allowed angles; None: any from -pi/2 to pi/2.
+    """
+
+    def __init__(self, shape: tuple[int, int], allowed: tuple[float, ...] | None) -> None:
+        self._shape = shape
+        self._allowed = None if allowed is None else np.array(allowed)
+
+    def fault(self, angles: Angles) -> str:
+        """Return why angles (rows, columns) [rad] are invalid; empty if they are valid."""
+        if angles.shape != self._shape:
+            return f"axes must have the shape {self._shape}, got {angles.shape}"
+        if not np.isfinite(angles).all():
+            return "axes must be finite"
+        if (np.abs(angles) > RIGHT_ANGLE).any():
+            return f"axes must be between -pi/2 and pi/2, got {np.abs(angles).max():g} in them"
+        if self._allowed is not None:
+            apart = np.abs(angles[..., np.newaxis] - self._allowed).min(axis=-1)
+            if apart.max() > 1e-9:
+                worst = angles.ravel()[int(apart.argmax())]
+                return f"axes must be some of those on offer, got {worst:g}"
+        return ""
 
 
 def hello(task: str, shape: tuple[int, int], nonce: str = "") -> dict[str, Any]:
@@ -145,7 +176,7 @@ def check_hello(fields: dict[str, Any], task: str, shape: tuple[int, int]) -> No
     checks.one_of("kind", fields["kind"], ("hello",))
     checks.one_of("protocol", fields.get("protocol"), (VERSION,))
     checks.one_of("task", fields.get("task"), (task,))
-    zone = numbers("zone", fields.get("zone"), (2,))
+    zone = ms.numbers("zone", fields.get("zone"), (2,))
     if tuple(zone) != shape:
         raise ValueError(f"zone must be {shape}, got {fields['zone']}")
 
@@ -163,12 +194,9 @@ def prove(token: str, side: str, nonce: str) -> str:
 def check_proof(fields: dict[str, Any], token: str, side: str, nonce: str) -> None:
     """Raise a ValueError unless the fields contain a valid proof of a side."""
     checks.one_of("kind", fields["kind"], ("proof",))
-    proof = text("proof", fields.get("proof"))
+    proof = ms.text("proof", fields.get("proof"))
     if not hmac.compare_digest(proof.encode(), prove(token, side, nonce).encode()):
         raise ValueError("proof must be by the token of this side, got another")
-
-
-TIMEOUT = 0.02  # [s] timeout of connecting
 
 
 class ConnectionLost(ConnectionError):
@@ -296,9 +324,9 @@ class SocketDevice:
                 if self._now() > until:
                     self._connection.put_back(lines[k:])
                     break
-                fields = from_line(line)
+                fields = ms.from_line(line)
                 if self._greeted:
-                    messages.append(from_fields(fields, self._shape))
+                    messages.append(ms.from_fields(fields, self._shape))
                 elif self._token is not None and self._nonce:
                     check_proof(fields, self._token, "device", self._nonce)
                     self._greeted = True
@@ -323,24 +351,24 @@ class SocketDevice:
             return
         if "nonce" not in fields:
             raise ValueError("device must ask for the token, got a greeting without a nonce")
-        proof = prove(self._token, "loop", text("nonce", fields["nonce"]))
+        proof = prove(self._token, "loop", ms.text("nonce", fields["nonce"]))
         self._nonce = make_nonce()
-        connection.send(to_line({"kind": "proof", "proof": proof, "nonce": self._nonce}))
+        connection.send(ms.to_line({"kind": "proof", "proof": proof, "nonce": self._nonce}))
 
     def set_axes(self, angles: Angles) -> int:
         if self._connection is None:
             raise DeviceLost("not connected")
         self._command += 1
-        self._send(axes_to_fields(self._command, angles))
+        self._send(ms.axes_to_fields(self._command, angles))
         return self._command
 
     def open_gate(self, begin: float, end: float) -> None:
-        self._send(gate_to_fields(begin, end))
+        self._send(ms.gate_to_fields(begin, end))
 
     def _send(self, fields: dict[str, Any]) -> None:
         if self._connection is None:
             raise DeviceLost("not connected")
         try:
-            self._connection.send(to_line(fields))
+            self._connection.send(ms.to_line(fields))
         except (ConnectionLost, ValueError) as error:
             raise DeviceLost(str(error)) from None

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,40 +63,22 @@ class Counts:
 
 @dataclass
 class Latencies:
-    """Latencies [s] of all sent decisions."""
+    """Latencies [s] of all sent decisions, by stage; see `STAGES`."""
 
-    late: list[float] = field(default_factory=list)  # from when a period is due to its beginning
-    sensor: list[float] = field(default_factory=list)  # from the latest frame to the estimate
-    filter: list[float] = field(default_factory=list)  # reading, estimating, observing
-    policy: list[float] = field(default_factory=list)  # deciding
-    # from the decision until the axes begin to turn
+    late: list[float] = field(default_factory=list)
+    sensor: list[float] = field(default_factory=list)
+    filter: list[float] = field(default_factory=list)
+    policy: list[float] = field(default_factory=list)
     send: list[float] = field(default_factory=list)
-    turn: list[float] = field(default_factory=list)  # computed time until the last axis has turned
-    # from the latest frame until the last axis has turned
+    turn: list[float] = field(default_factory=list)
     whole: list[float] = field(default_factory=list)
-    work: list[float] = field(default_factory=list)  # duration of a period's work
+    work: list[float] = field(default_factory=list)
 
 
 def count_name(counts: Counter[str], name: str) -> None:
     """Count a name from a device: truncated, printable, and limited in variety."""
     plain = "".join(each if each.isprintable() else "?" for each in name[:MAX_NAME])
     counts[plain if plain in counts or len(counts) < MAX_NAMES else "others"] += 1
-
-
-@dataclass(frozen=True)
-class RunConditions:
-    """Conditions of a run."""
-
-    agent: str
-    seed: int  # seed of the policy
-    task: str
-    preset: str  # preset of the machine
-    device: str  # the simulator, or an address
-    period: float  # [s]
-    watchdog: float  # [s]
-    seconds: float  # [s] duration
-    load: tuple[float, float, float]  # load of the computer at the end, over 1, 5 and 15 minutes
-    cores: int  # of the computer
 
 
 def percentiles(seconds: Sequence[float]) -> list[float] | None:
@@ -106,12 +88,12 @@ def percentiles(seconds: Sequence[float]) -> list[float] | None:
     return np.percentile(np.array(seconds), PERCENTILES).tolist()
 
 
-def make_report(run: RunConditions, counts: Counts, latencies: Latencies) -> dict[str, Any]:
-    """Return the report as JSON data."""
+def make_report(run: dict[str, Any], counts: Counts, latencies: Latencies) -> dict[str, Any]:
+    """Return the report as JSON data; `run` are the conditions of the run."""
     parcels = sum(counts.parcels.values())
     named = {name: dict(getattr(counts, name).most_common()) for name in ("parcels", "faults")}
     return {
-        "run": asdict(run),
+        "run": run,
         "counts": {**asdict(counts), **named},
         "success": counts.parcels["success"] / parcels if parcels else None,
         "percentiles": list(NAMES),
@@ -132,9 +114,8 @@ def show_report(report: dict[str, Any], console: "Console") -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    run, counts = report["run"], report["counts"]
     budget = Table(
-        title=f"Latency in ms, beside a period of {1e3 * run['period']:g} ms",
+        title=f"Latency in ms, beside a period of {1e3 * report['run']['period']:g} ms",
         title_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
@@ -147,33 +128,24 @@ def show_report(report: dict[str, Any], console: "Console") -> None:
         row = ["-"] * len(NAMES) if times is None else [f"{1e3 * each:.2f}" for each in times]
         budget.add_row(name, *row, STAGES[name])
     console.print(budget)
-    for line in _sentences(run, counts, report["success"]):
+    for line in _lines(report):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _sentences(run: dict[str, Any], counts: dict[str, Any], success: float | None) -> list[str]:
-    parcels = ", ".join(f"{count} {outcome}" for outcome, count in counts["parcels"].items())
+def _lines(report: dict[str, Any]) -> Iterator[str]:
+    """Yield the counts by their names in the report."""
+    run, counts, success = report["run"], report["counts"], report["success"]
     load = ", ".join(f"{each:.2f}" for each in run["load"])
-    return [
-        f"{run['agent']} for {run['seconds']:.0f} s: {counts['periods']} periods, "
-        f"{counts['kept']} deadlines kept, {counts['missed']} missed, {counts['skipped']} periods "
-        f"skipped; load {load} on {run['cores']} cores",
-        f"{counts['decisions']} decisions by the policy; fixed layout in "
-        f"{counts['by_fixed_layout']} periods, frames stopped for more than "
-        f"{1e3 * run['watchdog']:g} ms {counts['watchdog']} times, and acknowledgements "
-        f"{counts['unacknowledged']} times; clock set back {counts['set_back']} times; axes held "
-        f"in {counts['held']}",
-        f"{counts['sent']} axis commands sent, {counts['out_of_range']} out of range and not sent, "
-        f"{counts['refused']} refused by the device; {counts['strayed']} observations out of "
-        "bounds",
-        f"{counts['frames']} frames, {counts['frames_unused']} of no use, and {counts['unused']} "
-        f"other messages; device lost {counts['lost']} times, found {counts['connected']} times "
-        f"in {counts['attempts']} attempts, away in {counts['unconnected']} periods",
-        f"{sum(counts['parcels'].values())} parcels"
-        + ("" if success is None else f", success {success:.3f}: {parcels}")
-        + (f"; {counts['unfit']} that do not fit" if counts["unfit"] else ""),
-        *(
-            f"fault of the device, {count} times: {name}"
-            for name, count in counts["faults"].items()
-        ),
-    ]
+    yield f"{run['agent']} for {run['seconds']:.0f} s; load {load} on {run['cores']} cores"
+    parcels, faults = counts["parcels"], counts["faults"]
+    yield ", ".join(
+        f"{name.replace('_', ' ')} {value}"
+        for name, value in counts.items()
+        if not isinstance(value, dict)
+    )
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in parcels.items())
+    yield f"{sum(parcels.values())} parcels" + (
+        "" if success is None else f", success {success:.3f}: {outcomes}"
+    )
+    for name, count in faults.items():
+        yield f"fault of the device, {count} times: {name}"

@@ -1,4 +1,4 @@
-"""The simulator: a machine with the package's physics behind a socket, in a separate process.
+"""The simulator: a simulated machine behind a socket or OPC UA, in a separate process.
 
 Start it by `python -m surface_gym.agents.runtime.simulator`, or by `SimulatorProcess` in Python.
 """
@@ -13,191 +13,32 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-import surface_gym as sg
-from surface_gym import actions
 from surface_gym.config import EnvConfig
-from surface_gym.core import batch
 from surface_gym.flow.base import StreamTask
-from surface_gym.parcel import Base
-from surface_gym.physics.step import tilt_of_gravity
-from surface_gym.physics.types import COM_HEIGHT, MASS, RADIUS
-from surface_gym.state import GRAVITY_COLUMNS, RUNNING, EnvState
+from surface_gym.machine import messages as ms
 
 from ..library import find_task
-from . import controller, estimator, protocol as wire
-from .config import TOKEN, SimulatorConfig, WorldOptions, find_token, parse_address
-from .stream_simulator import SimulatedStream
-
-if TYPE_CHECKING:
-    from .opcua_server import OpcUaServer
+from . import protocol
+from .config import TOKEN, SimulatorConfig, find_token, parse_address
+from .worlds import SimulatedMachine, SimulatedStream, SimulatedWorld
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
 LISTENING = "listening on "
-ONLY = np.zeros(1, dtype=np.int64)  # index of the only environment
 # [s] maximum delay that the physics catches up; beyond it, the world stands still
 MAX_BEHIND = 0.25
 MAX_NEWCOMERS = 8  # maximum number of connections without proof
 STOP_TIMEOUT = 5.0  # [s] maximum time for the process to end
 
 
-class SimulatedMachine:
-    """A surface, its parcels and a camera, driven by the caller's clock.
-
-    The physics is at most one step ahead of the caller's clock, so commanded axes never turn early.
-    Frames are delayed by the camera's delay.
-    """
-
-    def __init__(
-        self, env_config: EnvConfig, seed: int, begun: float, options: WorldOptions
-    ) -> None:
-        self._camera = estimator.device_camera(env_config.sensors)
-        self.dt = env_config.timing.dt
-        self._every = self._camera.frame_steps(self.dt)
-        self._latency = self._camera.latency
-        if self._latency is None:
-            self._latency = self._every * self.dt
-        self._limit = env_config.task.periods * env_config.timing.steps
-        self._batch = batch.Batch(
-            replace(
-                env_config,
-                actions="modules",
-                orientations=actions.ANY,
-                control_period=self.dt,
-                sensors=sg.sensors.Exact(),
-                observe=(),
-                observe_axes=False,
-                info=(),
-            ),
-            1,
-        )
-        kind = self._batch.config.action_kind
-        self.shape = (kind.rows, kind.columns)
-        self._limits = controller.AxisLimits(self.shape, None)
-        generator, self._noise = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
-        self._batch.seed(0, generator)
-        self._options = options
-        self._now = begun
-        self._step = 0
-        self._number = -1
-        self._present = False
-        self._enters = begun + options.pause
-        self._command = np.full((1, kind.size), sg.layouts.ROLLING)
-
-    @property
-    def now(self) -> float:
-        """Time [s] of the physics."""
-        return self._now
-
-    def stand_still(self, seconds: float) -> None:
-        """Let time [s] pass without motion, after the physics fell too far behind the clock."""
-        self._now += seconds
-        self._enters += seconds
-
-    def greet(self) -> list[wire.Message]:
-        """Return no messages: control resumes with the next parcel."""
-        return []
-
-    def open_gate(self, begin: float, end: float) -> None:
-        raise ValueError(f"gate must be that of a stream, got times {begin:g} to {end:g} s")
-
-    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
-        fault = self._limits.fault(angles)
-        if not fault:
-            self._command[0] = angles.ravel()
-        return wire.AxesAcknowledgement(command, self._now, fault)
-
-    def advance(self, until: float) -> list[tuple[float, wire.Message]]:
-        """Simulate until a time [s]; return messages with the time [s] at which each is due."""
-        messages: list[tuple[float, wire.Message]] = []
-        while self._now <= until:
-            if not self._present and self._now >= self._enters:
-                messages.append((self._now, self._enter()))
-            if self._present:
-                self._batch.step(self._command)
-            self._now += self.dt
-            self._step += 1
-            if self._step % self._every == 0:
-                frame = self._take_frame()
-                if frame is not None:
-                    assert self._latency is not None
-                    messages.append((self._now + self._latency, frame))
-            if self._present:
-                ends = self._batch.outcome[0] != RUNNING
-                if ends or self._batch.parcels.steps[0] >= self._limit:
-                    messages.append((self._now, self._depart(bool(ends))))
-        return messages
-
-    def _enter(self) -> wire.ParcelEntry:
-        self._command[:] = sg.layouts.ROLLING
-        self._batch.reset(ONLY)
-        self._present = True
-        self._number += 1
-        state, entry = self._batch.view(0), self._camera.entry
-        spread = np.array(
-            [entry.position] * 2 + [entry.angle] + [entry.speed] * 2 + [entry.turning]
-        )
-        tilt, direction = tilt_of_gravity(*state.surface[GRAVITY_COLUMNS].tolist())
-        known = state.truth + spread * self._noise.standard_normal(6)
-        return wire.ParcelEntry(
-            self._number,
-            self._now,
-            _known_parcel(state),
-            wire.triple(known[:3]),
-            wire.triple(known[3:]),
-            tuple(state.goal.tolist()),
-            tilt,
-            state.path.copy() if len(state.path) else None,
-            direction,
-        )
-
-    def _depart(self, ends: bool) -> wire.ParcelDeparture:
-        parcels, task = self._batch.parcels, self._batch.task
-        self._present = False
-        self._enters = self._now + self._options.pause
-        outcome = self._batch.outcomes[int(parcels.outcome[0])] if ends else "out of time"
-        metrics = dict(zip(task.metrics, parcels.metrics[0].tolist(), strict=True))
-        return wire.ParcelDeparture(self._number, outcome, metrics)
-
-    def _take_frame(self) -> wire.Frame | None:
-        """Return a frame; None if it is lost."""
-        camera = self._camera
-        noise, lot = self._noise.standard_normal(3), self._noise.random()
-        if lot < camera.drop:
-            return None
-        if not self._present:
-            return wire.Frame(self._now)
-        spread = np.array([camera.position_noise] * 2 + [camera.angle_noise])
-        pose = self._batch.parcels.truth[0, :3] + spread * noise
-        axes = None
-        if self._options.encoders:
-            axes = estimator.zone_angles(self._batch.axes(0), self._batch.view(0).zone, self.shape)
-        return wire.Frame(self._now, self._number, wire.triple(pose), axes)
-
-
-def _known_parcel(state: EnvState) -> sg.Parcel:
-    """Return an environment's parcel with an even load, since a device does not know the load."""
-    corners: NDArray[np.float64] = state.corners
-    base: Base
-    if np.ptp(corners, axis=0).max() == 0.0:
-        base = sg.Disc(float(state.body[RADIUS]))
-    else:
-        apart = np.abs(corners - np.roll(corners, 1, axis=0)).max(axis=1) > 0.0
-        base = sg.Polygon(corners[apart])
-    return sg.Parcel(base, mass=float(state.body[MASS]), com_height=float(state.body[COM_HEIGHT]))
-
-
 @dataclass(frozen=True, eq=False)
 class _Newcomer:
     """A connection before its proof of the token."""
 
-    connection: wire.Connection
+    connection: protocol.Connection
     nonce: str
     until: float  # [s] deadline of the proof
 
@@ -205,9 +46,9 @@ class _Newcomer:
 class PacedMachine:
     """A simulated machine in step with a clock, and its messages until they are due."""
 
-    def __init__(self, world: SimulatedMachine | SimulatedStream) -> None:
+    def __init__(self, world: SimulatedWorld) -> None:
         self._world = world
-        self._outbox: list[tuple[float, int, wire.Message]] = []  # sorted by due time [s]
+        self._outbox: list[tuple[float, int, ms.Message]] = []  # sorted by due time [s]
         self._count = 0
         self.refused = 0  # number of invalid commands
 
@@ -220,7 +61,7 @@ class PacedMachine:
             self._count += 1
             heapq.heappush(self._outbox, (due, self._count, message))
 
-    def due(self, now: float) -> Iterator[wire.Message]:
+    def due(self, now: float) -> Iterator[ms.Message]:
         """Yield the messages that are due at a time [s]."""
         while self._outbox and self._outbox[0][0] <= now:
             yield heapq.heappop(self._outbox)[2]
@@ -230,7 +71,7 @@ class PacedMachine:
         due = self._outbox[0][0] if self._outbox else self._world.now
         return max(0.0, min(due, self._world.now) - now)
 
-    def set_axes(self, command: int, angles: wire.Angles) -> wire.AxesAcknowledgement:
+    def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
         answer = self._world.set_axes(command, angles)
         self.refused += bool(answer.refused)
         return answer
@@ -245,7 +86,7 @@ class MachineServer(PacedMachine):
 
     def __init__(
         self,
-        world: SimulatedMachine | SimulatedStream,
+        world: SimulatedWorld,
         task: str,
         listener: socket.socket,
         token: str | None = None,
@@ -256,7 +97,7 @@ class MachineServer(PacedMachine):
         self._newcomers: list[_Newcomer] = []
         self._listener = listener
         self._listener.setblocking(False)
-        self._connection: wire.Connection | None = None
+        self._connection: protocol.Connection | None = None
 
     def step(self, now: float) -> None:
         self.advance(now)
@@ -268,7 +109,7 @@ class MachineServer(PacedMachine):
 
     def wait(self, now: float) -> None:
         """Wait from a time [s] until a message is due or arrives."""
-        ready: list[socket.socket | wire.Connection] = [self._listener]
+        ready: list[socket.socket | protocol.Connection] = [self._listener]
         ready += [each.connection for each in self._newcomers]
         if self._connection is not None:
             ready.append(self._connection)
@@ -285,14 +126,14 @@ class MachineServer(PacedMachine):
             connected, _ = self._listener.accept()
         except OSError:  # no connection, or a closed one
             return
-        connection = wire.Connection(connected)
+        connection = protocol.Connection(connected)
         if self._token is None:
-            self._take(connection, wire.hello(self._task, self._world.shape))
+            self._take(connection, protocol.hello(self._task, self._world.shape))
             return
-        nonce = wire.make_nonce()
-        self._newcomers.append(_Newcomer(connection, nonce, now + wire.GREETING_TIMEOUT))
-        with suppress(wire.ConnectionLost):
-            connection.send(wire.to_line(wire.hello(self._task, self._world.shape, nonce)))
+        nonce = protocol.make_nonce()
+        self._newcomers.append(_Newcomer(connection, nonce, now + protocol.GREETING_TIMEOUT))
+        with suppress(protocol.ConnectionLost):
+            connection.send(ms.to_line(protocol.hello(self._task, self._world.shape, nonce)))
         if len(self._newcomers) > MAX_NEWCOMERS:
             self._newcomers.pop(0).connection.close()
 
@@ -305,21 +146,21 @@ class MachineServer(PacedMachine):
                 if not lines and now <= each.until:
                     self._newcomers.append(each)
                     continue
-                fields = wire.from_line(b"".join(lines[:1]))
+                fields = ms.from_line(b"".join(lines[:1]))
                 assert self._token is not None
-                wire.check_proof(fields, self._token, "loop", each.nonce)
-                proof = wire.prove(self._token, "device", wire.text("nonce", fields.get("nonce")))
-            except (wire.ConnectionLost, ValueError, RecursionError):
+                protocol.check_proof(fields, self._token, "loop", each.nonce)
+                proof = protocol.prove(self._token, "device", ms.text("nonce", fields.get("nonce")))
+            except (protocol.ConnectionLost, ValueError, RecursionError):
                 each.connection.close()
             else:
                 self._take(each.connection, {"kind": "proof", "proof": proof})
 
-    def _take(self, connection: wire.Connection, answer: dict[str, Any]) -> None:
+    def _take(self, connection: protocol.Connection, answer: dict[str, Any]) -> None:
         """Connect a loop with an answer, or refuse it while another one is connected."""
         is_free = self._connection is None
         try:
-            connection.send(wire.to_line(answer if is_free else {"kind": "busy"}))
-        except wire.ConnectionLost:
+            connection.send(ms.to_line(answer if is_free else {"kind": "busy"}))
+        except protocol.ConnectionLost:
             is_free = False
         if not is_free:
             connection.close()
@@ -333,23 +174,23 @@ class MachineServer(PacedMachine):
             return
         try:
             for line in self._connection.lines():
-                fields = wire.from_line(line)
+                fields = ms.from_line(line)
                 if fields["kind"] == "gate":
-                    self._world.open_gate(*wire.gate_from_fields(fields))
+                    self._world.open_gate(*ms.gate_from_fields(fields))
                     continue
-                command, angles = wire.axes_from_fields(fields, self._world.shape)
+                command, angles = ms.axes_from_fields(fields, self._world.shape)
                 self._send_message(self.set_axes(command, angles))
-        except (wire.ConnectionLost, ValueError, RecursionError):
+        except (protocol.ConnectionLost, ValueError, RecursionError):
             self._drop()
 
-    def _send_message(self, message: wire.Message) -> None:
-        self._send(wire.to_line(wire.to_fields(message)))
+    def _send_message(self, message: ms.Message) -> None:
+        self._send(ms.to_line(ms.to_fields(message)))
 
     def _send(self, line: bytes) -> None:
         if self._connection is not None:
             try:
                 self._connection.send(line)
-            except wire.ConnectionLost:
+            except protocol.ConnectionLost:
                 self._drop()
 
     def _drop(self) -> None:
@@ -358,7 +199,7 @@ class MachineServer(PacedMachine):
             self._connection = None
 
 
-def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], bool]) -> None:
+def serve(server: MachineServer, clock: protocol.Clock, goes_on: Callable[[], bool]) -> None:
     """Serve in real time while `goes_on()` is true."""
     while goes_on():
         server.step(clock.now())
@@ -366,19 +207,36 @@ def serve(server: MachineServer, clock: controller.Clock, goes_on: Callable[[], 
 
 
 async def serve_opcua(
-    machine: PacedMachine,
-    server: "OpcUaServer",
-    clock: controller.Clock,
+    config: SimulatorConfig,
+    world: SimulatedWorld,
+    place: tuple[str, str],
+    clock: protocol.Clock,
     goes_on: Callable[[], bool],
 ) -> None:
-    """Serve by OPC UA in real time while `goes_on()` is true."""
+    """Serve by OPC UA in real time while `goes_on()` is true; `place` is the task and the token."""
+    from .opcua import OpcUaSecurity
+    from .opcua_server import OpcUaServer
+
+    task, token = place
+    machine = PacedMachine(world)
+    server = OpcUaServer(
+        task,
+        world.shape,
+        OpcUaSecurity(token, certificates=config.certificates),
+        machine.set_axes,
+        clock.now,
+        config.host,
+        config.opcua or 0,
+        open_gate=world.open_gate if world.has_gate else None,
+        greet=world.greet,
+    )
     await server.start()
     try:
         print(f"{LISTENING}{server.host}:{server.port}", flush=True)
         while goes_on():
             machine.advance(clock.now())
             for message in machine.due(clock.now()):
-                await server.publish(wire.to_fields(message))
+                await server.publish(ms.to_fields(message))
             await asyncio.sleep(machine.rest(clock.now()))
     finally:
         await server.stop()
@@ -397,17 +255,16 @@ def make_env_config(config: SimulatorConfig) -> EnvConfig:
     return EnvConfig(task=task, **given)
 
 
-def make_world(config: SimulatorConfig, begun: float) -> SimulatedMachine | SimulatedStream:
+def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
     """Make the machine of a configuration, which begins at a time [s]."""
-    env_config = make_env_config(config)
     kind = SimulatedStream if env_config.task.is_stream else SimulatedMachine
     return kind(env_config, config.seed, begun, config.world)
 
 
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
-    clock = controller.WallClock()
-    world = make_world(config, clock.now())
+    clock, env_config = protocol.WallClock(), make_env_config(config)
+    world = make_world(config, env_config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)
     assert token is not None
@@ -415,28 +272,12 @@ def run_simulator(config: SimulatorConfig) -> None:
     def goes_on() -> bool:
         return config.parent in (None, os.getppid())
 
+    task = env_config.task.name
     if config.opcua is not None:
-        from .opcua import OpcUaSecurity
-        from .opcua_server import OpcUaServer
-
-        security = OpcUaSecurity(token, certificates=config.certificates)
-        machine = PacedMachine(world)
-        task, has_gate = make_env_config(config).task, isinstance(world, SimulatedStream)
-        opcua = OpcUaServer(
-            task.name,
-            world.shape,
-            security,
-            machine.set_axes,
-            clock.now,
-            config.host,
-            config.opcua,
-            open_gate=world.open_gate if has_gate else None,
-            greet=world.greet,
-        )
-        asyncio.run(serve_opcua(machine, opcua, clock, goes_on))
+        asyncio.run(serve_opcua(config, world, (task, token), clock, goes_on))
         return
     listener = socket.create_server((HOST, config.port))
-    server = MachineServer(world, make_env_config(config).task.name, listener, token)
+    server = MachineServer(world, task, listener, token)
     print(f"{LISTENING}{HOST}:{listener.getsockname()[1]}", flush=True)
     try:
         serve(server, clock, goes_on)

@@ -29,6 +29,7 @@ from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.batch import stream_functions
 from surface_gym.flow.entry import count_due, occupy, put
 from surface_gym.flow.stream import Stream
+from surface_gym.machine.messages import MAX_LATE, Angles, Detections, ParcelEntry
 from surface_gym.physics.types import RADIUS, Array, Booleans, Integers
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import kalman
@@ -44,8 +45,7 @@ from .estimator import (
     within_right_angles,
     zone_angles,
 )
-from .protocol import MAX_LATE, Angles, Detections, ParcelEntry
-from .steered import SteeredBatch, steered_config, unchanged_turn
+from .worlds import SteeredBatch, steered_config, unchanged_turn
 
 SIZE = kalman.SIZE
 COVARIANCE = slice(kalman.COVARIANCE, kalman.COVARIANCE + SIZE * SIZE)
@@ -389,27 +389,19 @@ class StreamTracker(Estimator):
         """Pose and velocity (slots, 6) [m, m, rad, m/s, m/s, rad/s] at the last observed time."""
         return self._parcels.sensed[self._rows :][: self._slots].copy()
 
-    def resolver(self, kind: ActionKind) -> Resolver:
-        """Compile the resolver of commands of the policy's kind of action."""
-        dtype = np.float64 if kind.continuous else np.int64
-        surfaces = self._surfaces._replace(command=np.zeros((2, kind.size), dtype=dtype))
-        obey = make_obey(stream_functions(self.config))
-        arrays = (self._params, self._stream_params, surfaces, *self._arrays[3:])
-        return Resolver(compile_for(obey, *arrays, NOW), surfaces)
+    def _make_obey(self, kind: ActionKind) -> Any:
+        del kind  # of the configuration
+        return make_obey(stream_functions(self.config))
+
+    def _arguments(self, command: NDArray[Any]) -> tuple[Any, ...]:
+        surfaces = self._surfaces._replace(command=command)
+        return self._params, self._stream_params, surfaces, *self._arrays[3:]
 
     def resolve(self, resolver: Resolver | None, command: NDArray[Any]) -> Angles:
-        """Return the zone's axes (rows, columns) [rad] for a command (size,).
-
-        They depend on the parcels' positions at the last observed time. Without a resolver, the
-        command is the angle of all axes.
-        """
-        if resolver is None:
-            self._batch.steer(NOW, float(command[0]))
-        else:
-            resolver.surfaces.command[NOW] = command
-            surfaces = self._surfaces._replace(command=resolver.surfaces.command)
-            arrays = (self._params, self._stream_params, surfaces, *self._arrays[3:])
-            resolver.obey(*arrays, NOW)
+        """Return the zone's axes; without a resolver, the command is the angle of all axes."""
+        if resolver is not None:
+            return super().resolve(resolver, command)
+        self._batch.steer(NOW, float(command[0]))
         return self._zone_angles(self._surfaces.target[NOW])
 
     def _zone_angles(self, whole: NDArray[np.float64]) -> Angles:

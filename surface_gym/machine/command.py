@@ -67,8 +67,8 @@ def identify_and_report(options: IdentifyOptions) -> None:
     if options.position_noise is not None and options.angle_noise is not None:
         noise = options.position_noise, math.radians(options.angle_noise)
     with console.status("reading the logs") as status:
+        from surface_gym.machine.estimate import describe_value, write_report
         from surface_gym.machine.identification import identify
-        from surface_gym.machine.report import describe_value, write_report
 
         found = identify(
             options.logs, free=options.free, known=options.known, noise=noise, dt=options.dt,

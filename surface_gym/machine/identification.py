@@ -15,9 +15,9 @@ import numpy as np
 from scipy import stats
 
 from surface_gym import checks
-from surface_gym.machine.estimate import Estimate
+from surface_gym.machine.estimate import PARAMETERS, Estimate
 from surface_gym.machine.log import LoggedRun, MachineLog, read_log
-from surface_gym.machine.search import PARAMETERS, LeastSquares, OnProgress, search_pieces
+from surface_gym.machine.search import LeastSquares, OnProgress, search_pieces
 from surface_gym.physics.types import Array
 
 SHIFTS = ("latency", "dead_time")  # equal changes of both change nothing but the time
@@ -63,7 +63,7 @@ def identify(
     if both := set(names) & set(known):
         raise ValueError(f"known must not be among free, got {', '.join(sorted(both))}")
     dt = checks.positive("dt", dt, *checks.STEP)
-    note = _ignore if on_progress is None else on_progress
+    note: OnProgress = on_progress or (lambda _: None)
     read = [log if isinstance(log, MachineLog) else read_log(Path(log)) for log in logs]
     runs, unused = _collect(read, names)
     shifted = _is_shifted(names, known, runs)
@@ -148,10 +148,6 @@ def _without(found: Estimate, lost: tuple[str, ...], names: tuple[str, ...]) -> 
         intervals={name: everywhere if name in lost else found.intervals[name] for name in names},
         inseparable=(lost, *found.inseparable),
     )
-
-
-def _ignore(note: str) -> None:
-    """Show no progress."""
 
 
 def _judge(

@@ -1,9 +1,10 @@
-"""Logs of a machine: each message as a line of JSON, with its direction and time.
+"""Logs of a machine, and what to command for one.
 
-A log is gzipped text (`.jsonl.gz`). Its first line describes the surface, and its last line tells
-how many lines precede it. Each line between has "passed" [s], the time at which the controller read
-or sent the message; "way": "in" from the machine, "out" to it, or "note"; and "message". A note has
-the kind "site": where the rotors are, and which modules obey, for the parcels that follow.
+A log is gzipped text (`.jsonl.gz`), each message as a line of JSON. Its first line describes the
+surface, and its last line tells how many lines precede it. Each line between has "passed" [s], the
+time at which the controller read or sent the message; "way": "in" from the machine, "out" to it, or
+"note"; and "message". A note has the kind "site": where the rotors are, and which modules obey, for
+the parcels that follow.
 """
 
 import gzip
@@ -32,6 +33,40 @@ MAX_LINES = 10_000_000
 MAX_DRIFT = 0.05
 MAX_TURN = 10.0  # [s] maximum time of a quarter turn
 MIN_FRAMES = 8  # minimum pictures of a usable run
+KINDS = ("coast", "brake", "steer")  # of successive runs
+ROLL = 0.2  # [s] at the start, in which every run coasts
+HOLD = (0.12, 0.3)  # [s] range of the time for which axes brake or steer
+PAUSE = (0.06, 0.2)  # [s] range of the time for which they roll between
+
+
+def excitation(
+    shape: tuple[int, int], seconds: float, *, run: int = 0, period: float = 0.04
+) -> Array:
+    """Return the axes (periods, rows, columns) [rad] of a run to record.
+
+    Runs of three kinds take turns: the parcel coasts; it is braked in short pulses; it is steered
+    in short pulses of 45 deg to either side. All modules of the zone do the same. A dozen runs
+    suffice for most parameters; runs of one kind do not.
+
+    Args:
+        shape: (rows, columns) of the widest zone.
+        seconds: [s] duration.
+        run: number of the run; equal numbers give equal commands.
+        period: [s] between commands.
+    """
+    rows, columns = (checks.integer("shape", each, least=1) for each in shape)
+    seconds = checks.positive("seconds", seconds, *checks.DURATION)
+    period = checks.positive("period", period, *checks.CONTROL_PERIOD)
+    kind = KINDS[checks.integer("run", run, least=0) % len(KINDS)]
+    rng = np.random.default_rng([run, len(KINDS)])
+    angles = np.full(max(1, round(seconds / period)), ROLLING)
+    begin, side = ROLL + rng.uniform(*PAUSE), 1.0 if rng.random() < 0.5 else -1.0
+    while kind != "coast" and begin < seconds:
+        end = begin + rng.uniform(*HOLD)
+        angle = 0.0 if kind == "brake" else side * 0.25 * math.pi
+        angles[math.ceil(begin / period) : math.ceil(end / period)] = angle
+        begin, side = end + (rng.uniform(*PAUSE) if rng.random() < 0.7 else 0.0), -side
+    return np.broadcast_to(angles[:, np.newaxis, np.newaxis], (len(angles), rows, columns)).copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,19 +82,15 @@ class LoggedSurface:
     zone: tuple[int, int]  # (rows, columns) of the widest zone, the shape of commands
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            checks.integer(name, getattr(self, name), least=1, most=checks.ELEMENTS)
+        count = (checks.integer, 1, checks.ELEMENTS)
+        checks.settle(self, rows=count, columns=count, pitch=checks.pitch, origin=checks.place)
         checks.not_negative("quarter_turn", self.quarter_turn, MAX_TURN)
-        pitch = checks.pitch("pitch", tuple(self.pitch))
-        across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+        pitch = self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
         friction = checks.array("friction", self.friction, (3,)).tolist()
         for name, mu in zip(("mu_max", "mu_min", "mu_support"), friction, strict=True):
             checks.friction(name, mu, (1, 1))
         zone = tuple(checks.integer("zone", each, least=1) for each in self.zone)
-        origin = checks.place("origin", self.origin)
-        for name, value in (("pitch", across), ("origin", origin), ("zone", zone)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "friction", tuple(friction))
+        checks.set_fields(self, pitch=pitch, friction=tuple(friction), zone=zone)
 
     @classmethod
     def of_line(cls, line: BaseLine, quarter_turn: float, zone: tuple[int, int]) -> "LoggedSurface":

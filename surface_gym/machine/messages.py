@@ -83,6 +83,12 @@ class ParcelDeparture:
     metrics: dict[str, float] = field(default_factory=dict)  # the task's metrics, as in `info`
 
 
+def triple(values: NDArray[np.float64]) -> Triple:
+    """Return values (3,) of a pose or a velocity for a message."""
+    first, second, third = values.tolist()
+    return (first, second, third)
+
+
 Message = ParcelEntry | Frame | Detections | AxesAcknowledgement | ParcelDeparture
 
 
@@ -270,8 +276,7 @@ def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> NDArray[np.
 
 
 def _triple(name: str, value: Any, check: Callable[..., NDArray[np.float64]]) -> Triple:
-    first, second, third = check(name, numbers(name, value, (3,)), (3,)).tolist()
-    return (first, second, third)
+    return triple(check(name, numbers(name, value, (3,)), (3,)))
 
 
 def _base_fields(base: Base) -> dict[str, Any]:

@@ -12,42 +12,12 @@ from scipy import optimize
 
 from surface_gym import checks
 from surface_gym.machine import prediction as pr
+from surface_gym.machine.estimate import PARAMETERS
 from surface_gym.machine.log import MIN_FRAMES, LoggedRun, MachineLog
 from surface_gym.physics.types import Array, Integers
 
 OnProgress = Callable[[str], None]  # called with a note on each stage
 
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter of the surface or the load that logs may tell."""
-
-    column: int  # of the predictions' values
-    unit: str
-    meaning: str
-    low: float  # smallest value that is searched
-    high: float  # largest
-    apart: float  # difference of the two predictions of a derivative, halved
-    step: float  # by which a first guess may be off
-
-
-PARAMETERS = {
-    "mu_max": Parameter(pr.MU_MAX, "-", "friction along an axis", 0.02, 2.0, 4e-3, 0.1),
-    "mu_min": Parameter(pr.MU_MIN, "-", "friction across it", 0.0, 0.3, 1e-3, 5e-3),
-    "mu_support": Parameter(pr.MU_SUPPORT, "-", "friction of a support", 0.0, 0.3, 1e-3, 5e-3),
-    "tilt": Parameter(pr.TILT, "rad", "tilt, downhill towards +x", -0.5, 0.5, 1e-3, 0.02),
-    "quarter_turn": Parameter(
-        pr.QUARTER_TURN, "s", "time in which an axis turns by 90 deg", 1e-3, 1.0, 1e-3, 0.03
-    ),
-    "dead_time": Parameter(
-        pr.DEAD_TIME, "s", "time from a command to the start of the turn", 0.0, 0.5, 1e-3, 0.02
-    ),
-    "latency": Parameter(
-        pr.LATENCY, "s", "time from a picture's exposure to its stated time", -0.1, 0.5, 1e-3, 0.02
-    ),
-    "com_x": Parameter(pr.COM_X, "m", "load ahead of the base's middle", -0.2, 0.2, 1e-3, 0.01),
-    "com_y": Parameter(pr.COM_Y, "m", "load to the left of it", -0.2, 0.2, 1e-3, 0.01),
-}
 
 ENTRY_APART = np.array([5e-4, 5e-4, 2e-3, 2e-3, 2e-3, 1e-2])  # of the entry's six numbers
 ENTRY_STEP = np.array([2e-3, 2e-3, 1e-2, 0.1, 0.1, 0.5])  # by which a guess of them may be off
@@ -200,6 +170,12 @@ class LeastSquares:
         return step, np.array(steps)
 
 
+def column_of(name: str) -> int:
+    """Return the column of a parameter in the predictions' values."""
+    column: int = getattr(pr, name.upper())
+    return column
+
+
 def make_search(
     log: MachineLog,
     runs: Sequence[LoggedRun],
@@ -214,7 +190,7 @@ def make_search(
     base[:, pr.TILT] = [run.tilt for run in runs]
     base[:, pr.QUARTER_TURN] = surface.quarter_turn
     for name, value in known.items():
-        base[:, PARAMETERS[name].column] = checks.number(name, value)
+        base[:, column_of(name)] = checks.number(name, value)
     base[:, pr.QUARTER_TURN] = np.maximum(base[:, pr.QUARTER_TURN], 1e-4)
     chosen = [PARAMETERS[name] for name in names]
     return LeastSquares(
@@ -223,7 +199,7 @@ def make_search(
         run=np.unique([id(run.sent) for run in runs], return_inverse=True)[1],
         measured=np.concatenate([run.poses for run in runs]),
         base=base,
-        columns=np.array([each.column for each in chosen]),
+        columns=np.array([column_of(name) for name in names]),
         apart=np.array([each.apart for each in chosen]),
         step=np.array([each.step for each in chosen]),
         low=np.array([each.low for each in chosen]),
@@ -237,7 +213,11 @@ def search_pieces(
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
     """Find the least squares: first of short pieces in longer steps, then of pieces."""
-    pieces = [piece for run in runs for piece in _cut(run, math.ceil(_duration(run) / PIECE))]
+    pieces = [
+        piece
+        for run in runs
+        for piece in _cut(run, math.ceil(float(run.taken[-1] - run.taken[0]) / PIECE))
+    ]
     halves = [_cut(piece, 2) for piece in pieces]
     short = [half for each in halves for half in each]
     few = {id(run.sent) for run in _choose(runs)}
@@ -262,11 +242,6 @@ def _choose(runs: Sequence[LoggedRun]) -> list[LoggedRun]:
     """Return a few runs, enough for a first search."""
     order = np.random.default_rng(0).permutation(len(runs))
     return [runs[k] for k in sorted(order[:FEW_RUNS].tolist())]
-
-
-def _duration(run: LoggedRun) -> float:
-    """Return the time [s] between the first and the last picture."""
-    return float(run.taken[-1] - run.taken[0])
 
 
 def _cut(run: LoggedRun, count: int) -> tuple[LoggedRun, ...]:

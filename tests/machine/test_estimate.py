@@ -10,7 +10,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.lines import Line
-from surface_gym.machine.report import write_report
+from surface_gym.machine.estimate import write_report
 
 ESTIMATE = sg.Estimate(
     values={"mu_max": 0.42, "mu_min": 0.013, "quarter_turn": 0.08, "latency": 0.01},

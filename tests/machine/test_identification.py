@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.machine.identification import PARAMETERS, measure_noise
+from surface_gym.machine.estimate import PARAMETERS
+from surface_gym.machine.identification import measure_noise
 from surface_gym.machine.log import MachineLog
 from tests.machine.recorded import HIDDEN, SURFACE, recorded
 

@@ -8,8 +8,9 @@ import pytest
 import surface_gym as sg
 from surface_gym.layouts import ROLLING
 from surface_gym.machine import prediction as pr
-from surface_gym.machine.identification import PARAMETERS
+from surface_gym.machine.estimate import PARAMETERS
 from surface_gym.machine.log import LoggedRun
+from surface_gym.machine.search import column_of
 from tests.machine.recorded import BOX, HIDDEN, SITE, SURFACE, recorded
 
 TIME = np.linspace(0.0, 0.8, 41)
@@ -28,7 +29,7 @@ def predict(given: LoggedRun, dt: float, **values: float) -> np.ndarray:
     row[0, pr.ENTRY :] = ENTRY
     assumed = {"mu_max": 0.5, "mu_min": 0.01, "mu_support": 0.005, "quarter_turn": 1e-4}
     for name, value in {**assumed, **values}.items():
-        row[0, PARAMETERS[name].column] = value
+        row[0, column_of(name)] = value
     poses = np.empty((len(given.taken), 3))
     runs, memory = pr.pack_runs(SURFACE, [given]), pr.make_memory(SURFACE)
     first = np.array([0, len(poses)])

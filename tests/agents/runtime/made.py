@@ -1,6 +1,8 @@
 """A clock and a device that tests control, a loop around them, and faults to try it with."""
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -8,11 +10,15 @@ from typing import Any
 import numpy as np
 
 import surface_gym as sg
-from surface_gym.agents.runtime import controller as runtime
+from benchmarks.tracking import SimulatedClock
+from surface_gym.agents.runtime import controller as runtime, deciders
 from surface_gym.agents.runtime.estimator import StateEstimator
-from surface_gym.agents.runtime.protocol import Angles, DeviceLost, Frame, Message, ParcelEntry
+from surface_gym.agents.runtime.protocol import DeviceLost
 from surface_gym.config import EnvConfig
+from surface_gym.machine.messages import Angles, Frame, Message, ParcelEntry
 
+TOKEN = "0123456789abcdef"
+PATIENCE = 120.0  # [s] for another thread or process, on a computer that does other work
 QUARTER_TURN = 0.05  # [s]
 CONFIG = EnvConfig(
     task="stop",
@@ -44,22 +50,11 @@ def estimator() -> StateEstimator:
     return made
 
 
-class ManualClock:
-    def __init__(self) -> None:
-        self.time = 0.0
-
-    def now(self) -> float:
-        return self.time
-
-    def sleep_until(self, moment: float) -> None:
-        self.time = max(self.time, moment)
-
-
 @dataclass
 class ScriptedDevice:
     """Gives the messages of a script, each at its time."""
 
-    clock: ManualClock
+    clock: SimulatedClock
     script: list[tuple[float, Message]] = field(default_factory=list)
     away: list[tuple[float, float]] = field(default_factory=list)  # [s] from when to when
     sent: list[Angles] = field(default_factory=list)
@@ -94,7 +89,7 @@ class ScriptedDevice:
 class Always:
     """A controller that always does the same, and takes a while for it."""
 
-    def __init__(self, action: Any, clock: ManualClock, takes: float = 0.0) -> None:
+    def __init__(self, action: Any, clock: SimulatedClock, takes: float = 0.0) -> None:
         self.action, self.clock, self.takes = action, clock, takes
         self.begins: list[bool] = []
 
@@ -107,23 +102,23 @@ class Always:
 
 
 def loop_of(
-    device: ScriptedDevice, controller: Any, env_config: EnvConfig = CONFIG, **config: float
-) -> runtime.ControlLoop:
+    device: Any, controller: Any, env_config: EnvConfig = CONFIG, listeners: Any = (),
+    **config: float,
+) -> runtime.ControlLoop:  # fmt: skip
     held = estimator()
     held.clear()
-    layouts = runtime.FixedLayouts(held.config)
+    layouts = deciders.FixedLayouts(held.config)
     arranger = LocalArranger(layouts), held.resolver(layouts.kind)
-    limits = runtime.AxisLimits(held.shape, runtime.allowed_angles(env_config))
+    timing = runtime.LoopConfig(**config)
     return runtime.ControlLoop(
-        device, held, runtime.Decider(controller, env_config), arranger, limits,
-        env_config.observation_space(), device.clock, runtime.LoopConfig(**config),
-    )  # fmt: skip
+        device, held, arranger, controller, env_config, controller.clock, timing, listeners
+    )
 
 
 class LocalArranger:
     """Arranges the latest layout when it is needed, in this process."""
 
-    def __init__(self, layouts: runtime.FixedLayouts) -> None:
+    def __init__(self, layouts: deciders.FixedLayouts) -> None:
         self._layouts = layouts
         self._observation: Any = None
         self._layout: Any = None
@@ -139,3 +134,18 @@ class LocalArranger:
 
 def nothing(now: float) -> None:
     """Between two periods."""
+
+
+def of_kind(kind: type, said: list[Any]) -> list[Any]:
+    """The messages of a kind, each with the time [s] at which it is due."""
+    return [(due, message) for due, message in said if isinstance(message, kind)]
+
+
+def until(call: Callable[[], Any]) -> Any:
+    """What a call returns, once it is something."""
+    ends = time.monotonic() + PATIENCE
+    while time.monotonic() < ends:
+        if found := call():
+            return found
+        time.sleep(0.005)
+    raise TimeoutError

@@ -1,6 +1,5 @@
 """A short flow led by pictures without identity, for tests."""
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -8,12 +7,13 @@ import numpy as np
 
 import surface_gym as sg
 from benchmarks.tracking import SimulatedClock, SimulatedDevice
-from surface_gym.agents.runtime import controller as runtime, protocol
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.stream_loop import StreamLoop
-from surface_gym.agents.runtime.stream_simulator import SimulatedStream
+from surface_gym.agents.runtime.controller import StreamLoop
 from surface_gym.agents.runtime.tracker import StreamTracker
+from surface_gym.agents.runtime.worlds import SimulatedStream
 from surface_gym.config import EnvConfig
+from surface_gym.machine import messages as ms
 from tests.flow.flows import BOX, DENSE, SHORT
 
 LATE = 0.04  # [s]
@@ -38,14 +38,14 @@ def fresh() -> StreamTracker:
 
 def entry(
     number: int = 0, at: float = 0.0, x: float = 0.2, y: float = 1.0, **changed: Any
-) -> protocol.ParcelEntry:
+) -> ms.ParcelEntry:
     """A small box at 1 m/s, to the first exit."""
     fields: dict[str, Any] = {"goal": (0.0, 0.0, 0.0), "velocity": SPEED, **changed}
-    return protocol.ParcelEntry(number, at, BOX, (x, y, 0.0), **fields)
+    return ms.ParcelEntry(number, at, BOX, (x, y, 0.0), **fields)
 
 
-def picture(at: float, *places: tuple[float, float]) -> protocol.Detections:
-    return protocol.Detections(at, tuple((x, y, 0.0) for x, y in places))
+def picture(at: float, *places: tuple[float, float]) -> ms.Detections:
+    return ms.Detections(at, tuple((x, y, 0.0) for x, y in places))
 
 
 def world(seed: int = 0, config: EnvConfig = CONFIG, **options: Any) -> SimulatedStream:
@@ -60,16 +60,15 @@ class Rolls:
         return choices, state
 
 
-def lead(
-    machine: SimulatedStream, controller: Any, between: Any, seconds: float, **config: Any
-) -> StreamLoop:
+def loop_of(device: Any, clock: Any, controller: Any = None) -> StreamLoop:
+    """A loop with a tracker without parcels."""
+    timing = runtime.LoopConfig(CONFIG.control_period)
+    return StreamLoop(device, fresh(), controller or Rolls(), CONFIG, clock, timing)
+
+
+def lead(machine: SimulatedStream, controller: Any, between: Any, seconds: float) -> StreamLoop:
     """Lead a machine in simulated time."""
     clock = SimulatedClock()
-    held = fresh()
-    loop = StreamLoop(
-        SimulatedDevice(machine, clock), held, runtime.Decider(controller, CONFIG),
-        runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), clock,
-        replace(runtime.LoopConfig(CONFIG.control_period), **config),
-    )  # fmt: skip
+    loop = loop_of(SimulatedDevice(machine, clock), clock, controller)
     loop.run(seconds, between)
     return loop

@@ -3,19 +3,21 @@
 import math
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from surface_gym.agents.runtime import controller as runtime
-from surface_gym.agents.runtime.protocol import AxesAcknowledgement, ParcelDeparture
+from benchmarks.tracking import SimulatedClock
+from surface_gym.agents.runtime import controller as runtime, deciders, protocol
+from surface_gym.machine.messages import AxesAcknowledgement, ParcelDeparture
 from tests.agents.runtime import made
 from tests.agents.runtime.made import Always, entered
 
 
 @pytest.fixture
 def device() -> made.ScriptedDevice:
-    return made.ScriptedDevice(made.ManualClock())
+    return made.ScriptedDevice(SimulatedClock())
 
 
 def frames(first: float, last: float, late: float = 0.02) -> list:
@@ -67,7 +69,7 @@ def test_the_fixed_layout_replaces_the_policy_while_no_frames_come(device) -> No
     assert layouts[0] == layouts[-1]
 
 
-class SlowClock(made.ManualClock):
+class SlowClock(SimulatedClock):
     def now(self) -> float:
         self.time += 0.001
         return self.time
@@ -93,6 +95,24 @@ def test_no_parcel_no_commands(device) -> None:
     assert loop.counts.sent == loop.counts.watchdog == 0
     assert loop.counts.frames == 20
     assert not loop.has_parcel
+
+
+def test_a_listener_hears_all_and_its_error_is_the_loss_of_the_device(device) -> None:
+    script = [(0.0, entered()), (0.1, made.frame(0.08))]
+    device.script, device.away = list(script), [(0.3, 0.4)]
+    listener, heard = Mock(), []
+    listener.hear.side_effect = lambda messages, *_: heard.append([*messages])
+    loop = made.loop_of(device, Always(made.BRAKE, device.clock), listeners=[listener])
+    loop.run(0.4, made.nothing)
+    assert [message for each in heard for message in each] == [message for _, message in script]
+    assert len(heard) == loop.counts.periods - loop.counts.lost
+    commands = [call.args for call in listener.hear_command.call_args_list]
+    assert [number for number, _ in commands] == list(range(1, len(device.sent) + 1))
+    assert all(angles is sent for (_, angles), sent in zip(commands, device.sent, strict=True))
+    listener.hear.side_effect = OSError("no space is left")
+    device.away = []
+    loop.run(0.6, made.nothing)
+    assert loop.counts.faults["no space is left"] >= 1
 
 
 def test_parcels_are_counted_by_how_they_left(device) -> None:
@@ -144,7 +164,7 @@ def test_an_action_or_an_axis_that_is_not_on_offer_is_not_sent(device, action) -
     others = replace(made.CONFIG, orientations=(0.1, 0.2, 0.3, 0.4))
     loop = made.loop_of(device, Always(made.BRAKE if action is None else action, device.clock))
     if action is None:
-        loop._limits = runtime.AxisLimits(made.estimator().shape, runtime.allowed_angles(others))
+        loop._limits = protocol.AxisLimits(made.estimator().shape, deciders.allowed_angles(others))
     loop.run(0.2, made.nothing)
     assert device.sent == []
     assert loop.counts.out_of_range == loop.counts.held == 5
@@ -180,7 +200,7 @@ def test_times_are_positive(name) -> None:
     ],
 )  # fmt: skip
 def test_what_may_be_sent(angles, message) -> None:
-    fault = runtime.AxisLimits((1, 2), (0.0, math.pi / 2.0)).fault(np.array(angles))
+    fault = protocol.AxisLimits((1, 2), (0.0, math.pi / 2.0)).fault(np.array(angles))
     assert message in fault
     assert bool(message) == bool(fault)
-    assert runtime.AxisLimits((1, 2), None).fault(np.array([[0.3, -1.5]])) == ""
+    assert protocol.AxisLimits((1, 2), None).fault(np.array([[0.3, -1.5]])) == ""

@@ -8,8 +8,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.runtime import estimator as estimators
-from surface_gym.agents.runtime.protocol import Frame, ParcelEntry
 from surface_gym.config import EnvConfig
+from surface_gym.machine.messages import Frame, ParcelEntry
 from tests.agents.runtime import made
 from tests.environments import begun
 

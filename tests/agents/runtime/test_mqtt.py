@@ -16,14 +16,15 @@ from paho.mqtt import client as paho
 from pwdlib import PasswordHash
 from pwdlib.hashers.argon2 import Argon2Hasher
 
+from benchmarks.tracking import SimulatedClock
 from surface_gym.agents.runtime import mqtt
-from surface_gym.agents.runtime.cli import open_telemetry
+from surface_gym.agents.runtime.cli import open_listeners
 from surface_gym.agents.runtime.config import RuntimeConfig
-from surface_gym.agents.runtime.mqtt import BrokerOptions, Telemetry, TelemetryDevice
-from surface_gym.agents.runtime.protocol import ParcelDeparture, to_fields
+from surface_gym.agents.runtime.mqtt import BrokerOptions, Telemetry
 from surface_gym.agents.runtime.report import Counts, Latencies
+from surface_gym.machine.messages import ParcelDeparture, to_fields
 from tests.agents.runtime import made
-from tests.agents.runtime.test_opcua import until
+from tests.agents.runtime.made import until
 
 USER, PASSWORD = "dashboard", "0123456789abcdef"
 HOST = "127.0.0.1"
@@ -96,23 +97,17 @@ class Dashboard:
 
 @pytest.mark.usefixtures("broker")
 def test_a_dashboard_sees_departures_poses_counts_and_times(options) -> None:
-    dashboard, telemetry = Dashboard(options), Telemetry(options, "stop")
+    clock = SimulatedClock()
+    dashboard, telemetry = Dashboard(options), Telemetry(options, "stop", clock.now)
     until(telemetry._client.is_connected)
-    clock = made.ManualClock()
     left = ParcelDeparture(0, "success", {"stop_error": 0.001})
     script = [(0.1, made.entered(0, 0.1)), (0.5, made.frame(0.5)), (2.0, left)]
-    device = TelemetryDevice(made.ScriptedDevice(clock, list(script)), telemetry, clock.now)
+    device = made.ScriptedDevice(clock, list(script))
     counts, latencies = Counts(), Latencies()
     counts.sent, latencies.work = 7, [0.001, 0.003]
-    device.attach(counts, latencies)
-    device.connect()
-    read = []
     for k in range(60):
         clock.time = 0.04 * k
-        read += device.read()
-    assert read == [message for _, message in script]
-    assert device.set_axes([]) == 1
-    device.close()
+        telemetry.hear(device.read(), counts, latencies)
     seen: dict[str, Any] = {}
 
     def receive() -> bool:
@@ -205,12 +200,11 @@ def test_a_broker_that_was_gone_is_there_again() -> None:
 
 
 def test_telemetry_is_only_there_if_asked_for_and_safe(tmp_path: Path) -> None:
-    device = made.ScriptedDevice(made.ManualClock())
     with ExitStack() as stack:
-        assert open_telemetry(RuntimeConfig("stop-ppo"), device, "stop", stack) is None
+        assert open_listeners(RuntimeConfig("stop-ppo"), made.estimator(), stack) == []
         config = RuntimeConfig("stop-ppo", mqtt=f"{HOST}:{free_port()}")
-        asked = open_telemetry(config, device, "stop", stack)
-        assert isinstance(asked, TelemetryDevice)
+        (asked,) = open_listeners(config, made.estimator(), stack)
+        assert isinstance(asked, Telemetry)
     with pytest.raises(ValueError, match="host:port"):
         RuntimeConfig("stop-ppo", mqtt="nowhere")
     with pytest.raises(ValueError, match="mqtt_ca must be given"):

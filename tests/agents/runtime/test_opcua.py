@@ -18,29 +18,19 @@ from asyncua.crypto import cert_gen
 from asyncua.ua import ua_binary
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from surface_gym.agents.runtime import opcua, protocol
+from surface_gym.agents.runtime import opcua
 from surface_gym.agents.runtime.cli import open_device
 from surface_gym.agents.runtime.config import RuntimeConfig, parse_address
 from surface_gym.agents.runtime.opcua import OpcUaDevice, OpcUaSecurity
 from surface_gym.agents.runtime.opcua_server import OpcUaServer
 from surface_gym.agents.runtime.protocol import DeviceLost
 from surface_gym.agents.runtime.simulator import SimulatorProcess
+from surface_gym.machine import messages as ms
 from tests.agents.runtime import made
+from tests.agents.runtime.made import PATIENCE, TOKEN, until
 
 SHAPE = (2, 3)
-TOKEN = "0123456789abcdef"
 SECURITY = OpcUaSecurity(TOKEN)
-PATIENCE = 60.0  # [s] for another thread, on a computer that does other work
-
-
-def until(call: Callable[[], Any]) -> Any:
-    """What a call returns, once it is something."""
-    ends = time.monotonic() + PATIENCE
-    while time.monotonic() < ends:
-        if found := call():
-            return found
-        time.sleep(0.005)
-    raise TimeoutError
 
 
 class Machine:
@@ -57,9 +47,9 @@ class Machine:
         self.do(self.server.start())
         self.url = f"opc.tcp://127.0.0.1:{self.server.port}"
 
-    def set_axes(self, command: int, angles: np.ndarray) -> protocol.AxesAcknowledgement:
+    def set_axes(self, command: int, angles: np.ndarray) -> ms.AxesAcknowledgement:
         self.axes.append((command, angles))
-        return protocol.AxesAcknowledgement(command, time.monotonic())
+        return ms.AxesAcknowledgement(command, time.monotonic())
 
     def open_gate(self, begin: float, end: float) -> None:
         self.gates.append((begin, end))
@@ -67,8 +57,8 @@ class Machine:
     def do(self, work: Coroutine[Any, Any, Any]) -> Any:
         return asyncio.run_coroutine_threadsafe(work, self.loop).result(PATIENCE)
 
-    def show(self, message: protocol.Message) -> None:
-        self.do(self.server.publish(protocol.to_fields(message)))
+    def show(self, message: ms.Message) -> None:
+        self.do(self.server.publish(ms.to_fields(message)))
 
     def write(self, name: str, value: Any) -> None:
         """Show a raw value, as a machine that is broken might."""
@@ -192,19 +182,19 @@ def command(sequence: float = 1.0, late: float = 0.0, angles: Any = (0.1,) * 6) 
 
 AXES = np.arange(6.0).reshape(SHAPE) / 10.0
 MESSAGES = [
-    protocol.Frame(1.25),
-    protocol.Frame(1.25, 3, (0.1, 1.0, 0.2)),
-    protocol.Frame(1.25, 3, (0.1, 1.0, 0.2), AXES),
-    protocol.AxesAcknowledgement(7, 2.5),
-    protocol.AxesAcknowledgement(7, 2.5, "out of range"),
-    protocol.ParcelDeparture(3, "success", {"stop_error": 0.001}),
+    ms.Frame(1.25),
+    ms.Frame(1.25, 3, (0.1, 1.0, 0.2)),
+    ms.Frame(1.25, 3, (0.1, 1.0, 0.2), AXES),
+    ms.AxesAcknowledgement(7, 2.5),
+    ms.AxesAcknowledgement(7, 2.5, "out of range"),
+    ms.ParcelDeparture(3, "success", {"stop_error": 0.001}),
     made.entered(4, 2.5),
 ]
 
 
 @pytest.mark.parametrize("message", MESSAGES)
-def test_fields_come_out_of_numbers_as_they_went_in(message: protocol.Message) -> None:
-    fields = protocol.to_fields(message)
+def test_fields_come_out_of_numbers_as_they_went_in(message: ms.Message) -> None:
+    fields = ms.to_fields(message)
     values = opcua.to_numbers(fields)
     if values is None:  # it is a line
         assert fields["kind"] in ("left", "entered") or fields["refused"]
@@ -228,14 +218,14 @@ def test_rows_of_poses_are_numbers_too() -> None:
 
 class TestRoundTrip:
     def test_messages_arrive_in_order_and_only_new_ones(self, machine, device) -> None:
-        read: list[protocol.Message] = []
+        read: list[ms.Message] = []
         for sent in MESSAGES:
             machine.show(sent)
         until(lambda: read.extend(device.read()) or len(read) >= len(MESSAGES))
         assert len(read) == len(MESSAGES)
         for kind in {type(each) for each in MESSAGES}:
-            sent = [protocol.to_fields(each) for each in MESSAGES if type(each) is kind]
-            back = [protocol.to_fields(each) for each in read if type(each) is kind]
+            sent = [ms.to_fields(each) for each in MESSAGES if type(each) is kind]
+            back = [ms.to_fields(each) for each in read if type(each) is kind]
             for one, other in zip(
                 sorted(sent, key=str), sorted(back, key=str), strict=True
             ):  # an acknowledgement may be a line or an array
@@ -275,8 +265,8 @@ class TestRoundTrip:
         (answer,) = until(device.read)  # accepted, since its time is the machine's
         assert answer.refused == ""
         now = time.monotonic()
-        broken.show(protocol.Frame(now - shift))
-        (frame,) = [each for each in until(device.read) if isinstance(each, protocol.Frame)]
+        broken.show(ms.Frame(now - shift))
+        (frame,) = [each for each in until(device.read) if isinstance(each, ms.Frame)]
         assert frame.taken_at == pytest.approx(now, abs=opcua.TIMEOUT)
         close(device)
 
@@ -561,14 +551,14 @@ def test_the_simulator_is_a_server_in_another_process(tmp_path) -> None:
         device = open_device(url, process.token, RuntimeConfig("stop-ppo"), "stop", (4, 16))
         assert isinstance(device, OpcUaDevice)
         connect(device)
-        read: list[protocol.Message] = []
+        read: list[ms.Message] = []
 
         def has_read(kind: type) -> bool:
             read.extend(device.read())
             return any(isinstance(each, kind) for each in read)
 
-        until(lambda: has_read(protocol.ParcelEntry))
+        until(lambda: has_read(ms.ParcelEntry))
         device.set_axes(np.zeros((4, 16)))
-        until(lambda: has_read(protocol.AxesAcknowledgement))
-        assert has_read(protocol.Frame)
+        until(lambda: has_read(ms.AxesAcknowledgement))
+        assert has_read(ms.Frame)
         close(device)

@@ -1,20 +1,20 @@
-"""A logged device is the device, and its log tells the surface."""
-
-from collections import deque
+"""A log of messages and commands tells the surface."""
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
+from benchmarks.tracking import SimulatedClock, SimulatedDevice
 from surface_gym.agents.runtime.cli import load_controller, main
 from surface_gym.agents.runtime.config import RuntimeConfig, WorldOptions
-from surface_gym.agents.runtime.protocol import Angles, Device, Message, ParcelEntry
-from surface_gym.agents.runtime.recording import ExcitationController, LoggedDevice
-from surface_gym.agents.runtime.simulator import SimulatedMachine
+from surface_gym.agents.runtime.deciders import ExcitationController
+from surface_gym.agents.runtime.protocol import MessageLog
+from surface_gym.agents.runtime.worlds import SimulatedMachine
 from surface_gym.config import EnvConfig
 from surface_gym.machine.command import main as identify
 from surface_gym.machine.log import LoggedSurface, LogWriter, read_log
-from tests.agents.runtime.made import QUARTER_TURN, ManualClock
+from surface_gym.machine.messages import ParcelEntry
+from tests.agents.runtime.made import QUARTER_TURN
 
 CONFIG = EnvConfig(
     "stop", actions="modules", sensors=sg.sensors.Camera(latency=0.04),
@@ -23,68 +23,35 @@ CONFIG = EnvConfig(
 LINE = CONFIG.chosen_line
 
 
-class LocalMachine:
-    """A simulated machine without a socket."""
-
-    def __init__(self, clock: ManualClock) -> None:
-        self._machine = SimulatedMachine(CONFIG, 0, 0.0, WorldOptions(pause=0.1))
-        self._clock = clock
-        self._due: deque[tuple[float, Message]] = deque()
-        self._command = 0
-        self.connected = False
-        self.shape = self._machine.shape
-
-    def connect(self) -> None:
-        self.connected = True
-
-    def close(self) -> None:
-        self.connected = False
-
-    def read(self) -> list[Message]:
-        self._due.extend(self._machine.advance(self._clock.now()))
-        now = self._clock.now()
-        messages = [message for due, message in self._due if due <= now]
-        self._due = deque((due, message) for due, message in self._due if due > now)
-        return messages
-
-    def set_axes(self, angles: Angles) -> int:
-        self._command += 1
-        self._due.append((self._clock.now(), self._machine.set_axes(self._command, angles)))
-        return self._command
-
-
-def drive(device: Device, clock: ManualClock, shape: tuple[int, int], seconds: float) -> int:
-    """Excite a device, and return the number of commands."""
-    controller, present, state, sent = ExcitationController(CONFIG), False, None, 0
+def logged(tmp_path, seconds: float) -> int:
+    """Log a simulated machine that is excited, and return the number of commands."""
+    clock = SimulatedClock()
+    world = SimulatedMachine(CONFIG, 0, 0.0, WorldOptions(pause=0.1))
+    device, sent = SimulatedDevice(world, clock), 0
+    log = LogWriter(
+        tmp_path / "run.jsonl.gz", LoggedSurface.of_line(LINE, QUARTER_TURN, world.shape)
+    )
+    listener = MessageLog(log, lambda parcel: LINE.site(parcel.base), clock.now)
+    controller, present, state = ExcitationController(CONFIG), False, None
     offered = np.array(CONFIG.chosen_orientations)
-    device.connect()
     for _ in range(round(seconds / 0.04)):
         clock.time += 0.04
-        for message in device.read():
+        messages = device.read()
+        listener.hear(messages)
+        for message in messages:
             if isinstance(message, ParcelEntry):
                 present, state = True, None
         if present:
             action, state = controller.predict(np.zeros((1, 1), dtype=np.float32), state)
-            device.set_axes(offered[action[0]].reshape(shape))
+            angles = offered[action[0]].reshape(world.shape)
+            listener.hear_command(device.set_axes(angles), angles)
             sent += 1
-    device.close()
+    log.close()
     return sent
 
 
-def logged(tmp_path, seconds: float) -> tuple[LocalMachine, int]:
-    clock = ManualClock()
-    machine = LocalMachine(clock)
-    surface = LoggedSurface.of_line(LINE, QUARTER_TURN, machine.shape)
-    log = LogWriter(tmp_path / "run.jsonl.gz", surface)
-    device = LoggedDevice(machine, log, lambda parcel: LINE.site(parcel.base), clock.now)
-    sent = drive(device, clock, machine.shape, seconds)
-    log.close()
-    return machine, sent
-
-
 def test_a_log_tells_the_friction_of_the_machine(tmp_path, capsys, monkeypatch) -> None:
-    machine, sent = logged(tmp_path, 14.0)
-    assert not machine.connected
+    sent = logged(tmp_path, 14.0)
     log = read_log(tmp_path / "run.jsonl.gz")
     assert len(log.runs) >= 6
     assert all(run.acknowledged for run in log.runs)

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,26 +20,23 @@ import tyro
 from rich.console import Console
 
 import surface_gym as sg
+from benchmarks.tracking import SimulatedClock
 from surface_gym import agents
-from surface_gym.agents.runtime import cli, config, controller, protocol, report, simulator
+from surface_gym.agents.runtime import cli, config, deciders, protocol, report, simulator
 from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
-from surface_gym.agents.runtime.protocol import DeviceLost, Frame, Message, SocketDevice
-from surface_gym.agents.runtime.simulator import (
-    MAX_BEHIND,
-    MachineServer,
-    SimulatedMachine,
-    SimulatorProcess,
-    serve,
-)
+from surface_gym.agents.runtime.protocol import DeviceLost, SocketDevice
+from surface_gym.agents.runtime.simulator import MAX_BEHIND, MachineServer, SimulatorProcess, serve
+from surface_gym.agents.runtime.worlds import SimulatedMachine
 from surface_gym.config import EnvConfig
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import Frame
 from surface_gym.tasks.start import Draw, Start
 from tests.agents.runtime import made
-from tests.agents.runtime.made import CONFIG, entered, estimator
+from tests.agents.runtime.made import CONFIG, PATIENCE, TOKEN, entered, estimator, of_kind, until
 
 PAUSE = 0.1
-TOKEN = "0123456789abcdef"
 BRAKE = 0
 
 
@@ -47,13 +44,9 @@ def world(seed: int = 0, **options: float) -> SimulatedMachine:
     return SimulatedMachine(made.CONFIG, seed, 0.0, WorldOptions(**{"pause": PAUSE, **options}))
 
 
-def of_kind(kind: type, said: list) -> list:
-    return [(due, message) for due, message in said if isinstance(message, kind)]
-
-
 def test_parcel_after_parcel_enters_and_leaves() -> None:
     said = world().advance(12.0)
-    entered, left = of_kind(protocol.ParcelEntry, said), of_kind(protocol.ParcelDeparture, said)
+    entered, left = of_kind(ms.ParcelEntry, said), of_kind(ms.ParcelDeparture, said)
     assert len(left) >= 2
     assert [message.number for _, message in entered] == list(range(len(entered)))
     for (gone, _), (due, message) in zip(left, entered[1:], strict=False):
@@ -67,18 +60,18 @@ def test_an_entry_states_the_tilt_of_the_surface() -> None:
             return super().start(draw)._replace(tilt=0.05, tilt_direction=-2.0)
 
     machine = SimulatedMachine(replace(CONFIG, task=Tilted()), 0, 0.0, WorldOptions(pause=PAUSE))
-    (_, entry), *_ = of_kind(protocol.ParcelEntry, machine.advance(0.2))
+    (_, entry), *_ = of_kind(ms.ParcelEntry, machine.advance(0.2))
     assert (entry.tilt, entry.tilt_direction) == pytest.approx((0.05, -2.0))
 
 
 def test_the_same_seed_gives_the_same_messages() -> None:
     one, same, other = (world(seed).advance(0.5) for seed in (0, 0, 1))
-    poses = [[m.pose for _, m in of_kind(protocol.Frame, said)] for said in (one, same, other)]
+    poses = [[m.pose for _, m in of_kind(ms.Frame, said)] for said in (one, same, other)]
     assert poses[0] == poses[1] != poses[2]
 
 
 def test_frames_come_at_the_cameras_rate_and_late() -> None:
-    frames = of_kind(protocol.Frame, world().advance(1.0))
+    frames = of_kind(ms.Frame, world().advance(1.0))
     taken = np.array([message.taken_at for _, message in frames])
     np.testing.assert_allclose(np.diff(taken), 0.02)
     np.testing.assert_allclose([due for due, _ in frames] - taken, 0.04)
@@ -97,11 +90,11 @@ def test_axes_that_are_set_turn_and_others_are_refused() -> None:
     machine.advance(PAUSE + 0.02)
     for wrong in (np.zeros((1, 1)), np.full((4, 16), 1.6), np.full((4, 16), np.nan)):
         assert machine.set_axes(0, wrong).refused
-    frames = of_kind(protocol.Frame, machine.advance(PAUSE + 0.1))
+    frames = of_kind(ms.Frame, machine.advance(PAUSE + 0.1))
     assert (np.abs(frames[-1][1].axes - math.pi / 2.0) < 1e-9).all()
     answer = machine.set_axes(5, np.zeros(machine.shape))
-    assert answer == protocol.AxesAcknowledgement(5, machine.now)
-    frames = of_kind(protocol.Frame, machine.advance(machine.now + PAUSE + 0.4))
+    assert answer == ms.AxesAcknowledgement(5, machine.now)
+    frames = of_kind(ms.Frame, machine.advance(machine.now + PAUSE + 0.4))
     first, last = (frames[k][1].axes for k in (0, -1))
     assert set(np.sign(first[last == 0.0])) == {1.0}  # they are on their way
     assert first[last == 0.0].max() < math.pi / 2.0
@@ -123,9 +116,9 @@ class TestOverASocket:
 
     def run(self, server: MachineServer, steps: int) -> ControlLoop:
         """A loop in step with the server: all arrives within a period, whatever the load."""
-        clock = made.ManualClock()
-        loop = made.loop_of(made.ScriptedDevice(clock), made.Always(BRAKE, clock))
-        loop._device = protocol.SocketDevice(self.address(server), "stop", made.estimator().shape)
+        clock = SimulatedClock()
+        device = protocol.SocketDevice(self.address(server), "stop", made.estimator().shape)
+        loop = made.loop_of(device, made.Always(BRAKE, clock))
         for k in range(1, steps):
             clock.time = 0.005 * k
             if k % 8 == 0:
@@ -150,7 +143,7 @@ class TestOverASocket:
     def test_it_serves_as_long_as_asked_and_stands_still_where_the_clock_ran_away(
         self, server
     ) -> None:
-        clock, turns = made.ManualClock(), iter([True, True, False])
+        clock, turns = SimulatedClock(), iter([True, True, False])
 
         def goes_on() -> bool:
             clock.time += 0.02
@@ -173,7 +166,7 @@ class TestOverASocket:
         ]
         owner, *strangers = devices
         strangers.append(SocketDevice(listener.getsockname(), "stop", (4, 16)))
-        clock = made.ManualClock()
+        clock = SimulatedClock()
 
         def serve_and_read(device: SocketDevice) -> None:
             for _ in range(20):
@@ -204,11 +197,11 @@ class TestOverASocket:
             device.close()
         server.close()
 
-    @pytest.mark.parametrize("line", [b"stop!\n", protocol.to_line({"kind": "axes", "command": 1})])
+    @pytest.mark.parametrize("line", [b"stop!\n", ms.to_line({"kind": "axes", "command": 1})])
     def test_a_loop_that_sends_another_line_is_cut_off(self, server, line) -> None:
         with socket.create_connection(self.address(server)) as connected:
             server.step(0.0)
-            assert protocol.from_line(connected.recv(4096).splitlines()[0])["task"] == "stop"
+            assert ms.from_line(connected.recv(4096).splitlines()[0])["task"] == "stop"
             connected.sendall(line)
             connected.settimeout(5.0)
             for k in range(1, 4):
@@ -217,16 +210,13 @@ class TestOverASocket:
                 pass
 
 
-PATIENCE = 120.0  # [s] for another process, on a computer that does other work
-RUN = cli.RunConditions(
-    "stop-ppo", 0, "stop", "lab", "simulator", 0.04, 0.2, 600.0, (1.0, 2.0, 3.0), 2
-)
+RUN = {"agent": "stop-ppo", "period": 0.04, "seconds": 600.0, "load": (1.0, 2.0, 3.0), "cores": 2}
 
 
 def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
-    counts = controller.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
+    counts = report.Counts(periods=15_000, kept=14_990, missed=10, lost=5)
     counts.parcels.update(["success", "success", "missed"])
-    latencies = controller.Latencies(policy=[0.001 * k for k in range(101)])
+    latencies = report.Latencies(policy=[0.001 * k for k in range(101)])
     whole = cli.make_report(RUN, counts, latencies)
     read = json.loads(cli.write_report(whole, tmp_path / "out").read_text())
     assert read["counts"]["missed"] == 10
@@ -236,16 +226,16 @@ def test_a_report_is_written_whole_and_shown(tmp_path, capsys) -> None:
     assert read["budget"]["sensor"] is None
     cli.show_report(whole, Console(width=200))
     printed = capsys.readouterr().out
-    for part in ("period of 40 ms", "50.00", "10 missed", "lost 5 times", "success 0.667"):
+    for part in ("period of 40 ms", "50.00", "missed 10", "lost 5", "success 0.667: 2 success"):
         assert part in printed
-    nothing = cli.make_report(RUN, controller.Counts(unfit=1), controller.Latencies())
+    nothing = cli.make_report(RUN, report.Counts(unfit=1), report.Latencies())
     cli.show_report(nothing, Console(width=200))
-    assert "0 parcels; 1 that do not fit" in capsys.readouterr().out
+    assert "unfit 1" in capsys.readouterr().out
     assert report.percentiles([]) is None
 
 
 def test_a_report_is_written_whatever_ends_the_run(tmp_path, monkeypatch) -> None:
-    device = made.ScriptedDevice(made.ManualClock(), [(0.0, entered())])
+    device = made.ScriptedDevice(SimulatedClock(), [(0.0, entered())])
     loop = made.loop_of(device, made.Always(BRAKE, device.clock))
     monkeypatch.setattr(cli, "show_report", None)
     for error in (RuntimeError, KeyboardInterrupt):
@@ -318,7 +308,7 @@ def test_a_token_is_of_a_file_that_nobody_else_reads_or_of_the_environment(
 @pytest.mark.parametrize("task", ["sort", "track"])
 def test_the_fixed_layout_of_a_task(task) -> None:
     env_config = EnvConfig(task=task, actions="halves", observe=("parcel",))
-    layouts = controller.FixedLayouts(env_config)
+    layouts = deciders.FixedLayouts(env_config)
     bounds = env_config.observation_space()
     command = layouts.arrange(np.clip(0.0, bounds.low, bounds.high))
     assert command.shape == (layouts.kind.size,)
@@ -329,32 +319,23 @@ def test_a_layout_of_another_process_is_the_same() -> None:
     held = estimator()
     held.reset(entered())
     observation = held.observe(0.0)
-    with controller.ProcessArranger(held.config) as arranger:
+    with deciders.ProcessArranger(held.config) as arranger:
         assert arranger.wait_until_ready(PATIENCE)
         for _ in range(3000):  # more than a pipe holds; the latest counts
             arranger.ask(np.zeros_like(observation))
         arranger.ask(observation)
-        layout = until(arranger.layout)
+        until(lambda: arranger.layout() is not None)
+        layout = arranger.layout()
         arranger._process.kill()
         arranger._process.join()
         arranger.ask(observation)
         assert arranger.layout() is None
-    layouts = controller.FixedLayouts(held.config)
+    layouts = deciders.FixedLayouts(held.config)
     np.testing.assert_array_equal(layout, layouts.arrange(observation))
     assert layouts.arrange(np.full_like(observation, np.nan)) is None
     # Axes on offer are the task's and the conveyors'.
-    assert controller.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
-    assert controller.allowed_angles(replace(CONFIG, orientations="any")) is None
-
-
-def until(call: Callable[[], Message | None]) -> Message:
-    ends = time.monotonic() + PATIENCE
-    while time.monotonic() < ends:
-        found = call()
-        if found is not None:
-            return found
-        time.sleep(0.01)
-    raise TimeoutError
+    assert deciders.allowed_angles(CONFIG) == (*CONFIG.chosen_orientations, np.pi / 2.0)
+    assert deciders.allowed_angles(replace(CONFIG, orientations="any")) is None
 
 
 def first_frame(device: SocketDevice) -> Frame:

@@ -3,41 +3,32 @@
 import json
 import socket
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import tyro
 
 from benchmarks.tracking import SimulatedClock
-from surface_gym.agents.runtime import cli, controller as runtime, protocol, simulator
+from surface_gym.agents.runtime import cli, protocol, simulator
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
-from surface_gym.agents.runtime.protocol import AxesAcknowledgement, Detections, ParcelEntry
 from surface_gym.agents.runtime.simulator import MachineServer
-from surface_gym.agents.runtime.stream_loop import StreamLoop
-from surface_gym.agents.runtime.stream_simulator import SimulatedStream
+from surface_gym.agents.runtime.worlds import SimulatedMachine, SimulatedStream
 from surface_gym.flow.state import ENTERED
 from surface_gym.layouts import ROLLING
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import AxesAcknowledgement, Detections, ParcelEntry
 from tests.agents.runtime import made, streams
+from tests.agents.runtime.made import TOKEN, of_kind
 from tests.agents.runtime.streams import CONFIG, entry, picture, world
 
-TOKEN = "0123456789abcdef"
 LATE = streams.LATE
-
-
-def of_kind(kind: type, said: list[Any]) -> list[Any]:
-    return [(due, message) for due, message in said if isinstance(message, kind)]
-
-
-def nothing(_: float) -> None:
-    """Between two periods."""
 
 
 def test_the_machine_reports_what_enters_departs_and_is_seen() -> None:
     machine = world()
     said = machine.advance(6.0)
     entered = [message for _, message in of_kind(ParcelEntry, said)]
-    departed = [message for _, message in of_kind(protocol.ParcelDeparture, said)]
+    departed = [message for _, message in of_kind(ms.ParcelDeparture, said)]
     pictures = of_kind(Detections, said)
     assert [each.number for each in entered] == list(range(len(entered)))
     assert len(entered) == machine.streams.tally[0, ENTERED] > len(departed) > 2
@@ -88,7 +79,7 @@ def test_a_jam_is_reported_and_the_surface_begins_anew() -> None:
     machine = world()
     machine.set_axes(1, np.zeros(machine.shape))
     said = machine.advance(30.0)
-    departed = [message for _, message in of_kind(protocol.ParcelDeparture, said)]
+    departed = [message for _, message in of_kind(ms.ParcelDeparture, said)]
     numbers = [message.number for _, message in of_kind(ParcelEntry, said)]
     assert "jam" in {each.outcome for each in departed}
     assert len(numbers) == len(set(numbers))
@@ -128,36 +119,24 @@ def test_pictures_that_stop_lead_to_safe_axes() -> None:
     assert (axes[-1][1] == 0.0).any()
 
 
-def rolling_loop(device: Any, clock: Any) -> StreamLoop:
-    """A loop that lets all parcels roll on, with a tracker without parcels."""
-    held = streams.fresh()
-    return StreamLoop(
-        device, held, runtime.Decider(streams.Rolls(), CONFIG),
-        runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), clock,
-        runtime.LoopConfig(),
-    )  # fmt: skip
-
-
 def test_a_message_of_the_other_kind_of_machine_is_of_no_use() -> None:
-    device = made.ScriptedDevice(made.ManualClock(), [(0.0, picture(0.0, (0.3, 1.0)))])
+    device = made.ScriptedDevice(SimulatedClock(), [(0.0, picture(0.0, (0.3, 1.0)))])
     loop = made.loop_of(device, made.Always(made.BRAKE, device.clock))
-    loop.run(0.2, nothing)
+    loop.run(0.2, made.nothing)
     assert loop.counts.frames == 0
-    device = made.ScriptedDevice(
-        made.ManualClock(), [(0.0, protocol.Frame(0.0, 3)), (0.1, entry())]
-    )
-    other = rolling_loop(device, device.clock)
-    other.run(0.3, nothing)
+    device = made.ScriptedDevice(SimulatedClock(), [(0.0, ms.Frame(0.0, 3)), (0.1, entry())])
+    other = streams.loop_of(device, device.clock)
+    other.run(0.3, made.nothing)
     assert other.counts.unused == 1
     assert other.counts.sent > 0
 
 
 def test_entries_that_are_impossible_are_counted_and_the_loop_goes_on() -> None:
-    device = made.ScriptedDevice(made.ManualClock(), [])
+    device = made.ScriptedDevice(SimulatedClock(), [])
     wrong = [entry(1, goal=(7.0, 0.0, 0.0)), entry(2, at=-9.0), entry(0), entry(0)]
     device.script = [(0.1, each) for each in wrong] + [(0.2, AxesAcknowledgement(3, 0.2))]
-    loop = rolling_loop(device, device.clock)
-    loop.run(0.15, nothing)
+    loop = streams.loop_of(device, device.clock)
+    loop.run(0.15, made.nothing)
     assert loop.counts.unfit == 2
     assert len(loop.counts.faults) == 2
 
@@ -170,11 +149,7 @@ def test_a_machine_that_was_lost_is_led_on_over_the_socket() -> None:
         device = protocol.SocketDevice(
             listener.getsockname()[:2], "flow", held.shape, TOKEN, clock.now
         )
-        loop = StreamLoop(
-            device, held, runtime.Decider(streams.Rolls(), CONFIG),
-            runtime.AxisLimits(held.shape, None), CONFIG.observation_space(), clock,
-            runtime.LoopConfig(),
-        )  # fmt: skip
+        loop = streams.loop_of(device, clock)
         tracked = []
 
         def between(now: float) -> None:
@@ -195,7 +170,7 @@ def test_a_machine_that_was_lost_is_led_on_over_the_socket() -> None:
 
 
 def test_a_gate_of_one_parcel_at_a_time_is_refused() -> None:
-    one = simulator.SimulatedMachine(made.CONFIG, 0, 0.0, WorldOptions())
+    one = SimulatedMachine(made.CONFIG, 0, 0.0, WorldOptions())
     with pytest.raises(ValueError, match="gate must be that of a stream"):
         one.open_gate(0.0, 1.0)
 
@@ -210,7 +185,9 @@ def test_the_simulators_stream_is_the_policys() -> None:
     assert made_config.stream_task.stream.arrivals.rate == 900.0
     assert made_config.stream_task.max_parcels == env_config.stream_task.max_parcels
     assert (given.world.lost, given.world.late, given.seed) == (0.1, 0.02, 3)
-    assert isinstance(simulator.make_world(replace(given, seed=0), 0.0), SimulatedStream)
+    assert isinstance(
+        simulator.make_world(replace(given, seed=0), made_config, 0.0), SimulatedStream
+    )
     assert policy is not None
 
 
@@ -231,4 +208,4 @@ def test_the_command_leads_a_stream(tmp_path, capsys) -> None:
     assert counts["decisions"] > 0.5 * counts["periods"]
     assert counts["frames"] > 50
     assert not counts["faults"]
-    assert "decisions by the policy" in capsys.readouterr().out
+    assert f"decisions {counts['decisions']}" in capsys.readouterr().out

@@ -8,13 +8,13 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rules import find_rules
-from surface_gym.agents.runtime import protocol
-from surface_gym.agents.runtime.steered import steered_config, unchanged_turn
 from surface_gym.agents.runtime.tracker import GONE_AFTER, MOST_ARRIVALS
+from surface_gym.agents.runtime.worlds import steered_config, unchanged_turn
 from surface_gym.config import EnvConfig
 from surface_gym.flow.state import CORRECT, NOBODY
 from surface_gym.flow.take_away import Stops
 from surface_gym.flow.task import COLUMN
+from surface_gym.machine import messages as ms
 from tests.agents.runtime import streams
 from tests.agents.runtime.streams import CONFIG, entry, fresh, picture
 
@@ -61,7 +61,7 @@ def test_an_angle_may_be_off_by_a_turn_that_leaves_the_base_unchanged() -> None:
     held.enter(entry())
     for k in range(1, 6):
         turned = 0.05 + 0.5 * math.pi * (-1) ** k
-        held.correct(protocol.Detections(FRAME * k, ((0.2 + FRAME * k, 1.0, turned),)))
+        held.correct(ms.Detections(FRAME * k, ((0.2 + FRAME * k, 1.0, turned),)))
     held.observe(0.1)
     assert held.estimates[0, 2] == pytest.approx(0.05, abs=0.01)
 
@@ -70,7 +70,7 @@ def test_the_angle_of_a_disc_does_not_matter() -> None:
     held = fresh()
     held.enter(replace(entry(), parcel=sg.Parcel(sg.Disc(0.15))))
     for k in range(1, 6):
-        held.correct(protocol.Detections(FRAME * k, ((0.2 + FRAME * k, 1.002, 2.0 * k),)))
+        held.correct(ms.Detections(FRAME * k, ((0.2 + FRAME * k, 1.002, 2.0 * k),)))
     held.observe(0.1)
     np.testing.assert_allclose(held.estimates[0, :2], (0.3, 1.002), atol=0.002)
     assert abs(held.estimates[0, 2]) < 0.05

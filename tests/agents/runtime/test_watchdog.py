@@ -10,27 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.runtime import controller as runtime, protocol
+from benchmarks.tracking import SimulatedClock
+from surface_gym.agents.runtime import controller as runtime
 from surface_gym.agents.runtime.config import WorldOptions
-from surface_gym.agents.runtime.protocol import (
+from surface_gym.agents.runtime.protocol import SocketDevice
+from surface_gym.agents.runtime.simulator import MachineServer
+from surface_gym.agents.runtime.worlds import SimulatedMachine
+from surface_gym.machine import messages as ms
+from surface_gym.machine.messages import (
     AxesAcknowledgement,
     Frame,
     Message,
     ParcelDeparture,
     ParcelEntry,
-    SocketDevice,
 )
-from surface_gym.agents.runtime.simulator import MachineServer, SimulatedMachine
 from tests.agents.runtime import made
-from tests.agents.runtime.made import Always, ManualClock, entered
-from tests.agents.runtime.test_hostile import Machine, SharedClock, frame, line
+from tests.agents.runtime.made import TOKEN, Always, entered
+from tests.agents.runtime.test_hostile import Machine, SharedClock, frame, line, loop_over
 
 PERIOD = 0.04  # [s]
 LATE = 0.02  # [s] from a picture to its message
-TOKEN = "0123456789abcdef"
 
 
-class JumpingClock(ManualClock):
+class JumpingClock(SimulatedClock):
     """A clock that jumps once, and on which nobody sleeps for long."""
 
     def __init__(self, at: float = math.inf, by: float = 0.0) -> None:
@@ -64,7 +66,7 @@ class Camera(made.ScriptedDevice):
             messages.append(made.frame(now - LATE, self.number(now), self.x(now - LATE)))
         return messages
 
-    def set_axes(self, angles: protocol.Angles) -> int:
+    def set_axes(self, angles: ms.Angles) -> int:
         number, now = super().set_axes(angles), self.clock.now()
         if self.answers(now):
             self.pending.append(AxesAcknowledgement(number, now))
@@ -150,28 +152,22 @@ class Stopping(Machine):
         if 0.4 <= self.clock.now() < 5.0:
             return
         super().turn()
-        lines = [protocol.from_line(sent) for sent in self.received.split(b"\n")[:-1]]
+        lines = [ms.from_line(sent) for sent in self.received.split(b"\n")[:-1]]
         self.received = self.received.rpartition(b"\n")[2]
         for fields in lines:
             self.waiting += line(AxesAcknowledgement(fields["command"], self.clock.now()))
 
 
-def run_over(machine: Any, clock: Any, seconds: float) -> Any:
+def run_over(machine: Machine, seconds: float) -> Any:
     """Run a loop that brakes on a machine behind a socket, and return its counts."""
-    clock.turn = machine.turn
-    loop = made.loop_of(made.ScriptedDevice(clock), Always(made.BRAKE, clock))
-    address = machine.listener.getsockname()
-    loop._device = SocketDevice(address, "stop", made.estimator().shape, now=clock.now)
+    loop = loop_over(machine)
     loop.run(seconds, made.nothing)
-    machine.close()
-    machine.listener.close()
+    machine.end()
     return loop.counts
 
 
 def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
-    clock = SharedClock()
-    machine = Stopping(clock, frame)
-    counts = run_over(machine, clock, 8.0)
+    counts = run_over(Stopping(SharedClock(), frame), 8.0)
     assert counts.periods == counts.kept == 200
     names = list(counts.faults)
     assert names[0] == "device must send a message within 2 s of a command, got none"
@@ -181,9 +177,7 @@ def test_a_device_that_is_stopped_is_lost_and_found_again() -> None:
 
 
 def test_a_device_that_neither_answers_nor_reads_is_lost_when_its_queue_is_full() -> None:
-    clock = SharedClock()
-    machine = Machine(clock, lambda _: b"", reads=False)
-    counts = run_over(machine, clock, 30.0)
+    counts = run_over(Machine(SharedClock(), lambda _: b"", reads=False), 30.0)
     assert set(counts.faults) == {"the other side does not read"}
     assert counts.periods == 750
 
@@ -217,15 +211,15 @@ def test_a_second_controller_waits_until_the_first_is_gone(token) -> None:
     listener = socket.create_server(("127.0.0.1", 0))
     world = SimulatedMachine(made.CONFIG, 0, 0.0, WorldOptions(pause=0.1))
     server = MachineServer(world, "stop", listener, token)
-    clock = ManualClock()
+    clock = SimulatedClock()
     loops = []
     for action in (made.BRAKE, made.ROLL):
-        loop = made.loop_of(made.ScriptedDevice(clock), Always(action, clock))
-        loop._estimator = made.StateEstimator(made.CONFIG) if loops else made.estimator()
-        loop._estimator.clear()
-        loop._device = SocketDevice(
+        device = SocketDevice(
             listener.getsockname(), "stop", made.estimator().shape, token, clock.now
         )
+        loop = made.loop_of(device, Always(action, clock))
+        loop._estimator = made.StateEstimator(made.CONFIG) if loops else made.estimator()
+        loop._estimator.clear()
         loops.append(loop)
     first, second = loops
     for k in range(1, 1200):
@@ -275,7 +269,7 @@ def test_commands_whose_numbers_begin_again_are_answered() -> None:
     clock = JumpingClock()
 
     class Restarting(Camera):
-        def set_axes(self, angles: protocol.Angles) -> int:
+        def set_axes(self, angles: ms.Angles) -> int:
             if len(self.sent) == 10:
                 self.sent.clear()
                 self.pending.clear()  # the last answer is lost
