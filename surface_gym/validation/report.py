@@ -14,8 +14,8 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from surface_gym.paper import figures
-from surface_gym.paper.report import make_table
+from surface_gym.cli import make_table
+from surface_gym.paper.report import draw_base, draw_surface
 from surface_gym.physics.types import Array
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
@@ -458,12 +458,12 @@ def _row(figure: Figure, panels: int) -> Sequence[Any]:
 
 
 def _draw_surface(axes: Axes, surface: Surface) -> None:
-    figures.draw_surface(axes, surface, rotor="darkorange", support="pink", width=2.5)
+    draw_surface(axes, surface, rotor="darkorange", support="pink", width=2.5)
     axes.set(xlim=(0.0, 1.2), ylim=(0.45, 1.35), aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
 def _draw_box(axes: Axes, pose: Sequence[float], colour: str) -> None:
-    figures.draw_base(axes, comparison.PARCEL.base, pose, colour, width=1.0)
+    draw_base(axes, comparison.PARCEL.base, pose, colour, width=1.0)
 
 
 def _draw_path(
