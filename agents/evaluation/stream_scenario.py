@@ -18,9 +18,8 @@ from surface_gym.state import ENERGIES, RUNNING
 from surface_gym.tasks.benchmark import ENTRANCE, Offer, StreamBenchmark
 
 from ..base import Booleans, Controller
-from ..planning.receding_horizon import RecedingHorizon
-from ..scheduling.bounds import clairvoyant_bound, entrance_bound
-from ..scheduling.scheduler import Scheduler, begin_streams
+from ..planning.planner import RecedingHorizon
+from ..scheduling.scheduler import Scheduler, begin_streams, clairvoyant_bound, entrance_bound
 from .ladder import count_hardware, methods_of_unseen
 from .method import PLANNER, Method, stream_benchmark
 from .scenario import SEED, WHOLE, Extent, Row, Scenario, ScenarioJob, make_jobs

@@ -17,7 +17,6 @@ from surface_gym.design.case import (
     StopPurpose,
     TurnPurpose,
     Unknown,
-    draw,
 )
 from surface_gym.design.runs import REST_SPEED, DesignLine, line_for, make_runs, run_all
 
@@ -45,18 +44,19 @@ def test_a_group_varies_alone():
 
 
 def test_draws_follow_their_laws_however_many_there_are():
-    drawn = draw(Unknown(speed=0.1, tilt=0.02, lateral=0.03), BOX, LINE, 2000, 0)
+    spread = Unknown(speed=0.1, tilt=0.02, lateral=0.03)
+    drawn = Case(BOX, draws=2000).draw(LINE, spread)
     assert np.abs(drawn.friction - 1.0).max() <= 0.2
     assert drawn.friction.std(axis=0) == pytest.approx(0.4 / np.sqrt(12.0), rel=0.05)
     spreads = [drawn.speed.std(), drawn.tilt.std(), drawn.lateral.std()]
     assert spreads == pytest.approx([0.1, 0.02, 0.03], rel=0.05)
     assert np.log(drawn.stiffness).std() == pytest.approx(0.35, rel=0.01)
     assert max(abs(each) for parcel in drawn.parcels for each in parcel.com_offset) <= 0.0125
-    few, many = (draw(Unknown(), BOX, LINE, count, 3) for count in (2, 5))
+    few, many = (Case(BOX, draws=count, seed=3).draw(LINE, Unknown()) for count in (2, 5))
     np.testing.assert_array_equal(few.friction, many.friction[:2])
     np.testing.assert_array_equal(few.stiffness, many.stiffness[:2])
     assert few.parcels == many.parcels[:2]
-    drawn = draw(Unknown(speed=0.5), BOX, LINE, 50, 0)
+    drawn = Case(BOX, draws=50).draw(LINE, Unknown(speed=0.5))
     runs = drawn.runs(0.6, 0.0, columns=4, layout=2)
     assert runs.speed.min() >= 0.0
     np.testing.assert_allclose(runs.speed, np.maximum(0.0, 0.6 + drawn.speed))

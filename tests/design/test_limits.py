@@ -10,7 +10,7 @@ import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import Case, SlowPurpose, SortPurpose, StopPurpose, TurnPurpose, Unknown
 from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER
-from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
+from surface_gym.design.columns import least_columns
 from surface_gym.design.limits import (
     Arrangement,
     arrange,
@@ -33,7 +33,7 @@ LARGE = Case(OWN, SortPurpose(), speed=1.2, unknown=NOTHING)
 def test_table_3(size):
     """The S-box at 1.5 m/s takes 5 (the study 4); the B-box is sorted at 1.0 m/s (there not)."""
     case = Case(layouts.box(size), SortPurpose(), unknown=NOTHING, step=FINE)
-    ours = [each.columns for each in columns_by_speed(case, TARGETS.sorting_speeds)]
+    ours = [least_columns(replace(case, speed=v)).columns for v in TARGETS.sorting_speeds]
     same = [one == other for one, other in zip(ours, TARGETS.sorting_columns[size], strict=True)]
     assert sum(same) == 19
 
@@ -41,7 +41,7 @@ def test_table_3(size):
 @pytest.mark.parametrize(("size", "agree"), [("S", 18), ("B", 17)])
 def test_table_4(size, agree):
     case = Case(layouts.box(size), SlowPurpose(0.5), unknown=NOTHING, step=FINE)
-    found = columns_by_speed(case, TARGETS.slowing_speeds, most=8)
+    found = [least_columns(replace(case, speed=v), most=8) for v in TARGETS.slowing_speeds]
     angle = {"0 deg": 0, "+-45 deg": 45}
     same = [
         ours.columns is not None and SlowingLayout(ours.columns, angle[ours.layout]) == theirs
@@ -85,12 +85,6 @@ def test_too_slow_a_parcel_is_never_sorted_and_no_columns_are_refused():
     assert all(worst.columns is None and worst.success == 0.0 for worst in found.worst)
     with pytest.raises(ValueError, match="most must be a whole number of at least 1, got 0"):
         least_columns(Case(layouts.box("S")), most=0)
-
-
-def test_rows_from_one_to_the_parcel_s_width():
-    found = columns_by_rows(Case(layouts.box("B"), speed=1.5, unknown=NOTHING))
-    assert [each.rows for each in found] == [1, 2, 3, 4]
-    assert all(each.columns for each in found)
 
 
 @pytest.mark.parametrize(
@@ -232,7 +226,10 @@ def test_of_two_layouts_the_one_that_does_it_is_taken():
 
 def test_errors_name_what_came():
     for ask, error in (
-        (lambda: least_speed(CASE.at(0.3)), r"columns must be given: .* does it at 0\.3 m/s"),
+        (
+            lambda: least_speed(replace(CASE, speed=0.3)),
+            r"columns must be given: .* does it at 0\.3 m/s",
+        ),
         (lambda: least_speed(CASE, columns=0), "columns must be a whole number of at least 1"),
         (lambda: least_speed(CASE, highest=1.0), r"highest must be between 1\.2 and 20, got 1\.0"),
         (lambda: least_tilt(CASE, highest=0.8), "highest must be from the case's tilt, 0, .* 0.8"),

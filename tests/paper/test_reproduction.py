@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from surface_gym.paper import reproduction as ours, report
+from surface_gym.paper import report, reproduction as ours
 from surface_gym.paper.reproduction import LAST_DIGITS, POSITION_TOLERANCE
 from surface_gym.paper.runs import (
     COARSE,

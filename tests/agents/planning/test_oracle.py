@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surface_gym import Parcel, Rectangle
-from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle
+from surface_gym.agents.planning.planner import Oracle, find_reachable, run_oracle
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators, Randomisation

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from surface_gym.agents.scheduling.bounds import clairvoyant_bound, entrance_bound
 from surface_gym.agents.scheduling.maneuvers import make_library
+from surface_gym.agents.scheduling.scheduler import clairvoyant_bound, entrance_bound
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.stream import Stream
 from tests.agents.rules.runs import counts, gated

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.scheduling import decisions
-from surface_gym.agents.scheduling.decisions import find_costs, find_entries, make_model_library
-from surface_gym.agents.scheduling.features import LEVELS
+from surface_gym.agents.scheduling.decisions import (
+    LEVELS,
+    find_costs,
+    find_entries,
+    make_model_library,
+)
 from surface_gym.agents.scheduling.leading import make_workspace, search
 from surface_gym.randomisation import Actuators, Randomisation
 from surface_gym.sensors import Camera

@@ -13,12 +13,12 @@ from surface_gym.agents.scheduling.design import (
     FOUR,
     MODULES,
     SIX,
+    FlowAnswer,
     FlowCase,
     LineDesign,
     LineLayout,
     Search,
 )
-from surface_gym.agents.scheduling.design_report import FlowAnswer
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups
 from surface_gym.flow.exits import Exit, Exits
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.schedule_policy import NetworkScheduler, ScheduleNetwork
-from surface_gym.agents.scheduling.features import ABOUT, DEVIATION, LEVELS, OPTION, TOKEN, TOKENS
+from surface_gym.agents.scheduling.decisions import ABOUT, DEVIATION, LEVELS, OPTION, TOKEN, TOKENS
 from surface_gym.config import EnvConfig
 from surface_gym.flow import task
 from surface_gym.flow.arrivals import Steady

@@ -8,10 +8,15 @@ import pytest
 
 from surface_gym.agents.base import find_orientation
 from surface_gym.agents.scheduling import scheduler as module
-from surface_gym.agents.scheduling.bounds import clairvoyant_bound, entrance_bound
 from surface_gym.agents.scheduling.leading import make_workspace, search
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
-from surface_gym.agents.scheduling.scheduler import Scheduler, make_scheduler, predict_rate
+from surface_gym.agents.scheduling.scheduler import (
+    Scheduler,
+    clairvoyant_bound,
+    entrance_bound,
+    make_scheduler,
+    predict_rate,
+)
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Poisson, Steady
 from surface_gym.flow.exits import flow_line
