@@ -233,7 +233,10 @@ class Oracle:
         cost = task.cost()
         whole = replace(cost, horizon=task.periods, follow=task.periods)
         self._costs = (whole, cost) if task.has_path else (whole,)
-        self._budget = checks.integer("budget", budget, least=1)
+        checks.integer("budget", budget, least=1)
+        self._widths = [min(LEAST, budget)]  # of successive searches
+        while self._widths[-1] < budget:
+            self._widths.append(min(MORE * self._widths[-1], budget))
         self._models: dict[int, TrueModel] = {}
 
     def find(self, options: dict[str, Any], seed: int) -> OracleResult:
@@ -244,17 +247,12 @@ class Oracle:
                 break
         return replace(found, seconds=time.perf_counter() - began)
 
-    @property
-    def _widths(self) -> list[int]:
-        """Return the widths of successive searches."""
-        widths = [min(LEAST, self._budget)]
-        while widths[-1] < self._budget:
-            widths.append(min(MORE * widths[-1], self._budget))
-        return widths
-
     def _play(self, cost: PlanCost, width: int, options: dict[str, Any], seed: int) -> OracleResult:
         """Run an episode by plans with a beam width."""
-        model = self._model(nodes_needed(cost, width, self._config.action_kind.choices**2))
+        size = nodes_needed(cost, width, self._config.action_kind.choices**2)
+        if size not in self._models:
+            self._models[size] = TrueModel(self._config, size)
+        model = self._models[size]
         model.begin(options, seed)
         poses, actions = [model.parcels.truth[0, :3].copy()], list[int]()
         running, left = True, self._config.task.periods
@@ -279,25 +277,13 @@ class Oracle:
             seconds=0.0,
         )
 
-    def _model(self, size: int) -> TrueModel:
-        if size not in self._models:
-            self._models[size] = TrueModel(self._config, size)
-        return self._models[size]
-
-
-def find_reachable(
-    config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
-) -> list[OracleResult]:
-    """Run the oracle with actions "halves" over starts."""
-    oracle = Oracle(config, budget)
-    return [oracle.find(start, seed + k) for k, start in enumerate(starts)]
-
 
 def run_oracle(
     config: EnvConfig, starts: Sequence[dict[str, Any]], seed: int, budget: int = ORACLE_BUDGET
 ) -> Episodes:
     """Run an oracle over starts, like `agents.rollout.run_episodes` for controllers."""
-    runs = find_reachable(config, starts, seed, budget)
+    oracle = Oracle(config, budget)
+    runs = [oracle.find(start, seed + k) for k, start in enumerate(starts)]
     metrics = np.array([run.metrics for run in runs]).T
     return Episodes(
         success=np.array([run.success for run in runs]),

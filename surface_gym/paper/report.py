@@ -1,4 +1,4 @@
-"""The command `surface-gym paper`: tables of a reproduction, Figures 6 to 10, and the alignment."""
+"""The command `surface-gym paper`: tables of a reproduction, its figures, and the alignment."""
 
 import math
 import sys
@@ -32,8 +32,6 @@ BY_SPEED = ("table3", "table4", "stopping")  # printed with both boxes side by s
 SUFFIXES = (".png", ".pdf")
 ROTOR, SUPPORT, BOX = "red", "tab:blue", "limegreen"  # colours
 SLOWING_TIME = 1.5  # [s] duration in Figure 10
-EIGHTH = 0.25 * math.pi  # [rad] axis angle in Figures 6 and 9
-SHOWN = 14  # columns in Figures 6 and 9
 ALIGNING_COLUMNS = 6  # columns of the alignment figure
 ALIGNING_SPEED = 2.5  # [m/s]
 SHOWN_TURN = 10.0  # [deg] initial turn of the box drawn from above
@@ -53,7 +51,7 @@ class PaperOptions:
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw Figures 6 to 10 and the alignment into this folder, as PNG and PDF."""
+    """Draw Figures 7, 8 and 10 and the alignment into this folder, as PNG and PDF."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Write every number to this file."""
 
@@ -148,48 +146,31 @@ def _mark(text: str, agrees: bool) -> Text:
     return Text(text + " ") if agrees else Text(text + "*", style="bold yellow")
 
 
-def _decimals(cell: runs.TableCell) -> int:
-    """Return one decimal more than the paper prints, if it prints any."""
-    return cell.decimals + 1 if cell.decimals else 0
-
-
 def _ours(cell: runs.TableCell) -> list[Text]:
-    return [
-        _mark(_text(cell.ours[k].value, _decimals(cell)), cell.agrees(k)) for k in range(len(OURS))
-    ]
-
-
-def _difference(ours: runs.ComputedValue, cell: runs.TableCell) -> str:
-    if isinstance(ours.value, (int, float)) and isinstance(cell.paper, (int, float)):
-        return f"{ours.value - cell.paper:+.{_decimals(cell)}f}"
-    return ""
+    """Return our values, with one decimal more than the paper prints, if it prints any."""
+    decimals = cell.decimals + 1 if cell.decimals else 0
+    ours = enumerate(cell.ours[: len(OURS)])
+    return [_mark(_text(each.value, decimals), cell.agrees(k)) for k, each in ours]
 
 
 def _by_cell(table: PaperTable) -> Table:
-    """Make a table with one line per cell, and differences."""
-    columns = ("", "", "paper", OURS[0], "- paper", OURS[1], "- paper")
-    result = make_table(table.title, *columns, caption=_caption(table), labels=2)
+    """Make a table with one line per cell."""
+    result = make_table(table.title, "", "", "paper", *OURS, caption=_caption(table), labels=2)
     row = ""
     for cell in table.cells:
         if row and cell.row != row:
             result.add_section()
-        coarse, converged = _ours(cell)
-        result.add_row(
-            Text("" if cell.row == row else cell.row), Text(cell.column),
-            _text(cell.paper, cell.decimals), coarse, _difference(cell.ours[0], cell), converged,
-            _difference(cell.ours[1], cell),
-        )  # fmt: skip
+        label = Text("" if cell.row == row else cell.row)
+        paper_value = _text(cell.paper, cell.decimals)
+        result.add_row(label, Text(cell.column), paper_value, *_ours(cell))
         row = cell.row
     return result
 
 
 def _by_speed(table: PaperTable) -> Table:
     """Make a table with one line per speed, both boxes side by side."""
-    columns = [
-        name
-        for size in runs.SIZES
-        for name in (f"{size}-box\npaper", f"\n{OURS[0]}", f"\n{OURS[1]}")
-    ]
+    names = ("paper", *OURS)
+    columns = (f"{size}-box\n{name}" for size in runs.SIZES for name in names)
     result = make_table(table.title, "\nv0", *columns, caption=_caption(table))
     rows: dict[str, list[str | Text]] = {}
     for cell in table.cells:
@@ -211,7 +192,7 @@ def _rates(found: paper.Reproduction) -> Table:
     result = make_table(
         "Figure 8: sorting rate [pcs/h], by v0 on the level or by tilt from standstill",
         "\nv0 or tilt",
-        *(name for size in runs.SIZES for name in (f"{size}-box\n{OURS[0]}", f"\n{OURS[1]}")),
+        *(f"{size}-box\n{name}" for size in runs.SIZES for name in OURS),
         caption=f"* outside the paper's band for torsional discs, {low:g} to {high:g} pcs/h\n"
         f"in the band at {COARSE_NAME}, and converged:\n{counts}",
     )
@@ -219,14 +200,12 @@ def _rates(found: paper.Reproduction) -> Table:
         half = len(cases) // len(runs.SIZES)
         for small, big in zip(cases[:half], cases[half:], strict=True):
             row = f"{small.speed:.1f} m/s" if small.speed > 0.0 else f"{small.tilt:g}°"
-            rates = [done.rate for case in (small, big) for done in case.ours[: len(OURS)]]
-            result.add_row(
-                row,
-                *(
-                    Text("/ ") if rate is None else _mark(f"{rate:.0f}", low <= rate <= high)
-                    for rate in rates
-                ),
+            rates = (done.rate for case in (small, big) for done in case.ours[: len(OURS)])
+            texts = (
+                Text("/ ") if rate is None else _mark(f"{rate:.0f}", low <= rate <= high)
+                for rate in rates
             )
+            result.add_row(row, *texts)
         result.add_section()
     return result
 
@@ -336,22 +315,9 @@ def _spreads(found: paper.Reproduction) -> Iterator[str]:
 
 def draw_figures(found: paper.Reproduction, folder: Path) -> list[Path]:
     """Write the figures into the folder, and return their paths."""
-    columns = runs.load_targets().ratio_columns
-    kinds = [
-        ("(a) sorting", "S", layouts.sorting("S", task_columns=SHOWN - 3, columns=SHOWN)),
-        ("(b) slowing or stopping, 0°", "S", layouts.slowing("S", 0.0, columns=SHOWN)),
-        ("(c) slowing or stopping, ±45°", "S", layouts.slowing("S", EIGHTH, columns=SHOWN)),
-    ]
-    slowing = [
-        (f"{size}-box, {name}", size, layouts.slowing(size, angle, columns, columns=SHOWN))
-        for size in runs.SIZES
-        for name, angle in (("0°", 0.0), ("±45°", EIGHTH))
-    ]
     figures = {
-        "figure6": draw_layouts(1, kinds),
         "figure7": draw_trajectories(),
         "figure8": draw_rates(found),
-        "figure9": draw_layouts(2, slowing),
         "figure10": draw_slowing(),
         "alignment": draw_alignment(),
     }
@@ -393,14 +359,6 @@ def _draw_box(
     draw_base(panel, layouts.box(size).base, pose, colour, style, width)
 
 
-def _element_marks() -> list[Line2D]:
-    """Make entries of a legend for rotors and supports."""
-    return [
-        Line2D([], [], marker="|", color=ROTOR, markersize=10, linestyle="", label="rotor axis"),
-        Line2D([], [], marker=".", color=SUPPORT, linestyle="", label="support"),
-    ]
-
-
 def draw_trajectories() -> Figure:
     """Draw Figure 7: trajectories and end poses of the sorting runs in Table 2."""
     figure = Figure(figsize=(13.0, 6.0), layout="constrained")
@@ -417,7 +375,8 @@ def draw_trajectories() -> Figure:
         panel.legend(loc="lower left" if rows[0].side > 0 else "upper left", framealpha=1.0)
     panels[0].set_ylabel("y [m]")
     marks = [
-        *_element_marks(),
+        Line2D([], [], marker="|", color=ROTOR, markersize=10, linestyle="", label="rotor axis"),
+        Line2D([], [], marker=".", color=SUPPORT, linestyle="", label="support"),
         Line2D([], [], color="gray", linewidth=2.0, label=COARSE_NAME),
         Line2D([], [], color="gray", linewidth=1.0, linestyle="--", label="converged"),
     ]
@@ -522,22 +481,6 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         time = np.append(time, [time[-1], SLOWING_TIME])
         velocity = np.append(velocity, [0.0, 0.0])
     return time, velocity
-
-
-def draw_layouts(rows: int, cases: Sequence[tuple[str, str, Surface]]) -> Figure:
-    """Draw layouts from above in rows of panels; a case is a title, a box's size and a surface."""
-    figure = Figure(figsize=(12.0, 4.0 * rows), layout="constrained")
-    panels = figure.subplots(rows, len(cases) // rows, sharex=True, sharey=True)
-    for panel, (title, size, surface) in zip(panels.flat, cases, strict=True):
-        draw_surface(panel, surface)
-        _draw_box(panel, size, layouts.start(size), BOX)
-        panel.plot(*layouts.start(size)[:2], "o", color=BOX, markersize=4)
-        panel.set(xlim=(-0.05, 1.4), ylim=(0.5, 1.5), aspect="equal", title=title)
-        panel.set(xlabel="x [m]", ylabel="y [m]")
-        panel.label_outer()
-    marks = [*_element_marks(), Line2D([], [], color=BOX, linewidth=2.0, label="base at the start")]
-    figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
-    return figure
 
 
 def draw_alignment() -> Figure:
