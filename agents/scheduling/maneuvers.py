@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -87,7 +87,7 @@ class Maneuvers(NamedTuple):
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
         """Return a selection of maneuvers."""
-        return Maneuvers(*(values[chosen] for values in self))
+        return Maneuvers._make(values[chosen] for values in self)
 
 
 class Lead:
@@ -150,7 +150,8 @@ class Lead:
 
     def describe(self, maneuvers: Maneuvers) -> Way:
         """Return the parameters for leading parcels by maneuvers, for compiled functions."""
-        first, last, spans = np.zeros(0), np.zeros(0), np.zeros((0, 2), dtype=np.int64)
+        none: Any = np.zeros(0)
+        first, last, spans = none, none, np.zeros((0, 2), dtype=np.int64)
         if self.groups is not None:
             first, last, spans = self.first_x, self.last_x, self.spans
         return Way(

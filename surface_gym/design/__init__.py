@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         Unknown,
     )
     from surface_gym.design.columns import Columns, least_columns
-    from surface_gym.design.fixed_layout import BestLayout, EveryLayout, best_layout, every_layout
+    from surface_gym.design.fixed_layout import BestLayout, best_layout, every_layout
     from surface_gym.design.limits import (
         FrictionRange,
         Limits,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from surface_gym.design.runs import DesignLine, line_for
 
 __all__ = [
-    "BestLayout", "Case", "Columns", "DesignLine", "EveryLayout", "FrictionRange",
+    "BestLayout", "Case", "Columns", "DesignLine", "FrictionRange",
     "Limits", "Purpose", "SlowPurpose", "SortPurpose", "Span", "StopPurpose", "TurnPurpose",
     "Unknown", "best_layout", "every_layout", "friction_range", "least_columns", "least_speed",
     "least_tilt", "line_for",

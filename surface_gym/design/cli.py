@@ -187,29 +187,21 @@ class ParcelQuestion(Question):
 
     def check(self) -> "design.Case":
         _ = self.shared_by
+        unknown = design.Unknown(
+            friction=self.friction, rolling=self.rolling, com_offset=self.com_spread,
+            mass=self.mass_spread, stiffness=self.unevenness, lateral=self.lateral,
+            heading=math.radians(self.heading_deg), speed=self.speed_spread,
+            tilt=math.radians(self.tilt_spread_deg),
+        )  # fmt: skip
+        alike = ("draws", "seed", "mu_max", "mu_min", "mu_support", "step")
         return design.Case(
             parcel=self._parcel(),
             purpose=self._purpose(),
             speed=design.Case.speed if self.speed is None else self.speed,
             tilt=math.radians(self.tilt_deg),
-            unknown=design.Unknown(
-                friction=self.friction,
-                rolling=self.rolling,
-                com_offset=self.com_spread,
-                mass=self.mass_spread,
-                stiffness=self.unevenness,
-                lateral=self.lateral,
-                heading=math.radians(self.heading_deg),
-                speed=self.speed_spread,
-                tilt=math.radians(self.tilt_spread_deg),
-            ),
-            draws=self.draws,
-            seed=self.seed,
+            unknown=unknown,
             pitch=self._pitch(),
-            mu_max=self.mu_max,
-            mu_min=self.mu_min,
-            mu_support=self.mu_support,
-            step=self.step,
+            **{name: getattr(self, name) for name in alike},
         )
 
     def _parcel(self) -> "sg.Parcel":
@@ -238,10 +230,7 @@ class ParcelQuestion(Question):
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
             return sg.layouts.box(self.parcel).base
-        sides = self.parcel.split("x")
-        if len(sides) != 2:
-            raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
-        return sg.Rectangle(*_numbers("parcel", sides))
+        return _parse_base("parcel", self.parcel, "LxW as 0.3x0.4, S or B", self.parcel)
 
     def _purpose(self) -> "design.Purpose":
         given: dict[str, Any] = {
@@ -410,19 +399,21 @@ class AskFlow(Question):
 
 def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
     """Parse parcels and their odds."""
-    return tuple(_parcel(*part.partition("=")[::2], text) for part in text.split(","))
+    found = []
+    for part in text.split(","):
+        name, _, odds = (each.strip() for each in part.partition("="))
+        base = None if name in ("S", "B") else _parse_base("mix", name, MIX, text)
+        parcel = name if base is None else sg.Parcel(base)
+        found.append((parcel, files.parse_number("odds of mix", odds) if odds else 1.0))
+    return tuple(found)
 
 
-def _parcel(name: str, odds: str, text: str) -> tuple[Any, float]:
-    name, sides = name.strip(), name.split("x")
-    if name in ("S", "B"):
-        parcel: Any = name
-    elif len(sides) == 2:
-        size = [files.parse_number("each part of mix", side) for side in sides]
-        parcel = sg.Parcel(sg.Rectangle(*size))
-    else:
-        raise ValueError(f"mix must be {MIX}, got {text!r}")
-    return parcel, files.parse_number("odds of mix", odds) if odds else 1.0
+def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
+    """Parse LENGTHxWIDTH."""
+    sides = name.split("x")
+    if len(sides) != 2:
+        raise ValueError(f"{flag} must be {form}, got {given!r}")
+    return sg.Rectangle(*_numbers(flag, sides))
 
 
 def parse_exits(text: str) -> Any:

@@ -451,40 +451,31 @@ def _make_score(case: Case, line: DesignLine, speeds: Array, workers: parallel.W
     return score
 
 
-@dataclass(frozen=True, eq=False)
-class EveryLayout:
-    """Result of trying every layout."""
-
-    speed: float  # [m/s] at entry
-    axis: Array | None  # (rows, columns) [rad] a successful layout; None: none
-    complete: bool  # whether a layout was found or all were tried; otherwise the answer is unknown
-    runs: int  # number of simulated runs
-
-
 def every_layout(
     case: Case, columns: int = 16, rows: int | None = None,
     orientations: Sequence[float] = lines.ORIENTATIONS, most: int = 1_000_000,
-    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
-) -> EveryLayout:  # fmt: skip
+) -> Array | None:  # fmt: skip
     """Try every layout of a zone at the case's speed, with nothing unknown, until one succeeds.
 
     A zone of two rows and 16 columns has 4^32 layouts, but layouts with the same touched columns
     are equivalent. So columns are set one after another, and the next column only if the parcel
-    reaches it. Slow parcels soon stop. After about `most` runs, the answer is unknown.
+    reaches it. Slow parcels soon stop.
+
+    Returns axes (rows, columns) [rad] of a layout that succeeds, or None if there is none.
+
+    Raises:
+        ValueError: the answer takes more than about `most` runs.
 
     >>> from surface_gym import layouts
-    >>> every_layout(Case(layouts.box("S"), speed=0.6)).axis is None  # no layout sorts it
+    >>> every_layout(Case(layouts.box("S"), speed=0.6)) is None  # no layout sorts it
     True
     """
     checks.integer("columns", columns, least=1)
     checks.integer("most", most, least=1)
-    parallel.check_workers(workers)
     offered = np.array(checks.orientations("orientations", np.array(orientations)))
     line = case.line(columns, rows)
-    count = len(offered) ** line.rows
-    if count > most:
-        raise ValueError(f"most must be at least the {count} arrangements of a column, got {most}")
     one_column = offered[np.array(list(itertools.product(range(len(offered)), repeat=line.rows)))]
+    count = len(one_column)
     open_ends = np.full((1, line.rows, columns), layouts.ROLLING)
     done = 0
     for column in range(columns):
@@ -494,22 +485,21 @@ def every_layout(
             own = open_ends[first : first + share]
             axes = np.repeat(own, count, axis=0)
             axes[:, :, column] = np.tile(one_column, (len(own), 1))
-            if done + len(axes) > most:
-                return EveryLayout(case.speed, None, False, done)
-            runs = make_runs(case.speed, case.tilt, layout=np.arange(len(axes)), columns=columns)
-            ends = case.run(line, axes, runs, workers=workers)
             done += len(axes)
-            on_progress(done, most)
+            if done > most:
+                raise ValueError(f"most must be more than the {done} runs so far, got {most}")
+            runs = make_runs(case.speed, case.tilt, layout=np.arange(len(axes)), columns=columns)
+            ends = case.run(line, axes, runs)
             # A parcel's motion does not depend on columns that it does not touch.
             final = (ends.touched <= column + 1) | (column + 1 == columns)
             found = np.nonzero(final & case.purpose.succeeds(ends))[0]
             if len(found):
-                return EveryLayout(case.speed, axes[found[0]], True, done)
+                return axes[found[0]]
             further.append(axes[~final])
         open_ends = np.concatenate(further)
         if not len(open_ends):
             break
-    return EveryLayout(case.speed, None, True, done)
+    return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Limits of entry speed, tilt and friction on one surface."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -13,8 +13,8 @@ from surface_gym.design.case import NOMINAL, SURE, Case, Draws, Layout, Unknown,
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.physics.types import Array, Booleans
 
-SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
-TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
+# [m/s] and [rad] steps with nothing unknown, and with draws
+SPEED_STEPS, TILT_STEPS = (0.01, 0.02), (math.radians(0.1), math.radians(0.2))
 FACTOR_RANGE = 16.0  # [-] largest factor of friction to try, and inverse of the smallest
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling, likewise
 
@@ -77,10 +77,6 @@ class Limits(cases.Answer):
     def name(self) -> str:
         return self.quantity.name
 
-    def of(self, group: str) -> Span:
-        checks.one_of("group", group, [each.group for each in self.spans])
-        return next(each for each in self.spans if each.group == group)
-
     @property
     def sentence(self) -> str:
         arrangement, case = self.arrangement, self.arrangement.case
@@ -111,35 +107,7 @@ class Limits(cases.Answer):
 
     def tables(self) -> tuple[cases.ReportTable, ...]:
         name, what, unit, *_ = self.quantity
-        return (
-            cases.ReportTable(
-                name,
-                f"Limits of {what}",
-                ("unknown", f"least [{unit}]", f"most [{unit}]", "success as it comes"),
-                tuple(self.limit_rows()),
-            ),
-            cases.ReportTable(
-                f"{name}_curve",
-                f"Success by {what}",
-                ("unknown", f"{what} [{unit}]", "success"),
-                tuple(self.curve_rows()),
-                shown=False,
-            ),
-        )
-
-    def limit_rows(self) -> Iterable[tuple[cases.Cell, ...]]:
-        """Yield a row for each span: its limits, and the success of the case's own value."""
-        scale = self.quantity.scale
-        for span in self.spans:
-            own = float(span.share[abs(span.values - self.own).argmin()])
-            ends = [None if end is None else scale * end for end in (span.least, span.most)]
-            yield (cases.group_label(span.group), *ends, own)
-
-    def curve_rows(self) -> Iterable[tuple[cases.Cell, ...]]:
-        """Yield a row for each tried value."""
-        for span in self.spans:
-            for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):
-                yield (cases.group_label(span.group), self.quantity.scale * value, share)
+        return _tables(name, f"Limits of {what}", what, unit, {(): self})
 
     def draw(self) -> "cases.Figure":
         """Draw success over the quantity, one line per group of unknown quantities."""
@@ -210,22 +178,10 @@ class FrictionRange(cases.Answer):
         return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
 
     def tables(self) -> tuple[cases.ReportTable, ...]:
-        both = [(limits.quantity.description, limits) for limits in (self.along, self.across)]
-        return (
-            cases.ReportTable(
-                "friction",
-                "Limits of friction, as factors",
-                ("varied", "unknown", "least [-]", "most [-]", "success as it comes"),
-                tuple((what, *row) for what, limits in both for row in limits.limit_rows()),
-            ),
-            cases.ReportTable(
-                "friction_curve",
-                "Success by friction",
-                ("varied", "unknown", "factor [-]", "success"),
-                tuple((what, *row) for what, limits in both for row in limits.curve_rows()),
-                shown=False,
-            ),
-        )
+        both = (self.along, self.across)
+        parts: dict[tuple[str, ...], Limits] = {(x.quantity.description,): x for x in both}
+        title = "Limits of friction, as factors"
+        return _tables("friction", title, "factor", "-", parts)
 
     def draw(self) -> "cases.Figure":
         """Draw success over the factors of mu_max and mu_min."""
@@ -251,6 +207,37 @@ class FrictionRange(cases.Answer):
         return figure
 
 
+def _tables(
+    name: str, title: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
+) -> tuple[cases.ReportTable, ...]:
+    """Make a table of limits and one of curves, with one row for each span and each tried value.
+
+    Args:
+        value: heading of tried values.
+        parts: limits by the cells before them: none, or the varied quantity.
+    """
+    limits, curve = [], []
+    for varied, each in parts.items():
+        scale = each.quantity.scale
+        for span in each.spans:
+            label = (*varied, cases.group_label(span.group))
+            ends = [None if end is None else scale * end for end in (span.least, span.most)]
+            own = float(span.share[abs(span.values - each.own).argmin()])
+            limits.append((*label, *ends, own))
+            points = zip(span.values.tolist(), span.share.tolist(), strict=True)
+            curve += [(*label, scale * x, share) for x, share in points]
+    head = ("unknown",) if () in parts else ("varied", "unknown")
+    ends_head = (f"least [{unit}]", f"most [{unit}]", "success as it comes")
+    success = title.removesuffix(", as factors").replace("Limits of", "Success by")
+    return (
+        cases.ReportTable(name, title, (*head, *ends_head), tuple(limits)),
+        cases.ReportTable(
+            f"{name}_curve", success, (*head, f"{value} [{unit}]", "success"), tuple(curve),
+            shown=False,
+        ),
+    )  # fmt: skip
+
+
 def least_speed(
     case: Case, columns: int | None = None, rows: int | None = None, highest: float | None = None,
     workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
@@ -267,9 +254,8 @@ def least_speed(
     0.72
     """
     top = min(20.0, max(3.0, 1.5 * case.speed)) if highest is None else highest
-    checks.within("highest", top, max(case.speed, SPEED_STEP_DRAWN), 20.0)
-    steps = (SPEED_STEP, SPEED_STEP_DRAWN)
-    return _sweep(case, SPEED, steps, top, columns, rows, workers, on_progress)
+    checks.within("highest", top, max(case.speed, SPEED_STEPS[1]), 20.0)
+    return _sweep(case, SPEED, SPEED_STEPS, top, columns, rows, workers, on_progress)
 
 
 def least_tilt(
@@ -283,13 +269,12 @@ def least_tilt(
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
-    if not max(case.tilt, TILT_STEP_DRAWN) <= checks.number("highest", top) < math.pi / 4:
+    if not max(case.tilt, TILT_STEPS[1]) <= checks.number("highest", top) < math.pi / 4:
         raise ValueError(
             f"highest must be from the case's tilt, {case.tilt:g}, to below pi/4 (45 deg), "
             f"got {top!r}; {checks.DEGREES}"
         )
-    steps = (TILT_STEP, TILT_STEP_DRAWN)
-    return _sweep(case, TILT, steps, top, columns, rows, workers, on_progress)
+    return _sweep(case, TILT, TILT_STEPS, top, columns, rows, workers, on_progress)
 
 
 def friction_range(

@@ -421,7 +421,7 @@ def draw_rates(found: paper.Reproduction) -> Figure:
 
 
 def _draw_cases(
-    panel: Axes, cases: tuple[runs.SortingCase, ...], size: str, over: str, colour: str
+    panel: Axes, cases: Sequence[runs.SortingCase], size: str, over: str, colour: str
 ) -> None:
     """Draw dots for the coarse step and crosses for converged runs; none for unsorted boxes."""
     mine = [case for case in cases if case.size == size]

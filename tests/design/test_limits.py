@@ -118,11 +118,11 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
 @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     speeds, factors = least_speed(LARGE), friction_range(LARGE).along
-    found, step = speeds.of(NOMINAL), 0.01
+    found, step = speeds.spans[0], 0.01
     tried = (found.least - step, found.least, found.most, found.most + step)
     sorts = [is_sorted(speeds.arrangement, speed) for speed in tried]
     assert sorts == [False, True, True, False]
-    found, step = factors.of(NOMINAL), 2.0 ** (1.0 / 48.0)
+    found, step = factors.spans[0], 2.0 ** (1.0 / 48.0)
     tried = (found.least / step, found.least, found.most, found.most * step)
     sorts = [is_sorted(factors.arrangement, 1.2, factor) for factor in tried]
     assert sorts == [False, True, True, False]
@@ -140,7 +140,7 @@ def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
 def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
     """tan(tilt) = mu_max, less what a zone of 3 m takes off it."""
     case = Case(layouts.box("S"), StopPurpose(), speed=0.2, unknown=NOTHING)
-    found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
+    found = least_tilt(case, columns=30, highest=math.radians(30.0)).spans[0]
     assert found.least == 0.0
     assert found.most < math.atan(0.5)
     sure = [tilt for tilt in found.values if stops_at_the_latest(tilt, 0.2, 0.5) < 2.6]
@@ -151,12 +151,12 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
     tilt = math.radians(15.0)
     case = Case(layouts.box("S"), StopPurpose(), speed=0.2, tilt=tilt, unknown=NOTHING)
     limits = friction_range(case, columns=30)
-    found = limits.along.of(NOMINAL)
+    found = limits.along.spans[0]
     assert found.least > math.tan(tilt) / 0.5
     sure = [factor for factor in found.values if stops_at_the_latest(tilt, 0.2, 0.5 * factor) < 2.6]
     assert found.least <= sure[0]
     assert found.most == 16.0  # all that was tried
-    across = limits.across.of(NOMINAL)  # friction across only helps to stop
+    across = limits.across.spans[0]  # friction across only helps to stop
     assert across.least <= 1.0
     assert across.most == 16.0
 
@@ -164,7 +164,7 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
 def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
     case = Case(layouts.box("S"), SlowPurpose(0.7), speed=2.5, draws=40)
     limits = least_speed(case, columns=4)
-    known, together = limits.of(NOMINAL), limits.of(TOGETHER)
+    known, together = limits.spans[0], limits.spans[-1]
     assert [each.group for each in limits.spans] == [
         NOMINAL, "friction", "load", "unevenness", TOGETHER,
     ]  # fmt: skip
@@ -190,14 +190,14 @@ def test_what_is_varied_is_left_out_of_what_is_unknown_and_progress_adds_up():
 
 def test_a_case_that_fails_has_no_limits_and_one_at_rest_and_level_is_not_tried():
     case = Case(layouts.box("S"), SortPurpose(), speed=0.3, unknown=NOTHING)
-    found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
+    found = least_speed(case, columns=4, highest=1.0).spans[0]
     assert (found.least, found.most) == (None, None)
     assert found.share.max() == 1.0  # though others succeed
     case = Case(
         layouts.box("S"), SortPurpose(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING
     )
-    assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
-    assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
+    assert least_tilt(case, columns=5).spans[0].values[0] > 0.0
+    assert least_speed(case, columns=5, highest=0.5).spans[0].values[0] == 0.0
 
 
 def test_a_span_ends_at_the_first_failure():
@@ -234,7 +234,6 @@ def test_errors_name_what_came():
         (lambda: least_speed(CASE, highest=1.0), r"highest must be between 1\.2 and 20, got 1\.0"),
         (lambda: least_tilt(CASE, highest=0.8), "highest must be from the case's tilt, 0, .* 0.8"),
         (lambda: friction_range(CASE, workers=0), "workers must be a whole number of at least 1"),
-        (lambda: least_speed(CASE, columns=5).of("friction"), "group must be one of 'nominal'"),
     ):
         with pytest.raises(ValueError, match=error):
             ask()

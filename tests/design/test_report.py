@@ -10,7 +10,6 @@ import pytest
 import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design.case import (
-    LINES,
     NOTHING,
     Answer,
     Case,
@@ -67,12 +66,6 @@ def test_an_answer_is_a_sentence_tables_and_a_figure_with_its_question(name, cas
     assert "?" in figure.get_suptitle()
     assert any(axes.get_xlabel() for axes in figure.axes)
     assert figure.axes[0].get_ylabel()
-
-
-def test_lines_differ_in_colour_and_in_style():
-    assert len({colour for colour, _ in LINES.values()}) == len(LINES)
-    alone = [style for group, (_, style) in LINES.items() if group not in ("nominal", "together")]
-    assert len({str(style) for style in alone}) == len(alone)
 
 
 def test_cells_on_screen_and_in_a_file(tmp_path):

@@ -163,23 +163,12 @@ def test_turned_by_round_off_either_way_all_of_table_2_agrees(turn):
 
 
 FIGURES = ("figure7", "figure8", "figure10", "alignment")
-REPRODUCE = "surface_gym.paper.reproduction.reproduce"
 
 
-@pytest.fixture
-def computed(monkeypatch, reproduction):
-    """The command with its numbers already computed."""
-    monkeypatch.setattr(REPRODUCE, lambda _track: reproduction)
-
-
-@pytest.fixture
-def forbidden(monkeypatch):
-    """The command with the work it must not begin."""
-    monkeypatch.setattr(REPRODUCE, lambda _track: pytest.fail("worked before it checked the path"))
-
-
-@pytest.mark.usefixtures("computed")
-def test_the_report_the_data_and_the_figures_hold_everything(reproduction, tmp_path, capsys):
+def test_the_report_the_data_and_the_figures_hold_everything(
+    reproduction, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(ours, "reproduce", lambda _: reproduction)
     file, folder = tmp_path / "report.json", tmp_path / "new" / "figures"
     report.main(["--json", str(file), "--figures", str(folder)])
     out = capsys.readouterr().out
@@ -210,30 +199,18 @@ def test_the_report_the_data_and_the_figures_hold_everything(reproduction, tmp_p
             assert row["agrees"] == [cell.agrees(k) for k in range(3)]
     rates = [case["ours"][1]["rate"] for case in written["sorting_rates"]["by_speed"]]
     assert rates == [case.ours[1].rate for case in reproduction.sorted_by_speed]
-    assert len(written["agreeing_by_step"]) == len(reproduction.by_step)
-    assert len(written["self_stopping"]) == len(reproduction.self_stopping)
-    assert len(written["alignment"]) == len(reproduction.alignment)
+    for name, own in (
+        ("agreeing_by_step", reproduction.by_step), ("self_stopping", reproduction.self_stopping),
+        ("alignment", reproduction.alignment),
+    ):  # fmt: skip
+        assert len(written[name]) == len(own)
 
 
-@pytest.mark.usefixtures("forbidden")
 @pytest.mark.parametrize(
     ("option", "path"), [("--json", "file/below"), ("--figures", "file/below"), ("--json", ".")]
 )
-def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp_path):
+def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp_path, monkeypatch):
+    monkeypatch.setattr(ours, "reproduce", lambda _: pytest.fail("worked before it checked"))
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match=f"^error: cannot write {tmp_path}"):
         report.main([option, str(tmp_path / path)])
-
-
-@pytest.mark.usefixtures("forbidden")
-def test_an_unknown_option_is_refused_and_help_names_the_options(capsys):
-    with pytest.raises(SystemExit) as stop:
-        report.main(["--tables"])
-    assert stop.value.code == 2
-    assert "--tables" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as stop:
-        report.main(["--help"])
-    assert stop.value.code == 0
-    out = capsys.readouterr().out
-    assert "--figures DIR" in out
-    assert "--json FILE" in out
