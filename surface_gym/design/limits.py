@@ -107,7 +107,7 @@ class Limits(cases.Answer):
 
     def tables(self) -> tuple[cases.ReportTable, ...]:
         name, what, unit, *_ = self.quantity
-        return _tables(name, f"Limits of {what}", what, unit, {(): self})
+        return _tables(name, what, f"{what} [{unit}]", unit, {(): self})
 
     def draw(self) -> "cases.Figure":
         """Draw success over the quantity, one line per group of unknown quantities."""
@@ -180,8 +180,7 @@ class FrictionRange(cases.Answer):
     def tables(self) -> tuple[cases.ReportTable, ...]:
         both = (self.along, self.across)
         parts: dict[tuple[str, ...], Limits] = {(x.quantity.description,): x for x in both}
-        title = "Limits of friction, as factors"
-        return _tables("friction", title, "factor", "-", parts)
+        return _tables("friction", "friction", "factor [-]", "-", parts)
 
     def draw(self) -> "cases.Figure":
         """Draw success over the factors of mu_max and mu_min."""
@@ -208,7 +207,7 @@ class FrictionRange(cases.Answer):
 
 
 def _tables(
-    name: str, title: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
+    name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
 ) -> tuple[cases.ReportTable, ...]:
     """Make a table of limits and one of curves, with one row for each span and each tried value.
 
@@ -226,13 +225,14 @@ def _tables(
             limits.append((*label, *ends, own))
             points = zip(span.values.tolist(), span.share.tolist(), strict=True)
             curve += [(*label, scale * x, share) for x, share in points]
-    head = ("unknown",) if () in parts else ("varied", "unknown")
+    single = () in parts
+    title = f"Limits of {what}" + ("" if single else ", as factors")
+    head = ("unknown",) if single else ("varied", "unknown")
     ends_head = (f"least [{unit}]", f"most [{unit}]", "success as it comes")
-    success = title.removesuffix(", as factors").replace("Limits of", "Success by")
     return (
         cases.ReportTable(name, title, (*head, *ends_head), tuple(limits)),
         cases.ReportTable(
-            f"{name}_curve", success, (*head, f"{value} [{unit}]", "success"), tuple(curve),
+            f"{name}_curve", f"Success by {what}", (*head, value, "success"), tuple(curve),
             shown=False,
         ),
     )  # fmt: skip
@@ -248,8 +248,8 @@ def least_speed(
     every 0.02 with draws. The default of `highest` is 3, or 1.5 times the case's speed.
 
     >>> from surface_gym import layouts
-    >>> from surface_gym.design.case import cases.NOTHING
-    >>> case = Case(layouts.box("S"), speed=1.2, unknown=cases.NOTHING)
+    >>> from surface_gym.design.case import NOTHING
+    >>> case = Case(layouts.box("S"), speed=1.2, unknown=NOTHING)
     >>> least_speed(case).spans[0].least  # as in the study
     0.72
     """

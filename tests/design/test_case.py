@@ -219,6 +219,10 @@ def test_runs_do_not_depend_on_threads_or_other_bodies():
     speeds = np.linspace(0.3, 2.7, 150)
     runs = make_runs(speeds, layout=np.arange(150) % 2, columns=8)
     one, two = (run_all(LINE, zones, [BOX], runs, workers=workers) for workers in (1, 2))
+    calls = []
+    run_all(LINE, zones, [BOX], runs, workers=2, on_progress=lambda *at: calls.append(at))
+    assert calls[-1] == (150, 150)
+    assert sorted(calls) == calls
     each_alone = [make_runs(speeds[k], layout=k % 2, columns=8) for k in range(5)]
     alone = [run_all(LINE, zones, [BOX], each) for each in each_alone]
     for name in ("reason", "touched", "time", "pose", "velocity", "tipping", "steps"):
@@ -245,14 +249,3 @@ def test_a_parcel_held_on_a_slope_is_at_rest_and_one_that_slides_is_not():
     assert ends.reason[0] == AT_REST  # tan(0.4 deg) is below mu_min: not even the lead-in rolls
     assert ends.pose[0, 0] == pytest.approx(0.125)
     assert ends.pose[1, 0] > 0.2
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_progress_is_reported(workers):
-    calls = []
-    run_all(
-        LINE, np.full((1, 2, 8), EIGHTH), [BOX], make_runs(np.full(100, 1.0)), workers=workers,
-        on_progress=lambda *each: calls.append(each),
-    )  # fmt: skip
-    assert calls[-1] == (100, 100)
-    assert sorted(calls) == calls

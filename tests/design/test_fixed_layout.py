@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from functools import partial
 
 import numpy as np
 import pytest
@@ -150,13 +149,6 @@ def test_for_other_purposes_success_alone_counts():
     axes = SortPurpose().layouts(line, 4)[0].axis[None]
     ends = run_all(line, axes, [S], make_runs([0.3, 2.0], columns=4))
     np.testing.assert_array_equal(Purpose.shortfall(StopPurpose(), ends), [0.0, 1.0])
-
-
-def test_threads_change_nothing():
-    find = partial(best_layout, case(), SPEEDS, 6, orientations=None, effort=QUICK)
-    one, two = find(), find(workers=2)
-    np.testing.assert_array_equal(two.best.axis, one.best.axis)
-    np.testing.assert_array_equal(two.best.time, one.best.time)
 
 
 def test_what_is_not_known_costs_speed():
