@@ -140,7 +140,10 @@ class Scheduler(BatchController):
     def _predict(
         self, batch: Singles, state: Book | None, episode_start: Any, **_: bool
     ) -> tuple[Integers, Book]:
-        book = self._recall(len(batch), state, episode_start)
+        book = self._start(len(batch))
+        if state is not None:  # copy the memory of continued episodes
+            fresh = is_fresh(len(batch), state, episode_start)
+            book = Book(*renew(book, checks.alike("state", state, book), fresh))
         opens, actions = np.zeros(len(batch), dtype=np.int64), self._rest(len(batch))
         schedule(*self._arguments(batch, book, opens, actions))
         return actions, book
@@ -160,13 +163,6 @@ class Scheduler(BatchController):
             np.zeros_like(opens), opens, actions,
         )  # fmt: skip
 
-    def _recall(self, num_envs: int, state: Any, episode_start: Any) -> Book:
-        """Copy the memory of continued episodes."""
-        fresh, book = is_fresh(num_envs, state, episode_start), self._start(num_envs)
-        if state is None:
-            return book
-        return Book(*renew(book, checks.alike("state", state, book), fresh))
-
     def _rest(self, num_envs: int) -> Integers:
         """Make the initial actions (num_envs, size)."""
         return np.full((num_envs, self._size), self.library.lead.roll)
@@ -175,10 +171,10 @@ class Scheduler(BatchController):
 def make_scheduler(
     config: EnvConfig, groups: ColumnGroups | None = None, least_correct: float = LEAST_CORRECT
 ) -> Scheduler | None:
-    """Make the scheduler with the highest throughput without touches.
+    """Make the scheduler with the highest throughput without touches and jams in its trial.
 
-    Trials determine the clearance, which depends on how well trajectories are known; see
-    `choose_by_trial`.
+    If there is none, make the scheduler with the fewest touches. Trials determine the clearance,
+    which depends on how well trajectories are known.
 
     Args:
         config: configuration with actions "parcels" without groups, "modules" with them.
@@ -186,24 +182,12 @@ def make_scheduler(
             None.
     """
     library = make_library(config, groups)
-    apart = (library.with_clearance(margin, slack) for slack, margin in CLEARANCES)
-    tried = (Scheduler(config, each) for each in apart if np.isfinite(each.gaps).all())
-    return choose_by_trial(config, tried, least_correct)
-
-
-def choose_by_trial(
-    config: EnvConfig, schedulers: Iterable[Scheduler], least_correct: float = LEAST_CORRECT
-) -> Scheduler | None:
-    """Return the first scheduler without touches and jams in its trial.
-
-    If there is none, return the scheduler with the fewest touches.
-
-    Args:
-        schedulers: candidates, in order of decreasing throughput.
-        least_correct: [-] minimum share of correct deliveries, else the result is None.
-    """
     chosen, fewest = None, math.inf
-    for scheduler in schedulers:
+    for slack, margin in CLEARANCES:
+        apart = library.with_clearance(margin, slack)
+        if not np.isfinite(apart.gaps).all():
+            continue
+        scheduler = Scheduler(config, apart)
         trial = run_trial(config, scheduler, fewest)
         enough = trial.correct >= least_correct * max(1, trial.correct + trial.wrong)
         if trial.jams == 0 and trial.touches < fewest and enough:

@@ -1,6 +1,7 @@
 """Models of searches against the environments they copy, and what braking will do, against both."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -132,6 +133,22 @@ def test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise(task) ->
         _, info = env.reset(seed=SEED)
         np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"][i])
         np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"][i])
+
+
+@pytest.mark.parametrize("task", ["slow", "track"])
+def test_whatever_the_sensors_say_it_moves_as_the_environment_does(task) -> None:
+    """Where both halves get the same command, their border does not matter: parcel, friction,
+    stuck modules and axes are the environment's.
+    """
+    settings: dict[str, Any] = {"task": task, "actions": "halves", "preset": "lab"}
+    model, env = begun(EnvConfig(**settings)), sg.SmartSurfaceEnv(**settings)
+    env.reset(seed=SEED)
+    for angle in (0.5, 0.25, -0.25, 0.5, 0.0, -0.25):
+        action = model.uniform_action(math.pi * angle)
+        model.step(action)
+        *_, info = env.step(action)
+        np.testing.assert_array_equal(model.parcels.truth[0, :3], info["pose"])
+        np.testing.assert_array_equal(model.parcels.truth[0, 3:], info["velocity"])
 
 
 def test_copies_take_their_parents_axes_with_them() -> None:
