@@ -8,16 +8,16 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design import case
-from surface_gym.design.case import (
-    NOTHING,
+from surface_gym.design import (
     Case,
     SlowPurpose,
     SortPurpose,
     StopPurpose,
     TurnPurpose,
     Unknown,
+    case,
 )
+from surface_gym.design.case import NOTHING
 from surface_gym.design.runs import (
     AT_REST,
     OFF,

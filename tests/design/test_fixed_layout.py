@@ -8,9 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design import fixed_layout as shipped
-from surface_gym.design.case import (
-    NOTHING,
+from surface_gym.design import (
     Case,
     Purpose,
     SlowPurpose,
@@ -18,7 +16,9 @@ from surface_gym.design.case import (
     StopPurpose,
     TurnPurpose,
     Unknown,
+    fixed_layout as shipped,
 )
+from surface_gym.design.case import NOTHING
 from surface_gym.design.fixed_layout import (
     Effort,
     LayoutSpace,

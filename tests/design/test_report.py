@@ -9,16 +9,8 @@ import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design.case import (
-    NOTHING,
-    Answer,
-    Case,
-    ReportTable,
-    SlowPurpose,
-    SortPurpose,
-    StopPurpose,
-    TurnPurpose,
-)
+from surface_gym.design import Case, SlowPurpose, SortPurpose, StopPurpose, TurnPurpose
+from surface_gym.design.case import NOTHING, Answer, ReportTable
 from surface_gym.design.cli import DPI, format_cell, write_csv
 from surface_gym.design.columns import ColumnsReport, columns_report, least_columns
 from surface_gym.design.fixed_layout import Effort, best_layout
