@@ -173,7 +173,7 @@ class ParcelQuestion(Question):
 
     @property
     def assumed(self) -> str:
-        if self.speed is not None or isinstance(self, AskLayout):
+        if self.speed is not None:
             return ""
         return f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
 
@@ -238,7 +238,8 @@ class ParcelQuestion(Question):
             for name in ("ratio", "place", "angle_deg", "tolerance")
             if getattr(self, name) is not None
         }
-        kind: Any = getattr(design, f"{self.purpose.title()}Purpose")
+        kinds = (design.SortPurpose, design.SlowPurpose, design.StopPurpose, design.TurnPurpose)
+        kind: Any = next(each for each in kinds if each.name == self.purpose)
         own = {each.name for each in fields(kind)}
         for name in given:
             if name.removesuffix("_deg") not in own:
@@ -326,6 +327,10 @@ class AskLayout(ParcelQuestion):
     """Layouts in the population of the search."""
     epochs: int = 12
     """Epochs of the search, of ten generations each."""
+
+    @property
+    def assumed(self) -> str:
+        return ""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         import numpy as np
