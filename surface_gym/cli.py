@@ -44,7 +44,7 @@ COMMANDS = {
     "compile": Command("compile environments and agents beforehand", AGENTS + "export.kernels"),
     "web": Command("compile environments for a browser", "surface_gym.web.build", "web"),
     "play": Command("throw parcels and turn axes, in a browser", "surface_gym.play", "tools"),
-    "paper": Command("compare the study's tables with ours", "surface_gym.paper.report", "tools"),
+    "paper": Command("compare the study's tables with ours", "surface_gym.paper.command", "tools"),
     "validation": Command(
         "compare the model with MuJoCo", "surface_gym.validation.command", "validation"
     ),

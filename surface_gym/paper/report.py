@@ -1,14 +1,10 @@
-"""The command `surface-gym paper`: tables of a reproduction, its figures, and the alignment."""
+"""Report of a reproduction: tables for the terminal, the paper's figures, and the alignment."""
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -19,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from surface_gym import layouts, trajectory_plot
-from surface_gym.cli import make_table, parse_options
+from surface_gym.cli import make_table
 from surface_gym.paper import reproduction as paper, runs
 from surface_gym.paper.runs import OFFSETS, TURNS, PaperTable
 from surface_gym.parcel import Base
@@ -36,49 +32,6 @@ ALIGNING_COLUMNS = 6  # columns of the alignment figure
 ALIGNING_SPEED = 2.5  # [m/s]
 SHOWN_TURN = 10.0  # [deg] initial turn of the box drawn from above
 COLOURS = ("#1b6ca8", "#e07a1f", "#7a3b8f")
-
-
-@dataclass(frozen=True)
-class PaperOptions:
-    """Reproduce the tables and figures of Bianchi et al. (2023), Applied Sciences 13(3), 1937.
-
-    Prints Tables 2, 3 and 4, the slowing ratios, the stopping rule and the sorting rates of Figure
-    8. Every value of the paper stands beside two of ours: at 5 ms, the step that we infer for the
-    paper, and converged. The report counts the values that agree, and the steps in which Eq. (1)
-    has no solution. It then counts agreement at other steps, and tests two claims: the steepest
-    tilt at which a box stops by itself, and alignment by axes at +-45 deg. It takes 12 s on one
-    core, or 18 s with an empty compile cache.
-    """
-
-    figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw Figures 7, 8 and 10 and the alignment into this folder, as PNG and PDF."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Write every number to this file."""
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a file that cannot be written ends it with a one-line error."""
-    options = parse_options(PaperOptions, "paper", arguments)
-    try:
-        reproduce_and_report(options)
-    except OSError as error:
-        sys.exit(f"error: cannot write {error.filename}: {error.strerror}")
-
-
-def reproduce_and_report(options: PaperOptions) -> None:
-    """Compute everything, print it and write the requested files."""
-    # Check that the paths are writable before the long computation.
-    if options.json is not None:
-        options.json.open("a").close()
-    if options.figures is not None:
-        options.figures.mkdir(parents=True, exist_ok=True)
-    with Console(stderr=True).status("") as status:
-        found = paper.reproduce(status.update)
-    print_report(found, Console())
-    if options.json is not None:
-        options.json.write_text(paper.to_json(found), encoding="utf-8")
-    if options.figures is not None:
-        print(*draw_figures(found, options.figures), sep="\n")
 
 
 def print_report(found: paper.Reproduction, console: Console) -> None:

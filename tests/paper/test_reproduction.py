@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from surface_gym.paper import report, reproduction as ours
+from surface_gym.paper import command, reproduction as ours
 from surface_gym.paper.reproduction import LAST_DIGITS, POSITION_TOLERANCE
 from surface_gym.paper.runs import (
     COARSE,
@@ -170,7 +170,7 @@ def test_the_report_the_data_and_the_figures_hold_everything(
 ):
     monkeypatch.setattr(ours, "reproduce", lambda _: reproduction)
     file, folder = tmp_path / "report.json", tmp_path / "new" / "figures"
-    report.main(["--json", str(file), "--figures", str(folder)])
+    command.main(["--json", str(file), "--figures", str(folder)])
     out = capsys.readouterr().out
     printed, paths = out[: out.index(str(folder))], out[out.index(str(folder)) :]
     for table in reproduction.tables:
@@ -213,4 +213,4 @@ def test_a_path_that_cannot_be_written_ends_it_before_the_work(option, path, tmp
     monkeypatch.setattr(ours, "reproduce", lambda _: pytest.fail("worked before it checked"))
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit, match=f"^error: cannot write {tmp_path}"):
-        report.main([option, str(tmp_path / path)])
+        command.main([option, str(tmp_path / path)])
