@@ -15,8 +15,7 @@ from surface_gym.config import EnvConfig
 
 from .base import Integers
 from .library import PolicyCard, TrainedPolicy, Weights
-from .scheduling.decisions import DecidingScheduler, Decisions
-from .scheduling.features import ABOUT, LEVELS, OPTION, TOKEN
+from .scheduling.decisions import ABOUT, LEVELS, OPTION, TOKEN, DecidingScheduler, Decisions
 from .scheduling.maneuvers import Library
 from .scheduling.scheduler import Scheduler, find_plain, find_quiet
 from .tensors import load_weights

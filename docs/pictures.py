@@ -306,7 +306,7 @@ def trajectories(file: Path) -> None:
 
 def alignment(file: Path) -> None:
     """Draw boxes over rows that push inwards and outwards."""
-    from surface_gym.paper.figures import draw_alignment
+    from surface_gym.paper.report import draw_alignment
 
     with replacing(file) as part:
         draw_alignment().savefig(part, dpi=160, format="png")

@@ -88,6 +88,27 @@ def parse_options(kind: Any, name: str, arguments: Sequence[str] | None, **setti
     return found
 
 
+def make_table(title: str, *columns: str, caption: str = "", labels: int = 1) -> Any:
+    """Make a table of `rich`; all columns but the first `labels` are numbers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(  # Text, since bracketed units in a str would be markup
+        title=Text(title, style="bold not italic"),
+        caption=Text(caption, style="not italic not dim") if caption else None,
+        title_justify="left",
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for k, column in enumerate(columns):
+        number = k >= labels
+        table.add_column(Text(column), justify="right" if number else "left", no_wrap=number)
+    return table
+
+
 def _list_options(parsed: Any) -> list[str]:
     """List the options of parsed dataclasses, which may hold others."""
     names = []

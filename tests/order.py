@@ -41,7 +41,7 @@ SMOKE = (
     "tests/agents/learning/test_config.py",
     "tests/agents/test_policy.py",
     "tests/agents/rules/test_layouts.py::test_they_sort",
-    "tests/design/test_search.py",
+    "tests/design/test_fixed_layout.py::test_it_finds_the_least",
     "tests/physics/test_friction.py",
     "tests/physics/test_signed_distance.py",
     "tests/physics/test_step.py",

@@ -26,7 +26,6 @@ from surface_gym.agents.learning import config as configs, runs
 from surface_gym.agents.tensors import check_like
 from surface_gym.agents.tuning.sweep import read_sweep
 from surface_gym.agents.yaml_file import parse_yaml
-from surface_gym.design import case
 from surface_gym.flow.arrivals import read_trace, write_trace
 from surface_gym.flow.exits import chutes
 from surface_gym.flow.stream import Stream
@@ -91,15 +90,6 @@ def _restore(state: dict[str, Any]) -> str:
     return repr(state)
 
 
-def _search(file: Path) -> None:
-    case.save_checkpoint(file, {"seed": "0"}, {"cost": np.array([0.5, math.inf]), "epoch": 3})
-
-
-def _found(folder: Path) -> list[Any]:
-    found = case.load_checkpoint(folder / "search.npz", "search", {"seed": "0"}, ("cost", "epoch"))
-    return [values.tolist() for values in found.values()]
-
-
 def _run_card(folder: Path) -> dict[str, Any]:
     _ = of_run(folder)
     return vars(exported(folder).training)
@@ -143,7 +133,6 @@ KINDS = [
         lambda at: runs.read_state(at, _restore),
         True,
     ),
-    Kind("search.npz", lambda at: _search(at / "search.npz"), _found, True),
 ]  # fmt: skip
 
 

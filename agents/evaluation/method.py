@@ -21,8 +21,7 @@ from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, preset_name, task_name
-from ..planning.planner import Planner
-from ..planning.receding_horizon import RecedingHorizon
+from ..planning.planner import Planner, RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
 
 FIXED = "fixed layout"

@@ -19,7 +19,7 @@ from surface_gym.parcel import Base
 from surface_gym.tasks.benchmark import Benchmark
 
 from ..base import time_for, with_zone
-from ..planning.oracle import run_oracle
+from ..planning.planner import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
 from .method import ANY_ANGLE, BEST_FIXED, PLANNER, Method, find_benchmark, start_benchmark
 

@@ -28,15 +28,16 @@ from surface_gym.tasks.benchmark import ENTRANCE, Offer, StreamBenchmark
 
 from .. import library
 from ..base import Booleans, Controller
-from ..planning.receding_horizon import RecedingHorizon
+from ..planning.planner import RecedingHorizon
 from ..rules.streams import SortEach, StreamEventRule
-from ..scheduling.bounds import clairvoyant_bound, entrance_bound
 from ..scheduling.decisions import make_model_library
 from ..scheduling.maneuvers import ColumnGroups, make_library
 from ..scheduling.scheduler import (
     CLEARANCES,
     Scheduler,
     begin_streams,
+    clairvoyant_bound,
+    entrance_bound,
     find_plain,
     make_scheduler,
     predict_rate,

@@ -24,9 +24,8 @@ from surface_gym.state import RUNNING
 from ..base import Booleans, Integers, Numbers
 from ..library import QUEUE
 from ..schedule_policy import NetworkScheduler, ScheduleNetwork, as_tensors
-from ..scheduling.bounds import entrance_bound
-from ..scheduling.decisions import Decisions
-from ..scheduling.features import LEVELS, USUAL
+from ..scheduling.decisions import LEVELS, USUAL, Decisions
+from ..scheduling.scheduler import entrance_bound
 from ..tensors import check_like, load_optimizer
 from . import ppo
 from .algorithms import SchedulesConfig

@@ -9,7 +9,7 @@ from surface_gym import checks
 from surface_gym.actions import ANY
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
-from surface_gym.design.sorting_layouts import SIDE, SortingLayout, sorting_layouts
+from surface_gym.design.fixed_layout import SIDE, SortingLayout, sorting_layouts
 from surface_gym.layouts import ROLLING
 
 from ..base import SAME, BatchController, Integers, Numbers, Singles, axes_apart, find_axes

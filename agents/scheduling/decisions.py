@@ -3,8 +3,12 @@
 A decision concerns the parcel at the gate. Candidates are pairs of a maneuver and a level of
 clearance. The decision is made once, when the parcel could enter. The gate opens at the chosen
 time.
+
+A network sees numeric features of candidates, other parcels and the line. Their number does not
+depend on the number of exits, places or parcels, so one set of weights serves any line.
 """
 
+import math
 from abc import abstractmethod
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -17,10 +21,9 @@ from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.task import COLUMN
 from surface_gym.sensors import Exact
+from surface_gym.tasks.features import encode
 
 from ..base import Booleans, Integers, Numbers, Singles, is_fresh
-from .bounds import entrance_bound
-from .features import LEVELS, USUAL, Candidates, Features, ParcelHistory
 from .leading import (
     DEPTH,
     NOBODY,
@@ -33,14 +36,217 @@ from .leading import (
     lead,
     recognise_row,
 )
-from .maneuvers import MARGIN, Library, find_delay, make_library
-from .scheduler import LONGEST_GAP, Scheduler, renew
+from .maneuvers import MARGIN, Library, find_delay, find_rears, make_library
+from .scheduler import LONGEST_GAP, Scheduler, entrance_bound, renew
+from .trajectories import DT, SIGNATURE, SPEED_STEP
 
+# Levels of clearance, from just apart (0) to a margin plus a control period (1).
+LEVELS = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0, 1.5, 2.5, 4.0])
+USUAL = 4  # index of the level used for costs
+GONE = 6  # number of the last departed parcels in the features
+TOKENS = 24  # maximum number of parcels in the features: waiting, on the line, and departed last
+
+MANEUVER = (
+    "place", "straight on", "angle", "duration", "length", "width", "entry speed", "delay",
+    "exit speed", "to the exit's end",
+)  # fmt: skip
+CHOSEN = [MANEUVER.index(each) for each in ("place", "angle", "duration", "delay", "exit speed")]
+STATIC, SEEN = len(MANEUVER), 3  # numbers of a maneuver; deviations from it (x, y, speed)
+MOVING = [COLUMN.time, COLUMN.past_the_exit_s_start, COLUMN.lateral_offset, COLUMN.forward_speed]
+KINDS = 3  # of tokens: parcels on the line, departed, and waiting
+AT_SIDE, AT_STATIC = KINDS, slice(KINDS + 1, KINDS + 1 + STATIC)  # columns of a token
+AT_MOVING = slice(AT_STATIC.stop, AT_STATIC.stop + len(MOVING))
+TOKEN = AT_MOVING.stop + SEEN
+OPTION = 2 * STATIC + SEEN + len(LEVELS) + 6
+ABOUT = 9
+# Units that scale most features to about 1.
+GAP, LENGTH, SIZE, SPEED_MEAN = 0.1, 6.0, 0.35, 1.5  # [s], [m], [m], [m/s]
+DEVIATION = np.array([0.1, 0.1, 0.5])  # [m, m, m/s]
+MOST = 5.0  # features are clipped to -5 and 5
+SPEED = COLUMN.forward_speed.place
+AT_SPEED = SIGNATURE.index(SPEED)
 ABSENT = 1e6  # cost of a missing option
 
 
+class Candidates(NamedTuple):
+    """Possible maneuvers of parcels at the gate that may enter soon."""
+
+    env: Integers  # (decisions,) index of the environment
+    queue: Integers  # (decisions, DEPTH) kinds of waiting parcels, next first; NOBODY: none
+    entry: Numbers  # (decisions, options, levels) [s] time of entry
+    binding: Integers  # (decisions, options) booked parcel to wait for, or NOBODY
+    cost: Numbers  # (decisions, options) [s] delay of later parcels relative to the best option
+
+
+class ParcelHistory(NamedTuple):
+    """Memory of parcels on the line, and of the last departed parcels."""
+
+    held: Integers  # (num_envs, parcels) maneuver of the parcel in each row
+    seen: Numbers  # (num_envs, parcels, SEEN) deviation from the maneuver
+    gone: Integers  # (num_envs, GONE) maneuvers of the last departed parcels
+    left: Numbers  # (num_envs, GONE) [s] time of departure
+    last: Numbers  # (num_envs, GONE, SEEN) last deviation
+
+
+class Features:
+    """Features of candidates and parcels.
+
+    Args:
+        delay: (maneuvers,) [s] `Library.delay` at the usual clearance.
+    """
+
+    def __init__(self, config: EnvConfig, library: Library, delay: Numbers) -> None:
+        lead, own, run = library.lead, library.maneuvers, library.runs[0][0]
+        self._library = library
+        self._parcels = config.stream_task.max_parcels
+        exits = [config.exits.exits[config.exits.place(name)] for _, _, name in lead.kinds]
+        self._kind_side = np.array([each.side for each in exits])
+        self._side = self._kind_side[own.kind]
+        across = (run.pose[..., 1] - config.chosen_line.line_y) * self._side[:, np.newaxis]
+        speed = np.gradient(run.pose[..., 0], DT, axis=1)
+        self._path = np.stack([find_rears(run), across, speed], axis=2)  # (.., moments, SEEN)
+        self._moments, self._origin = run.moments, lead.origin[own.kind]
+        straight = ~np.isfinite(own.place)
+        place = np.where(straight, 0.0, own.place) + self._origin
+        last = np.array([min(each.last, config.rotors_end) for each in exits])[own.kind]
+        angles = np.abs((np.array(config.chosen_orientations) + np.pi / 2) % np.pi - np.pi / 2)
+        size = np.array([np.ptp(parcel.base.outline, axis=0) for parcel, _, _ in lead.kinds])
+        entering = np.array([speed for _, speed, _ in lead.kinds])
+        end = speed[np.arange(len(own.kind)), np.maximum(0, run.moments - 2)]
+        static = [
+            np.where(straight, 0.0, place / LENGTH),
+            straight,
+            angles[own.choice] / (0.5 * np.pi),
+            encode(COLUMN.time, DT * run.moments),
+            *(size[own.kind] / SIZE - 1.0).T,
+            entering[own.kind] - SPEED_MEAN,
+            delay / GAP,
+            end - SPEED_MEAN,
+            np.where(straight, 0.0, (last - place) / 2.0),
+        ]
+        self._static = np.stack(static, axis=1).clip(-3.0, 3.0).astype(np.float32)
+        self._of_kind = self._static[library.options[:, 0]]
+        self._of_kind[:, CHOSEN] = 0.0
+        drawn, actuators = config.randomisation, config.actuators
+        about = [
+            0.5 * math.pi / actuators.axis_speed / 0.1,
+            config.control_period / 0.04 - 1.0,
+            len(angles) / 4.0 - 1.0,
+            float(isinstance(config.sensors, Exact)),
+            drawn.friction / 0.2,
+            drawn.com_offset / 0.2,
+            actuators.stuck_share / 0.02,
+            HOUR / entrance_bound(config) / 0.3 - 1.0,
+            (config.rotors_end - lead.zone_x) / LENGTH,
+        ]
+        self.about = np.array(about, dtype=np.float32)
+
+    def start(self, num_envs: int) -> ParcelHistory:
+        """Return the memory at the start of an episode."""
+        rows, gone = (num_envs, self._parcels), (num_envs, GONE)
+        return ParcelHistory(
+            np.full(rows, NOBODY), np.zeros((*rows, SEEN)),
+            np.full(gone, NOBODY), np.zeros(gone), np.zeros((*gone, SEEN)),
+        )  # fmt: skip
+
+    def watch(self, tables: Singles, book: Book, before: ParcelHistory) -> ParcelHistory:
+        """Update the memory: deviations from trajectories, and departed parcels."""
+        seen, gone = before.seen.copy(), before.gone.copy()
+        left, last = before.left.copy(), before.last.copy()
+        was_here = (before.held != NOBODY) & (book.rows != before.held)
+        for env, place in np.argwhere(was_here).tolist():
+            gone[env], left[env] = np.roll(gone[env], 1), np.roll(left[env], 1)
+            last[env] = np.roll(last[env], 1, axis=0)
+            gone[env, 0], left[env, 0] = before.held[env, place], book.clock[env]
+            last[env, 0] = seen[env, place]
+        i, row = np.nonzero(book.rows != NOBODY)
+        own, rows = book.rows[i, row], tables[i, row].astype(np.float64)
+        time, past, aside, speed = (column.of(rows) for column in MOVING)
+        moment = np.rint(time / DT).astype(np.int64)
+        now = np.stack([past + self._origin[own], aside, speed], axis=1)
+        known = moment < self._moments[own]
+        path = self._path[own, moment.clip(0, self._moments[own] - 1)]
+        deviation = ((now - path) / DEVIATION).clip(-3.0, 3.0)
+        seen[i, row] = np.where(known[:, np.newaxis], deviation, seen[i, row])
+        seen[book.rows == NOBODY] = 0.0
+        return ParcelHistory(book.rows, seen, gone, left, last)
+
+    def options(
+        self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
+    ) -> Singles:
+        """Return features (decisions, options, OPTION) of each candidate.
+
+        The features include the booked parcel that the candidate waits for.
+        """
+        env, each = given.env, given.env[:, np.newaxis]
+        head = given.queue[:, 0]
+        options = self._library.options[head]
+        usual = given.entry[..., USUAL]
+        tightest = np.where(options >= 0, given.entry[..., 0], np.inf).min(axis=1)
+        # The booked parcel, and its deviation if it is on the line.
+        behind = given.binding.clip(0)
+        ahead, entered = book.booked[each, behind], book.entered[each, behind]
+        since = book.clock[each] - COLUMN.time.of(tables[env, : self._parcels])
+        same = np.abs(since[:, np.newaxis] - entered[..., np.newaxis]) < 0.1
+        same &= book.rows[env][:, np.newaxis] == ahead[..., np.newaxis]
+        deviation = watched.seen[each, same.argmax(axis=2)] * same.any(axis=2)[..., np.newaxis]
+        faster = tables[env, self._parcels, SPEED] - self._library.signature[head, AT_SPEED]
+        binds = given.binding != NOBODY
+        of_ahead = [
+            binds[..., np.newaxis],
+            self._static[ahead],
+            (self._side[ahead] * self._kind_side[head][:, np.newaxis])[..., np.newaxis],
+            (usual - entered)[..., np.newaxis],
+            deviation,
+        ]
+        parts = [
+            self._static[options.clip(0)],
+            (given.entry[..., 1:] - given.entry[..., :1]) / GAP,
+            (given.entry[..., :1] - tightest[:, np.newaxis, np.newaxis]) / GAP,
+            given.cost[..., np.newaxis] / GAP,
+            (usual - book.clock[each])[..., np.newaxis] / GAP,
+            *(binds[..., np.newaxis] * part for part in of_ahead),
+            np.broadcast_to((faster / SPEED_STEP)[:, np.newaxis, np.newaxis], (*usual.shape, 1)),
+        ]
+        found: Singles = np.concatenate(parts, axis=2).clip(-MOST, MOST).astype(np.float32)
+        return found
+
+    def tokens(
+        self, tables: Singles, book: Book, watched: ParcelHistory, given: Candidates
+    ) -> tuple[Singles, Booleans]:
+        """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
+
+        The parcels are waiting, on the line, or departed last.
+        """
+        env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
+        gone, rows = watched.gone[env], book.rows[env]
+        kinds = np.concatenate([given.queue, rows, gone], axis=1)
+        shown = kinds != NOBODY
+        token = np.zeros((*kinds.shape, TOKEN), dtype=np.float32)
+        waiting, line = slice(DEPTH), slice(DEPTH, DEPTH + self._parcels)
+        left = slice(DEPTH + self._parcels, None)
+        for column, part in enumerate((line, left, waiting)):
+            token[:, part, column] = 1.0
+        sides = self._kind_side[given.queue], self._side[rows], self._side[gone]
+        static = self._of_kind[given.queue], self._static[rows], self._static[gone]
+        token[..., AT_SIDE] = np.concatenate(sides, axis=1) * side
+        token[..., AT_STATIC] = np.concatenate(static, axis=1)
+        moving = tables[env, : self._parcels][..., [column.place for column in MOVING]]
+        unit = np.array([1.0, 0.1, 1.0, 1.0], dtype=np.float32)
+        token[:, line, AT_MOVING] = moving * unit
+        since = book.clock[env][:, np.newaxis] - watched.left[env]
+        token[:, left, AT_MOVING.start] = encode(COLUMN.time, since)
+        token[:, line, -SEEN:], token[:, left, -SEEN:] = watched.seen[env], watched.last[env]
+        # Only the first departed parcels are left out.
+        order = np.argsort(~shown, axis=1, kind="stable")[:, :TOKENS]
+        shown = np.take_along_axis(shown, order, axis=1)
+        token = np.take_along_axis(token, order[..., np.newaxis], axis=1)
+        token[~shown] = 0.0
+        return token.clip(-MOST, MOST), shown
+
+
 class Decisions(NamedTuple):
-    """Due decisions with their features; see `features`."""
+    """Due decisions with their features."""
 
     env: Integers  # (decisions,) index of the environment
     cost: Singles  # (decisions, options, levels) [parcels] deliveries lost meanwhile

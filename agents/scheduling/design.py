@@ -1,4 +1,4 @@
-"""Design of a line for a given throughput: its length, and the number of actuators.
+"""Design of a line for a given throughput: its length, its number of actuators, and the report.
 
 The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
 simulated with a parcel always at the gate, as in the comparison.
@@ -6,7 +6,7 @@ simulated with a parcel always at the gate, as in the comparison.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.design.case import Answer, ReportTable, new_figure, plural
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.exits import PITCH, Exits, flow_line
 from surface_gym.flow.state import CORRECT, JAM, TURNS, WRONG, compute_statistics
@@ -24,9 +25,15 @@ from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import RUNNING
 
 from ..base import Numbers
-from .bounds import entrance_bound
 from .maneuvers import ColumnGroups, Library, make_library
-from .scheduler import CLEARANCES, Scheduler, begin_streams, make_scheduler, predict_rate
+from .scheduler import (
+    CLEARANCES,
+    Scheduler,
+    begin_streams,
+    entrance_bound,
+    make_scheduler,
+    predict_rate,
+)
 from .trajectories import list_asked
 
 ARRANGED, FOLLOWED, SERIES, COLUMNS, MODULES = HARDWARE = (
@@ -50,6 +57,10 @@ QUEUE = 4  # number of waiting parcels visible to the scheduler
 LOOK_EVERY = 5  # control periods between samples of the axes
 # Equal to the comparison's values, so that rates agree.
 SEED, REPLICATIONS, SECONDS, WARM_UP = 20_261_121, 30, 30.0, 8.0
+# Okabe and Ito's colours, as in the package's other plots.
+COLOURS = dict(zip(HARDWARE, ("#999999", "#cc79a7", "#e69f00", "#009e73", "#0072b2"), strict=True))
+STYLES = {len(FOUR): "-", len(SIX): "--"}
+AT = tuple(f"{angle:g} deg" for angle in SIX)
 
 Clearance = tuple[float, float]
 OnProgress = Callable[[int, int], None]
@@ -413,9 +424,160 @@ def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
     return tuple(rows)
 
 
-def design_flow(
+@dataclass(frozen=True)
+class FlowAnswer(Answer):
+    """The shortest line of each hardware."""
+
+    case: FlowCase
+    rows: tuple[LineDesign, ...]
+
+    name = "flow"
+
+    @property
+    def able(self) -> list[LineDesign]:
+        return [row for row in self.rows if row.carries]
+
+    @property
+    def sentence(self) -> str:
+        rate = f"{self.case.rate:g} parcels an hour"
+        if not self.able:
+            best = max(self.rows, key=lambda row: row.predicted, default=None)
+            most = "" if best is None else f": most, {best.predicted:.0f}, does {_describe(best)}"
+            return f"No line of up to {self.case.longest:g} m carries {rate}{most}"
+        shortest = min(self.able, key=lambda row: (row.length, row.actuators))
+        fewest = min(self.able, key=lambda row: (row.actuators, row.length))
+        text = f"To carry {rate}, the shortest line is {_describe(shortest)}"
+        if fewest.actuators == shortest.actuators:
+            text += ", and none has fewer actuators"
+        else:
+            text += f"; the fewest actuators has {_describe(fewest)}"
+        unable = [row for row in self.rows if not row.carries and row.actuators < fewest.actuators]
+        best = max(unable, key=lambda row: row.predicted, default=None)
+        more = "" if best is None else f". With fewer, {best.predicted:.0f} are carried at most"
+        return text + more
+
+    def tables(self) -> tuple[ReportTable, ...]:
+        lines, runs, times, stuck = (list[tuple[Any, ...]]() for _ in range(4))
+        for name, row in self._distinct():
+            run = row.run
+            lines.append(
+                (*name, row.carries, f"{row.length:.1f} m", row.actuators, round(row.predicted))
+            )
+            runs.append(
+                (
+                    *name, f"{run.rate:.0f} ±{run.margin:.0f}", f"{run.share_correct:.4f}",
+                    f"{run.touches_per_1000:.1f}", f"{run.turns_per_parcel:.1f}",
+                    round(run.turns_per_hour),
+                )
+            )  # fmt: skip
+            shares = [f"{share:.3f}" for share in run.share_at]
+            times.append((*name, *shares, *["-"] * (len(SIX) - len(shares))))
+            stuck += [
+                (
+                    *name, f"{share:.0%}", round(failing.rate), f"{left:.3f}",
+                    f"{failing.share_correct:.4f}", failing.jams,
+                )
+                for share, failing, left in zip(STUCK, row.stuck, row.left, strict=False)
+            ]  # fmt: skip
+        curves = [
+            (row.hardware, len(row.orientations), length, rate)
+            for row in self.rows
+            for length, rate in row.curve
+        ]
+        who = ("hardware", "angles")
+        return (
+            ReportTable(
+                "flow",
+                "The shortest line that carries it, or the best where none does; parcels an hour",
+                (*who, "carries", "line", "actuators", "predicted"),
+                tuple(lines),
+            ),
+            ReportTable(
+                "flow-runs",
+                "Measured, always a parcel at the gate; turns of all axes a parcel, of one an hour",
+                (*who, "measured", "correct", "touches/1000", "turns", "turns/h"),
+                tuple(runs),
+            ),
+            ReportTable(
+                "flow-time", "Share of the time at each orientation", (*who, *AT), tuple(times)
+            ),
+            ReportTable(
+                "flow-stuck",
+                "Capacity as modules are stuck at 90 deg, unknown to the scheduler",
+                (*who, "stuck", "correct/h", "of all", "correct", "jams"),
+                tuple(stuck),
+            ),
+            ReportTable(
+                "flow-curves", "", (*who, "line [m]", "predicted [1/h]"), tuple(curves), shown=False
+            ),
+        )
+
+    def _distinct(self) -> list[tuple[tuple[str, str], LineDesign]]:
+        """List distinct lines, without repeats that differ by unused orientations only."""
+        found: list[tuple[tuple[str, str], LineDesign]] = []
+        for row in self.rows:
+            own = (row.hardware, row.length, row.predicted)
+            (_, angles), few = found[-1] if found else (("", ""), None)
+            if few is not None and (few.hardware, few.length, few.predicted) == own:
+                same = replace(few, stuck=few.stuck or row.stuck)
+                found[-1] = ((row.hardware, f"{angles}, {len(row.orientations)}"), same)
+            else:
+                found.append(((row.hardware, str(len(row.orientations))), row))
+        return found
+
+    def draw(self) -> Any:
+        """Draw the rate over the length, and the remaining rate over the share of failures."""
+        figure = new_figure(
+            9.6, 4.8, f"Which line carries {self.case.rate:g} parcels an hour?", "medium"
+        )
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        four = {row.hardware: row.curve for row in self.rows if row.orientations == FOUR}
+        for row in self.rows:
+            colour = COLOURS[row.hardware]
+            if row.orientations == FOUR or row.curve != four.get(row.hardware):
+                label = f"{row.hardware}{'' if row.orientations == FOUR else ', and ±80 deg'}"
+                style = STYLES[len(row.orientations)]
+                left.plot(*np.transpose(row.curve), color=colour, linestyle=style, label=label)
+            if row.carries:
+                left.plot(row.length, row.predicted, "o", color=colour, markersize=6)
+            if row.stuck:
+                right.plot(100.0 * np.array(STUCK), row.left, "o-", color=colour)
+        left.axhline(self.case.rate, color="black", linewidth=0.8, linestyle=":", label="asked for")
+        left.set(xlabel="line [m]", ylabel="parcels an hour, predicted", xlim=(0.0, None))
+        left.set_ylim(0.0, None)
+        right.set(xlabel="modules stuck [%]", ylabel="of the capacity", ylim=(0.0, 1.05))
+        for panel in (left, right):
+            panel.grid(alpha=0.25)
+            panel.spines[["top", "right"]].set_visible(False)
+        figure.legend(
+            *left.get_legend_handles_labels(), loc="outside lower center", ncols=3,
+            fontsize="small", frameon=False,
+        )  # fmt: skip
+        return figure
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the answer as JSON data."""
+        case = {"rate": self.case.rate, "speed": self.case.speed, "longest": self.case.longest}
+        return {**case, "stuck_shares": STUCK, "lines": [asdict(row) for row in self.rows]}
+
+
+def _describe(row: LineDesign) -> str:
+    words = {
+        ARRANGED: "one zone that is arranged anew for each parcel",
+        FOLLOWED: "one zone that parcels for the same exit may follow each other over",
+        SERIES: "zones in series",
+        COLUMNS: "one actuator a column",
+        MODULES: "every module by itself",
+    }[row.hardware]
+    return (
+        f"{row.length:.1f} m, {words} ({plural(row.actuators, 'actuator')}, "
+        f"{len(row.orientations)} orientations)"
+    )
+
+
+def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
-) -> tuple[LineDesign, ...]:
+) -> FlowAnswer:
     """Find the shortest line of each hardware."""
     order = (MODULES, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first
     jobs = [partial(without_report, partial(find_lines, case, hardware)) for hardware in order]
@@ -423,4 +585,4 @@ def design_flow(
     for index, rows in map_jobs(jobs, workers):
         found[order[index]] = rows
         on_progress(len(found), len(order))
-    return tuple(row for hardware in HARDWARE for row in found[hardware])
+    return FlowAnswer(case, tuple(row for hardware in HARDWARE for row in found[hardware]))

@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surface_gym import checks
 from surface_gym.compiler.jit import compiled
@@ -88,9 +87,7 @@ class Maneuvers(NamedTuple):
 
     def pick(self, chosen: Integers | Booleans) -> "Maneuvers":
         """Return a selection of maneuvers."""
-        return Maneuvers(
-            self.kind[chosen], self.place[chosen], self.choice[chosen], self.groups[chosen]
-        )
+        return Maneuvers._make(values[chosen] for values in self)
 
 
 class Lead:
@@ -117,9 +114,12 @@ class Lead:
         starts = [self.zone_x if each.side == 0 else max(self.zone_x, each.first) for each in exits]
         # [m] x of the origin of a row's rear position
         self.origin = np.array([starts[exits.place(name)] for _, _, name in self.kinds])
-        turn = 0.5 * math.pi / config.actuators.axis_speed  # [s] quarter turn of an axis
-        turn += self._ramp_time(config)
-        self.ahead = config.control_period + turn  # [s] time between turning a group and its use
+        # [s] time between turning a group and its use: a quarter turn of an axis, and the ramp of a
+        # driven module from the conveyor's velocity to another one
+        velocity = surface_velocities(config.modes)
+        ramp = float(np.hypot(*(velocity - velocity[-1]).T).max()) / config.module_kind.acceleration
+        turn = 0.5 * math.pi / config.actuators.axis_speed
+        self.ahead = config.control_period + (turn + ramp)
         self._config = config
         if groups is not None:
             # The supports after the last rotors have no actuators.
@@ -150,8 +150,8 @@ class Lead:
 
     def describe(self, maneuvers: Maneuvers) -> Way:
         """Return the parameters for leading parcels by maneuvers, for compiled functions."""
-        first: NDArray[Any] = np.zeros(0)
-        last, spans = first, np.zeros((0, 2), dtype=np.int64)
+        none: Any = np.zeros(0)
+        first, last, spans = none, none, np.zeros((0, 2), dtype=np.int64)
         if self.groups is not None:
             first, last, spans = self.first_x, self.last_x, self.spans
         return Way(
@@ -200,13 +200,6 @@ class Lead:
             for x in (start, start - length - BEFORE)
             for last in sorted({group, min(group + 1, count - 1), count - 1})
         ]
-
-    @staticmethod
-    def _ramp_time(config: EnvConfig) -> float:
-        """Return the time [s] of a driven module from the conveyor's velocity to another one."""
-        velocity = surface_velocities(config.modes)
-        change = np.hypot(*(velocity - velocity[-1]).T).max()
-        return float(change) / config.module_kind.acceleration
 
     def _choices_towards(self, side: int) -> list[int]:
         """List the choices that lead to a side and have available mirror images.
@@ -366,13 +359,9 @@ def _try(config: EnvConfig, lead: Lead, tried: Maneuvers, seed: int, variant: in
 
 
 def _raise_gaps(
-    lead: Lead,
-    maneuvers: Maneuvers,
-    runs: Sequence[LoneRuns],
-    margin: float,
-    slack: float,
+    lead: Lead, maneuvers: Maneuvers, runs: Sequence[LoneRuns], margin: float, slack: float,
     gaps: Numbers,
-) -> None:
+) -> None:  # fmt: skip
     """Raise gaps until parcels keep their clearance and their groups are free."""
     followed = [_choices(lead, maneuvers, run) for run in runs]
     state = np.stack([np.full(len(gaps), lead.roll), maneuvers.choice], axis=1)
@@ -413,9 +402,8 @@ def _occupied(lead: Lead, maneuvers: Maneuvers, run: LoneRuns) -> tuple[Numbers,
     begins, ends = np.full(shape, np.inf), np.full(shape, -np.inf)
     for i, count in enumerate(moments):
         x, _, theta = pose[i, :count].T
-        turned = np.outer(np.cos(theta), outline[i, :, 0]) - np.outer(
-            np.sin(theta), outline[i, :, 1]
-        )
+        turned = np.outer(np.cos(theta), outline[i, :, 0])
+        turned -= np.outer(np.sin(theta), outline[i, :, 1])
         rear, front = x + turned.min(axis=1), x + turned.max(axis=1)
         over = (front[:, np.newaxis] >= lead.first_x) & (rear[:, np.newaxis] <= lead.last_x)
         turns = rear > maneuvers.place[i] + lead.origin[maneuvers.kind[i]]

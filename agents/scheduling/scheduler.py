@@ -21,9 +21,9 @@ from surface_gym.flow.state import CORRECT, JAM, TOUCHES, WRONG
 from surface_gym.state import RUNNING
 
 from ..base import BatchController, Booleans, Integers, Numbers, Singles, is_fresh
-from .bounds import entrance_bound
 from .leading import BOOKED, DEPTH, LONG_AGO, NOBODY, Book, Orders, make_workspace, schedule, search
 from .maneuvers import MARGIN, ColumnGroups, Library, make_library
+from .trajectories import list_asked
 
 # Clearances in order of trial: the share of a control period, and the margin [m].
 CLEARANCES = ((0.25, MARGIN), (0.5, MARGIN), (0.75, MARGIN), (1.0, MARGIN), (1.5, 2.0 * MARGIN))
@@ -36,6 +36,48 @@ TRIAL_SEED = 1_000_003
 
 
 AnyScheduler = TypeVar("AnyScheduler", bound="Scheduler")
+
+
+def entrance_bound(config: EnvConfig, odds: Numbers | None = None) -> float:
+    """Compute an upper bound [parcels/h] on the throughput of any controller.
+
+    A parcel enters once its base and `entry_gap` ahead of it are clear. Until then, the parcel
+    before it rolls over the lead-in at 90 deg, at most at its entry speed. So the time between
+    entries is at least the clear length divided by that speed. The bound holds if the lead-in is
+    long enough, the slope is at most `LEVELLING`, and nothing pushes the parcels.
+
+    Args:
+        odds: (kinds,) independent odds of the kinds in `list_asked`; None: equal.
+    """
+    kinds = list_asked(config)
+    share = np.full(len(kinds), 1.0 / len(kinds)) if odds is None else odds / odds.sum()
+    length = np.array([np.ptp(parcel.base.outline[:, 0]) for parcel, _, _ in kinds])
+    speed = np.array([each for _, each, _ in kinds])
+    clear = length + config.stream_task.entry_gap
+    return float(HOUR / (share @ (1.0 / speed) * (share @ clear)))
+
+
+def clairvoyant_bound(library: Library, odds: Numbers, parcels: int = 5000, seed: int = 0) -> float:
+    """Compute an upper bound [parcels/h] for schedules that know the whole sequence of parcels.
+
+    The bound holds for schedules of a library's maneuvers on one random sequence.
+
+    It is the shortest path through the maneuvers of the parcels, with gaps between successive
+    parcels only. Constraints from parcels farther ahead could only make the path longer.
+
+    Args:
+        odds: (kinds,) independent odds of the kinds.
+    """
+    kinds = np.random.default_rng(seed).choice(len(odds), size=parcels, p=odds / odds.sum())
+    own = library.options[kinds[0]]
+    own = own[own >= 0]
+    time = np.zeros(len(own))
+    for kind in kinds[1:]:
+        after = library.options[kind]
+        after = after[after >= 0]
+        time = (time[:, np.newaxis] + library.gaps[np.ix_(own, after)]).min(axis=0)
+        own = after
+    return float(HOUR * (parcels - 1) / time.min())
 
 
 def predict_rate(
@@ -98,7 +140,10 @@ class Scheduler(BatchController):
     def _predict(
         self, batch: Singles, state: Book | None, episode_start: Any, **_: bool
     ) -> tuple[Integers, Book]:
-        book = self._recall(len(batch), state, episode_start)
+        book = self._start(len(batch))
+        if state is not None:  # copy the memory of continued episodes
+            fresh = is_fresh(len(batch), state, episode_start)
+            book = Book(*renew(book, checks.alike("state", state, book), fresh))
         opens, actions = np.zeros(len(batch), dtype=np.int64), self._rest(len(batch))
         schedule(*self._arguments(batch, book, opens, actions))
         return actions, book
@@ -118,13 +163,6 @@ class Scheduler(BatchController):
             np.zeros_like(opens), opens, actions,
         )  # fmt: skip
 
-    def _recall(self, num_envs: int, state: Any, episode_start: Any) -> Book:
-        """Copy the memory of continued episodes."""
-        fresh, book = is_fresh(num_envs, state, episode_start), self._start(num_envs)
-        if state is None:
-            return book
-        return Book(*renew(book, checks.alike("state", state, book), fresh))
-
     def _rest(self, num_envs: int) -> Integers:
         """Make the initial actions (num_envs, size)."""
         return np.full((num_envs, self._size), self.library.lead.roll)
@@ -133,10 +171,10 @@ class Scheduler(BatchController):
 def make_scheduler(
     config: EnvConfig, groups: ColumnGroups | None = None, least_correct: float = LEAST_CORRECT
 ) -> Scheduler | None:
-    """Make the scheduler with the highest throughput without touches.
+    """Make the scheduler with the highest throughput without touches and jams in its trial.
 
-    Trials determine the clearance, which depends on how well trajectories are known; see
-    `choose_by_trial`.
+    If there is none, make the scheduler with the fewest touches. Trials determine the clearance,
+    which depends on how well trajectories are known.
 
     Args:
         config: configuration with actions "parcels" without groups, "modules" with them.
@@ -144,24 +182,12 @@ def make_scheduler(
             None.
     """
     library = make_library(config, groups)
-    apart = (library.with_clearance(margin, slack) for slack, margin in CLEARANCES)
-    tried = (Scheduler(config, each) for each in apart if np.isfinite(each.gaps).all())
-    return choose_by_trial(config, tried, least_correct)
-
-
-def choose_by_trial(
-    config: EnvConfig, schedulers: Iterable[Scheduler], least_correct: float = LEAST_CORRECT
-) -> Scheduler | None:
-    """Return the first scheduler without touches and jams in its trial.
-
-    If there is none, return the scheduler with the fewest touches.
-
-    Args:
-        schedulers: candidates, in order of decreasing throughput.
-        least_correct: [-] minimum share of correct deliveries, else the result is None.
-    """
     chosen, fewest = None, math.inf
-    for scheduler in schedulers:
+    for slack, margin in CLEARANCES:
+        apart = library.with_clearance(margin, slack)
+        if not np.isfinite(apart.gaps).all():
+            continue
+        scheduler = Scheduler(config, apart)
         trial = run_trial(config, scheduler, fewest)
         enough = trial.correct >= least_correct * max(1, trial.correct + trial.wrong)
         if trial.jams == 0 and trial.touches < fewest and enough:

@@ -27,21 +27,8 @@ def _optimize(library: CPUCodeLibrary) -> None:
     passes.run(library._final_module, builder)
 
 
-def _simplify_functions(library: CPUCodeLibrary, module: Any) -> None:
-    """Run few passes, which keep the code small: all others follow after linking."""
-    module.data_layout = library._codegen._data_layout
-    few = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
-    passes, builder = library._codegen._function_pass_manager(**few)
-    for function in module.functions:
-        if not function.is_declaration:
-            passes.run(function, builder)
-
-
 class _Kernel(JITCodeLibrary):
     """Machine code of a function called by Python."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        _simplify_functions(self, module)
 
     def _optimize_final_module(self) -> None:
         _optimize(self)
@@ -88,7 +75,13 @@ class LinkedCode(CPUCodeLibrary):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        _simplify_functions(self, module)
+        module.data_layout = self._codegen._data_layout
+        # Few passes, which keep inlined code small: all others follow in its callers.
+        few = {"opt": 1, "loop_vectorize": False, "slp_vectorize": False}
+        passes, builder = self._codegen._function_pass_manager(**few)
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
 
     def _own_module(self) -> Any:
         return super()._get_module_for_linking()

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
         TurnPurpose,
         Unknown,
     )
-    from surface_gym.design.columns import Columns, columns_by_rows, columns_by_speed, least_columns
-    from surface_gym.design.fixed_layout import BestLayout, EveryLayout, best_layout, every_layout
+    from surface_gym.design.columns import Columns, least_columns
+    from surface_gym.design.fixed_layout import BestLayout, best_layout, every_layout
     from surface_gym.design.limits import (
         FrictionRange,
         Limits,
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from surface_gym.design.runs import DesignLine, line_for
 
 __all__ = [
-    "BestLayout", "Case", "Columns", "DesignLine", "EveryLayout", "FrictionRange",
+    "BestLayout", "Case", "Columns", "DesignLine", "FrictionRange",
     "Limits", "Purpose", "SlowPurpose", "SortPurpose", "Span", "StopPurpose", "TurnPurpose",
-    "Unknown", "best_layout", "columns_by_rows", "columns_by_speed", "every_layout",
-    "friction_range", "least_columns", "least_speed", "least_tilt", "line_for",
+    "Unknown", "best_layout", "every_layout", "friction_range", "least_columns", "least_speed",
+    "least_tilt", "line_for",
 ]  # fmt: skip
 _MODULES = ("case", "columns", "fixed_layout", "limits", "runs")
 

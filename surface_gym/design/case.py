@@ -1,24 +1,28 @@
-"""Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities."""
+"""Cases of a design: a parcel, its entry, its purpose, and the spread of unknown quantities.
+
+Answers about a case are sentences, tables and figures.
+"""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from surface_gym import checks, files, parallel
+from surface_gym import checks, parallel
 from surface_gym.design import runs as running
 from surface_gym.design.runs import DesignLine, Ends, OnProgress, RunRequests
 from surface_gym.layouts import ROLLING
-from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
 from surface_gym.physics.types import Array, Booleans
 from surface_gym.randomisation import RandomDraw, Randomisation
 
-CHECKPOINT = 2**26  # [bytes] maximum size of an array in a checkpoint
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+
 EIGHTH = math.pi / 4  # [rad] 45 deg
 
 
@@ -388,14 +392,17 @@ class Case:
             self.parcel, columns, rows, self.pitch, self.mu_max, self.mu_min, self.mu_support
         )
 
-    def at(self, speed: float) -> "Case":
-        """Return the same case at another entry speed [m/s]."""
-        return replace(self, speed=speed)
-
     @property
     def parcel_text(self) -> str:
         """Description of the parcel, e.g. "0.3 x 0.4 m parcel"."""
-        return describe_base(self.parcel.base)
+        base = self.parcel.base
+        if isinstance(base, Rectangle):
+            return f"{base.length:g} x {base.width:g} m parcel"
+        if isinstance(base, Disc):
+            return f"round parcel of {base.radius:g} m radius"
+        if isinstance(base, Polygon):
+            return f"parcel of {len(base.vertices)} corners"
+        return f"{type(base).__name__} parcel"
 
     @property
     def entry_text(self) -> str:
@@ -404,9 +411,28 @@ class Case:
         return f"at {self.speed:g} m/s{tilt}"
 
     def draw(self, line: DesignLine, unknown: Unknown) -> "Draws":
-        """Draw unknown quantities on a line; one draw if nothing is unknown."""
-        count = self.draws if unknown.groups else 1
-        return draw(unknown, self.parcel, line, count, self.seed)
+        """Draw unknown quantities on a line; one draw if nothing is unknown.
+
+        Draw k uses its own generator with the seed (seed, k). So a draw does not depend on the
+        number of draws. It does depend on the length of the line.
+        """
+        drawn: list[RandomDraw] = []
+        extra: list[list[float]] = []
+        for k in range(self.draws if unknown.groups else 1):
+            rng = np.random.default_rng((self.seed, k))
+            drawn.append(unknown.draw(rng, self.parcel, line.shape))
+            extra.append(rng.standard_normal(2).tolist())
+        speed, tilt = np.array(extra).T
+        stiffness = [each.stiffness for each in drawn if each.stiffness is not None]
+        return Draws(
+            parcels=tuple(each.parcel for each in drawn),
+            stiffness=np.stack(stiffness) if stiffness else None,
+            friction=np.array([each.friction for each in drawn]),
+            lateral=np.array([each.aside for each in drawn]),
+            heading=np.array([each.turned for each in drawn]),
+            speed=unknown.speed * speed,
+            tilt=unknown.tilt * tilt,
+        )
 
     def run(
         self, line: DesignLine, axes: Array, runs: RunRequests, drawn: "Draws | None" = None,
@@ -418,15 +444,6 @@ class Case:
         return running.run_all(
             line, axes, parcels, runs, stiffness, self.step, workers, on_progress
         )
-
-    def identity(self, **others: object) -> dict[str, str]:
-        """Return a text for each field and each extra value, to identify the case."""
-        parcel = self.parcel
-        outline = (type(parcel.base).__name__, parcel.base.outline.tolist())
-        load = (parcel.moment_of_inertia, parcel.mass, parcel.com_height, parcel.com_offset)
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        own["parcel"] = (*outline, *load)
-        return {name: repr(value) for name, value in {**own, **others}.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -467,74 +484,94 @@ class Draws:
         )
 
 
-def draw(unknown: Unknown, parcel: Parcel, line: DesignLine, count: int, seed: int) -> Draws:
-    """Draw the unknown quantities; draw k uses its own generator with the seed (seed, k).
-
-    So a draw does not depend on the number of draws. It does depend on the length of the line.
-    """
-    drawn: list[RandomDraw] = []
-    extra: list[tuple[float, float]] = []
-    for k in range(count):
-        rng = np.random.default_rng((seed, k))
-        drawn.append(unknown.draw(rng, parcel, line.shape))
-        extra.append(tuple(rng.standard_normal(2).tolist()))
-    speed, tilt = np.array(extra).T
-    stiffness = [each.stiffness for each in drawn if each.stiffness is not None]
-    return Draws(
-        parcels=tuple(each.parcel for each in drawn),
-        stiffness=np.stack(stiffness) if stiffness else None,
-        friction=np.array([each.friction for each in drawn]),
-        lateral=np.array([each.aside for each in drawn]),
-        heading=np.array([each.turned for each in drawn]),
-        speed=unknown.speed * speed,
-        tilt=unknown.tilt * tilt,
-    )
-
-
-def describe_base(base: Base) -> str:
-    """Describe a base in a few words."""
-    if isinstance(base, Rectangle):
-        return f"{base.length:g} x {base.width:g} m parcel"
-    if isinstance(base, Disc):
-        return f"round parcel of {base.radius:g} m radius"
-    if isinstance(base, Polygon):
-        return f"parcel of {len(base.vertices)} corners"
-    return f"{type(base).__name__} parcel"
-
-
 def is_reliable(share: ArrayLike) -> Booleans:
     """Return whether shares of successful draws are sufficient (at most `WORST` fail)."""
     return np.asarray(share) >= 1.0 - WORST - 1e-9
 
 
-def save_checkpoint(file: Path, identity: Mapping[str, str], values: Mapping[str, Any]) -> None:
-    """Save arrays and numbers of a computation; an interrupted write leaves the file as it was."""
-    named = {"_names": list(identity), "_identity": list(identity.values()), **values}
-    with files.replacing(file) as part, part.open("w+b") as stream:
-        files.write_arrays(stream, named)
+Cell = str | float | int | bool | None
+
+BLUE, ORANGE = "#0072B2", "#D55E00"
+# Okabe and Ito's colours, safe for colour-blind readers, each with a line style.
+LINES: dict[str, tuple[str, Any]] = {
+    NOMINAL: ("#999999", "-"),
+    "friction": ("#E69F00", "--"),
+    "load": ("#56B4E9", "-."),
+    "unevenness": ("#009E73", ":"),
+    "entry": ("#CC79A7", (0, (3, 1, 1, 1))),
+    TOGETHER: ("#000000", "-"),
+}
 
 
-def load_checkpoint(
-    file: Path, kind: str, identity: Mapping[str, str], names: tuple[str, ...]
-) -> dict[str, NDArray[Any]]:
-    """Load values saved by `save_checkpoint` for a kind of computation, e.g. "search"."""
-    try:
-        with files.ArrayFile(file) as kept:
-            texts = (kept.read(name, CHECKPOINT) for name in ("_names", "_identity"))
-            found = dict(zip(*(text.tolist() for text in texts), strict=True))
-            values = {name: kept.read(name, CHECKPOINT) for name in names}
-    except files.DAMAGE as error:
-        raise ValueError(
-            f"checkpoint must be one of a {kind}, got {file}: {files.describe_damage(error)}"
-        ) from None
-    for name, wanted in identity.items():
-        if found.get(name) != wanted:
-            raise ValueError(
-                f"checkpoint must be of this {kind}, got {file} of another {name}: "
-                f"{_shorten(found.get(name))}, not {_shorten(wanted)}"
-            )
-    return values
+@dataclass(frozen=True)
+class ReportTable:
+    """A header and rows, written as CSV."""
+
+    name: str  # file name without suffix
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    shown: bool = True  # whether it is shown in a terminal
 
 
-def _shorten(text: str | None) -> str:
-    return "none" if text is None else text if len(text) <= 60 else f"{text[:57]}..."
+class Answer(ABC):
+    """An answer to a question about a case: a sentence, tables and a figure."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """File name of the figure, without suffix."""
+
+    @property
+    @abstractmethod
+    def sentence(self) -> str:
+        """The answer in one sentence."""
+
+    @abstractmethod
+    def tables(self) -> tuple[ReportTable, ...]:
+        """Return the answer as tables."""
+
+    @abstractmethod
+    def draw(self) -> "Figure":
+        """Draw the answer with matplotlib."""
+
+
+def group_label(group: str) -> str:
+    """Return the label of a group of unknown quantities."""
+    if group == TOGETHER:
+        return "all together"
+    return group if group in GROUPS else "nothing"
+
+
+def plural(count: int, noun: str) -> str:
+    """Return a count and a noun: "1 column", "2 columns"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def new_figure(width: float, height: float, title: str, fontsize: str = "large") -> "Figure":
+    """Make an empty figure [inch] whose title is a question."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.suptitle(title, fontsize=fontsize)
+    return figure
+
+
+def new_panel(title: str, subtitle: str) -> "tuple[Figure, Axes]":
+    """Make a figure of one panel with a question and a subtitle below it."""
+    figure = new_figure(7.2, 4.8, title)
+    axes = figure.subplots()
+    axes.set_title(subtitle, fontsize="small")
+    axes.grid(alpha=0.25)
+    return figure, axes
+
+
+def legend_of_drawn(axes: "Axes") -> dict[str, Any]:
+    """Return arguments of a legend for lines with points."""
+    drawn = [
+        (line, label)
+        for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        if not hasattr(line, "get_xdata") or len(line.get_xdata())
+    ]
+    handles, labels = zip(*drawn, strict=True)
+    return {"handles": handles, "labels": labels, "fontsize": "small", "framealpha": 0.9}

@@ -1,16 +1,19 @@
-"""`python -m surface_gym.design`: questions and flags of the command line."""
+"""`surface-gym design`: questions, flags and printed answers."""
 
+import csv
+import json
 import math
+import re
 import sys
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import reduce
 from importlib import import_module
 from operator import or_
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
@@ -22,20 +25,24 @@ from rich.table import Table as ScreenTable
 import surface_gym as sg
 from surface_gym import checks, design, files, parallel
 from surface_gym.cli import parse_options
-from surface_gym.design.flow_question import AskFlow
 from surface_gym.executors import WorkError
 
 if TYPE_CHECKING:
-    from surface_gym.design.report import Answer, ReportTable
+    from surface_gym.design.case import Answer, Cell, ReportTable
     from surface_gym.design.runs import OnProgress
     from surface_gym.parcel import Base
 
 STOPPED = 130  # exit status after Ctrl-C
+DPI = 120  # of figures
 ZONE = 16  # default columns of a searched layout
 MASS = (
     "Mass cancels out of the motion: these answers hold for any mass. Only the inertia over the "
     "mass counts, and by itself it goes with the base."
 )
+MIX = "S, B or LENGTHxWIDTH in m, with odds, as S=1,B=2,0.3x0.4"
+EXITS = "sides, chutes, or a list as left:1.0-2.5,right:1.0-2.5,straight"
+SPEEDS = (0.1, 20.0)  # [m/s]
+_SPAN = re.compile(r"((?P<side>left|right)[^:]*):(?P<first>[^-:]+)-(?P<last>[^-:]+)")
 
 Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
 MaybeDegrees = Annotated[float | None, tyro.conf.arg(metavar="DEG")]
@@ -43,8 +50,37 @@ MaybeFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT")]
 MaybeInt = Annotated[int | None, tyro.conf.arg(metavar="INT")]
 
 
-@dataclass(frozen=True)
 class Question:
+    """A question of the command; `out` is its folder."""
+
+    out: Path
+
+    @property
+    def assumed(self) -> str:
+        """Assumptions of the answer."""
+        return ""
+
+    @property
+    def remark(self) -> str:
+        """Flags that do not affect the answer."""
+        return ""
+
+    @abstractmethod
+    def check(self) -> Any:
+        """Return the case; raise a ValueError for invalid flags."""
+
+    @abstractmethod
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        """Find the answer."""
+
+    def write(self, answer: Any) -> list[Path]:
+        """Write additional files; nothing by default."""
+        del answer
+        return []
+
+
+@dataclass(frozen=True)
+class ParcelQuestion(Question):
     """A question about a parcel, its entry, its purpose and the unknown quantities.
 
     Repeats the defaults of `Unknown`, `STEP` and `Effort`, so that `--help` is fast.
@@ -135,68 +171,37 @@ class Question:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
     """Folder for the tables and the figure."""
 
-    file: ClassVar[str | None] = None
-    has_speed: ClassVar[bool] = True  # whether the entry speed matters
-
-    @property
-    def checkpoint(self) -> Path | None:
-        """File of the search's state; None: the answer takes seconds."""
-        return None if self.file is None else self.out / self.file
-
-    @abstractmethod
-    def answer(self, on_progress: "OnProgress") -> "Answer":
-        """Find the answer."""
-
     @property
     def assumed(self) -> str:
-        """Assumptions of the answer."""
-        if self.speed is not None or not self.has_speed:
+        if self.speed is not None:
             return ""
         return f" Without --speed, an entry speed of {design.Case.speed:g} m/s is assumed."
 
     @property
     def remark(self) -> str:
-        """Flags that do not affect the answer."""
         return MASS if self.mass is not None and self.inertia is None else ""
-
-    def check(self) -> Any:
-        """Raise a ValueError for invalid flags."""
-        return self.case()
-
-    def write(self, answer: "Answer") -> list[Path]:
-        """Write additional files; nothing by default."""
-        del answer
-        return []
 
     @property
     def shared_by(self) -> parallel.Workers:
         return parallel.choose_workers(self.cluster, self.workers)
 
-    def case(self) -> "design.Case":
+    def check(self) -> "design.Case":
         _ = self.shared_by
+        unknown = design.Unknown(
+            friction=self.friction, rolling=self.rolling, com_offset=self.com_spread,
+            mass=self.mass_spread, stiffness=self.unevenness, lateral=self.lateral,
+            heading=math.radians(self.heading_deg), speed=self.speed_spread,
+            tilt=math.radians(self.tilt_spread_deg),
+        )  # fmt: skip
+        alike = ("draws", "seed", "mu_max", "mu_min", "mu_support", "step")
         return design.Case(
             parcel=self._parcel(),
             purpose=self._purpose(),
             speed=design.Case.speed if self.speed is None else self.speed,
             tilt=math.radians(self.tilt_deg),
-            unknown=design.Unknown(
-                friction=self.friction,
-                rolling=self.rolling,
-                com_offset=self.com_spread,
-                mass=self.mass_spread,
-                stiffness=self.unevenness,
-                lateral=self.lateral,
-                heading=math.radians(self.heading_deg),
-                speed=self.speed_spread,
-                tilt=math.radians(self.tilt_spread_deg),
-            ),
-            draws=self.draws,
-            seed=self.seed,
+            unknown=unknown,
             pitch=self._pitch(),
-            mu_max=self.mu_max,
-            mu_min=self.mu_min,
-            mu_support=self.mu_support,
-            step=self.step,
+            **{name: getattr(self, name) for name in alike},
         )
 
     def _parcel(self) -> "sg.Parcel":
@@ -225,10 +230,7 @@ class Question:
         assert self.parcel is not None
         if self.parcel in ("S", "B"):
             return sg.layouts.box(self.parcel).base
-        sides = self.parcel.split("x")
-        if len(sides) != 2:
-            raise ValueError(f"parcel must be LxW as 0.3x0.4, S or B, got {self.parcel!r}")
-        return sg.Rectangle(*_numbers("parcel", sides))
+        return _parse_base("parcel", self.parcel, "LxW as 0.3x0.4, S or B", self.parcel)
 
     def _purpose(self) -> "design.Purpose":
         given: dict[str, Any] = {
@@ -236,13 +238,8 @@ class Question:
             for name in ("ratio", "place", "angle_deg", "tolerance")
             if getattr(self, name) is not None
         }
-        kinds: tuple[Any, ...] = (
-            design.SortPurpose,
-            design.SlowPurpose,
-            design.StopPurpose,
-            design.TurnPurpose,
-        )
-        kind = next(kind for kind in kinds if kind.name == self.purpose)
+        kinds = (design.SortPurpose, design.SlowPurpose, design.StopPurpose, design.TurnPurpose)
+        kind: Any = next(each for each in kinds if each.name == self.purpose)
         own = {each.name for each in fields(kind)}
         for name in given:
             if name.removesuffix("_deg") not in own:
@@ -268,7 +265,7 @@ def _numbers(name: str, parts: Sequence[str]) -> list[float]:
 
 
 @dataclass(frozen=True)
-class AskColumns(Question):
+class AskColumns(ParcelQuestion):
     """Find the fewest columns and rows for the purpose."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
@@ -276,11 +273,11 @@ class AskColumns(Question):
             raise ValueError("columns must not be given: they are what is asked for")
         from surface_gym.design.columns import columns_report
 
-        return columns_report(self.case(), self.rows, self.shared_by, on_progress)
+        return columns_report(self.check(), self.rows, self.shared_by, on_progress)
 
 
 @dataclass(frozen=True)
-class AskSpeed(Question):
+class AskSpeed(ParcelQuestion):
     """Find the smallest and the largest entry speed."""
 
     highest: MaybeFloat = None
@@ -288,12 +285,12 @@ class AskSpeed(Question):
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.least_speed(
-            self.case(), self.columns, self.rows, self.highest, self.shared_by, on_progress
+            self.check(), self.columns, self.rows, self.highest, self.shared_by, on_progress
         )
 
 
 @dataclass(frozen=True)
-class AskTilt(Question):
+class AskTilt(ParcelQuestion):
     """Find the smallest and the largest tilt of the surface; with --speed 0, from rest."""
 
     highest_deg: MaybeDegrees = None
@@ -302,22 +299,22 @@ class AskTilt(Question):
     def answer(self, on_progress: "OnProgress") -> "Answer":
         highest = None if self.highest_deg is None else math.radians(self.highest_deg)
         return design.least_tilt(
-            self.case(), self.columns, self.rows, highest, self.shared_by, on_progress
+            self.check(), self.columns, self.rows, highest, self.shared_by, on_progress
         )
 
 
 @dataclass(frozen=True)
-class AskFriction(Question):
+class AskFriction(ParcelQuestion):
     """Find the limits of friction along and across the axes."""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         return design.friction_range(
-            self.case(), self.columns, self.rows, self.shared_by, on_progress
+            self.check(), self.columns, self.rows, self.shared_by, on_progress
         )
 
 
 @dataclass(frozen=True)
-class AskLayout(Question):
+class AskLayout(ParcelQuestion):
     """Search for the best fixed layout over a range of entry speeds."""
 
     speeds: tuple[float, float] = (0.3, 2.7)
@@ -330,18 +327,17 @@ class AskLayout(Question):
     """Layouts in the population of the search."""
     epochs: int = 12
     """Epochs of the search, of ten generations each."""
-    resume: bool = False
-    """Resume an interrupted search from its layout.npz in --out."""
 
-    file = "layout.npz"
-    has_speed = False
+    @property
+    def assumed(self) -> str:
+        return ""
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         import numpy as np
 
-        from surface_gym.design.search import Effort
+        from surface_gym.design.fixed_layout import Effort
 
-        case = self.case()
+        case = self.check()
         least, most = self.speeds
         step = checks.positive("speed_step", self.speed_step, 1e-4, 20.0)
         if not least <= most:
@@ -350,12 +346,104 @@ class AskLayout(Question):
         return design.best_layout(
             case, speeds.round(9).tolist(), ZONE if self.columns is None else self.columns,
             self.rows, None if self.any_angle else sg.lines.ORIENTATIONS,
-            Effort(members=self.members, epochs=self.epochs), self.shared_by,
-            self.checkpoint, on_progress,
+            Effort(members=self.members, epochs=self.epochs), self.shared_by, on_progress,
         )  # fmt: skip
 
 
-QUESTIONS: dict[str, Callable[..., Question | AskFlow]] = {
+@dataclass(frozen=True)
+class AskFlow(Question):
+    """Find the shortest line and the fewest actuators for a rate of parcels."""
+
+    rate: Annotated[float, tyro.conf.arg(metavar="PER_HOUR")]
+    """Throughput in parcels per hour, each delivered to its own exit."""
+    mix: Annotated[str, tyro.conf.arg(metavar="S=1,B=1")] = "S"
+    """Parcels and their odds, e.g. "S=2,0.3x0.4=1": S and B are the study's boxes, others are
+    length x width in m.
+    """
+    exits: Annotated[str, tyro.conf.arg(metavar="EXITS")] = "sides"
+    """Exits with equal odds: sides, chutes, or a list of positions [m] from the line's entry, e.g.
+    left:1.0-2.5,right:1.0-2.5,straight. Sides and chutes are as long as the line.
+    """
+    speed: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SPEED [SPEED]")] = (1.5,)
+    """Entry speed [m/s]: one number, or the smallest and the largest."""
+    longest: float = 6.0
+    """Longest line to try [m]."""
+
+    workers: int = field(default_factory=parallel.usable_cores)
+    """Number of processes; results do not depend on it."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/design")
+    """Folder for the tables and the figure."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """File for all numbers as JSON."""
+
+    def check(self) -> Any:
+        parallel.check_count("workers", self.workers)
+        if len(self.speed) not in (1, 2):
+            raise ValueError(f"speed must be one number or two, got {self.speed!r}")
+        for each in self.speed:
+            checks.positive("speed", each, *SPEEDS)
+        if self.speed[0] > self.speed[-1]:
+            raise ValueError(f"speed must be the least and then the greatest, got {self.speed!r}")
+        speed = self.speed[0] if len(self.speed) == 1 else self.speed
+        return import_module("surface_gym.agents.scheduling.design").FlowCase(
+            self.rate, parse_mix(self.mix), parse_exits(self.exits), speed, self.longest
+        )
+
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        module = import_module("surface_gym.agents.scheduling.design")
+        found: Answer = module.answer_flow(self.check(), self.workers, on_progress)
+        return found
+
+    def write(self, answer: Any) -> list[Path]:
+        if self.json is None:
+            return []
+        text = json.dumps(answer.as_json(), indent=1) + "\n"
+        self.json.write_text(text, encoding="utf-8")
+        return [self.json]
+
+
+def parse_mix(text: str) -> tuple[tuple[Any, float], ...]:
+    """Parse parcels and their odds."""
+    found = []
+    for part in text.split(","):
+        name, _, odds = (each.strip() for each in part.partition("="))
+        base = None if name in ("S", "B") else _parse_base("mix", name, MIX, text)
+        parcel = name if base is None else sg.Parcel(base)
+        found.append((parcel, files.parse_number("odds of mix", odds) if odds else 1.0))
+    return tuple(found)
+
+
+def _parse_base(flag: str, name: str, form: str, given: str) -> "Base":
+    """Parse LENGTHxWIDTH."""
+    sides = name.split("x")
+    if len(sides) != 2:
+        raise ValueError(f"{flag} must be {form}, got {given!r}")
+    return sg.Rectangle(*_numbers(flag, sides))
+
+
+def parse_exits(text: str) -> Any:
+    """Parse a preset's name, or a list of exits."""
+    from surface_gym.flow.exits import EXITS as PRESETS, Exit, Exits
+
+    if text in PRESETS:
+        return text
+    found = []
+    for part in map(str.strip, text.split(",")):
+        span = _SPAN.fullmatch(part)
+        if part == "straight":
+            found.append(Exit(part, 0))
+        elif span is None:
+            raise ValueError(f"exits must be {EXITS}, got {text!r}")
+        else:
+            first, last = (files.parse_number("each span of exits", span[x]) for x in (3, 4))
+            try:
+                found.append(Exit(span[1], 1 if span["side"] == "left" else -1, first, last))
+            except ValueError as error:
+                raise ValueError(f"exits must be {EXITS}, got {text!r}: {error}") from None
+    return Exits(tuple(found))
+
+
+QUESTIONS = {
     "columns": AskColumns,
     "speed": AskSpeed,
     "tilt": AskTilt,
@@ -385,24 +473,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
-        kept = question.checkpoint is not None and question.checkpoint.exists()
-        print("stopped; --resume goes on" if kept else "stopped", file=sys.stderr)
+        print("stopped", file=sys.stderr)
         raise SystemExit(STOPPED) from None
 
 
-def ask(question: Question | AskFlow) -> None:
+def ask(question: Question) -> None:
     """Answer a question on screen, and write tables (CSV) and a figure to its folder."""
-    from surface_gym.design.report import DPI, write_csv
-
     question.check()  # report errors before making the folder
     question.out.mkdir(parents=True, exist_ok=True)
-    if question.checkpoint is not None and not getattr(question, "resume", False):
-        question.checkpoint.unlink(missing_ok=True)
     started = perf_counter()
     answer = _find_answer(question)
     took = perf_counter() - started
     tables = answer.tables()
-    paths = [write_csv(table, question.out) for table in tables if table.written]
+    paths = [write_csv(table, question.out) for table in tables]
     paths.append(question.out / f"{answer.name}.png")
     answer.draw().savefig(paths[-1], dpi=DPI)
     paths += question.write(answer)
@@ -420,7 +503,7 @@ def ask(question: Question | AskFlow) -> None:
     )
 
 
-def _find_answer(question: Question | AskFlow) -> "Answer":
+def _find_answer(question: Question) -> "Answer":
     """Find the answer, with a progress bar in a terminal."""
     console = Console(stderr=True)
     bars = (TextColumn("working it out"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
@@ -434,18 +517,37 @@ def _find_answer(question: Question | AskFlow) -> "Answer":
 
 
 def _screen_table(table: "ReportTable") -> ScreenTable:
-    from surface_gym.design.report import format_cell
-
     screen = ScreenTable(
-        title=escape(table.title),
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
+        title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False,
         collapse_padding=True,
-    )
+    )  # fmt: skip
     for k, name in enumerate(table.header):
         words = any(isinstance(row[k], str) for row in table.rows)
         screen.add_column(escape(name), justify="left" if words else "right")
     for row in table.rows:
         screen.add_row(*(escape(format_cell(cell)) for cell in row))
     return screen
+
+
+def format_cell(cell: "Cell") -> str:
+    """Format a cell for a terminal."""
+    if _is_missing(cell):
+        return "-"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    return f"{cell:.3g}" if isinstance(cell, float) else str(cell)
+
+
+def write_csv(table: "ReportTable", folder: Path) -> Path:
+    """Write a table with full precision and empty missing cells to a folder; return the file."""
+    path = folder / f"{table.name}.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table.header)
+        for row in table.rows:
+            writer.writerow("" if _is_missing(cell) else cell for cell in row)
+    return path
+
+
+def _is_missing(cell: "Cell") -> bool:
+    return cell is None or (isinstance(cell, float) and math.isnan(cell))

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from surface_gym import checks, parallel
-from surface_gym.design import report
+from surface_gym.design import case as cases
 from surface_gym.design.case import SURE, TOGETHER, WORST, Case, Purpose, is_reliable
 from surface_gym.design.runs import DesignLine, OnProgress, make_runs
 from surface_gym.physics.types import Array, Integers
@@ -64,27 +64,6 @@ def least_columns(
     return (_leaving if case.purpose.leaves_zone else _sorting)(case, line, workers)
 
 
-def columns_by_rows(
-    case: Case, most: int = MOST, workers: parallel.Workers = 1
-) -> tuple[Columns, ...]:
-    """Find `least_columns` for each number of rows, from one to the rows under the parcel."""
-    return tuple(
-        least_columns(case, rows, most, workers) for rows in range(1, case.line(most).rows + 1)
-    )
-
-
-def columns_by_speed(
-    case: Case, speeds: Sequence[float], rows: int | None = None, most: int = MOST,
-    workers: parallel.Workers = 1, on_progress: OnProgress = lambda *_: None,
-) -> tuple[Columns, ...]:  # fmt: skip
-    """Find `least_columns` at each entry speed [m/s]."""
-    found = []
-    for done, speed in enumerate(speeds):
-        on_progress(done, len(speeds))
-        found.append(least_columns(case.at(speed), rows, most, workers))
-    return tuple(found)
-
-
 def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns:
     """Count the columns under the path of a parcel on an ample zone."""
     layout = case.purpose.layouts(line, line.columns)[0]
@@ -93,9 +72,8 @@ def _sorting(case: Case, line: DesignLine, workers: parallel.Workers) -> Columns
     ends = case.run(line, axes, runs, workers=workers)
     done = bool(case.purpose.succeeds(ends)[0])
     touched = int(ends.touched[0])
-    last = (
-        int(np.ceil((1.0 - WORST) * case.draws - 1e-9)) - 1
-    )  # index of the reliable draw in ascending order
+    # index of the reliable draw in ascending order
+    last = int(np.ceil((1.0 - WORST) * case.draws - 1e-9)) - 1
     worst = []
     for group in case.unknown.groups:
         drawn = case.draw(line, case.unknown.only(group))
@@ -173,7 +151,7 @@ def _worst_leaving(
 
 
 @dataclass(frozen=True, eq=False)
-class ColumnsReport(report.Answer):
+class ColumnsReport(cases.Answer):
     """The fewest columns of a case by number of rows and by entry speed."""
 
     case: Case
@@ -198,7 +176,7 @@ class ColumnsReport(report.Answer):
                 "layouts"
             )
         needs = (
-            f"{report.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} modules at "
+            f"{cases.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} modules at "
             f"{own.layout}) are what it takes {purpose}, {parcel}"
         )
         if own.together is None:
@@ -208,30 +186,34 @@ class ColumnsReport(report.Answer):
             return f"{needs}; no number does it in {SURE} of the draws ({success} do it here)"
         return f"{needs}; for {SURE} of the draws, {own.together.columns}"
 
-    def tables(self) -> tuple[report.ReportTable, ...]:
+    def tables(self) -> tuple[cases.ReportTable, ...]:
         purpose, own = self.case.purpose, self.own
         together = [each.group for each in own.worst[-1:]]
         groups = [each.group for each in own.worst]
         return (
-            report.ReportTable(
+            cases.ReportTable(
                 "columns",
                 f"With {own.rows} rows",
-                ("unknown", "columns it takes", f"success with {report.format_cell(own.columns)}"),
+                (
+                    "unknown",
+                    "columns it takes",
+                    f"success with {'-' if own.columns is None else own.columns}",
+                ),
                 (
                     ("nothing", own.columns, float(own.columns is not None)),
                     *(
-                        (report.group_label(each.group), each.columns, each.success)
+                        (cases.group_label(each.group), each.columns, each.success)
                         for each in own.worst
                     ),
                 ),
             ),
-            report.ReportTable(
+            cases.ReportTable(
                 "columns_by_rows",
                 "By the rows of the line",
                 _header(purpose, together),
                 tuple(_row(purpose, each, together) for each in self.by_rows),
             ),
-            report.ReportTable(
+            cases.ReportTable(
                 "columns_by_speed",
                 "By entry speed",
                 ("speed [m/s]", *_header(purpose, groups)),
@@ -243,12 +225,12 @@ class ColumnsReport(report.Answer):
             ),
         )
 
-    def draw(self) -> "report.Figure":
+    def draw(self) -> "cases.Figure":
         """Draw the columns over entry speed, with a band up to the columns for the worst draws."""
         from matplotlib.ticker import MaxNLocator
 
         case, own = self.case, self.own
-        figure, axes = report.new_panel(
+        figure, axes = cases.new_panel(
             f"How many columns to {case.purpose.action}?",
             f"{case.parcel_text}, {own.rows} rows, the study's layouts",
         )
@@ -261,23 +243,23 @@ class ColumnsReport(report.Answer):
             )
         )
         axes.fill_between(
-            speed, needed, worst, step="mid", color=report.BLUE, alpha=0.2, linewidth=0.0,
+            speed, needed, worst, step="mid", color=cases.BLUE, alpha=0.2, linewidth=0.0,
             label=f"more for {SURE} of the draws",
         )  # fmt: skip
-        axes.step(speed, worst, where="mid", color=report.BLUE, linestyle="--", linewidth=1.0)
+        axes.step(speed, worst, where="mid", color=cases.BLUE, linestyle="--", linewidth=1.0)
         axes.step(
-            speed, needed, where="mid", color=report.BLUE, linewidth=2.0, marker=".",
+            speed, needed, where="mid", color=cases.BLUE, linewidth=2.0, marker=".",
             label="nothing unknown",
         )  # fmt: skip
         top = max(4.0, 1.1 * float(np.nanmax([*needed, *worst, 1.0])))
         lost = np.isnan(needed)
         axes.plot(
-            speed[lost], np.full(lost.sum(), 0.5), "x", color=report.ORANGE, clip_on=False,
+            speed[lost], np.full(lost.sum(), 0.5), "x", color=cases.ORANGE, clip_on=False,
             label=f"no number up to {MOST}",
         )  # fmt: skip
         unsure = ~lost & np.isnan(worst)
         axes.plot(
-            speed[unsure], needed[unsure], "o", color=report.ORANGE, fillstyle="none", markersize=9,
+            speed[unsure], needed[unsure], "o", color=cases.ORANGE, fillstyle="none", markersize=9,
             label=f"none does it in {SURE} of the draws",
         )  # fmt: skip
         if own.columns is not None:
@@ -287,26 +269,24 @@ class ColumnsReport(report.Answer):
         axes.set(xlabel="entry speed [m/s]", ylabel="columns of the zone")
         axes.set(ylim=(0.0, top), xlim=(0.0, None))
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        figure.legend(**report.legend_of_drawn(axes), loc="outside lower center", ncols=3)
+        figure.legend(**cases.legend_of_drawn(axes), loc="outside lower center", ncols=3)
         return figure
 
 
 def columns_report(
-    case: Case,
-    rows: int | None = None,
-    workers: parallel.Workers = 1,
+    case: Case, rows: int | None = None, workers: parallel.Workers = 1,
     on_progress: OnProgress = lambda *_: None,
-) -> ColumnsReport:
+) -> ColumnsReport:  # fmt: skip
     """Find the fewest columns of a case by rows (unless `rows` is given) and by entry speed."""
-    by_rows = (
-        columns_by_rows(case, workers=workers)
-        if rows is None
-        else (least_columns(case, rows, workers=workers),)
-    )
+    several = range(1, case.line(MOST).rows + 1) if rows is None else [rows]
+    by_rows = tuple(least_columns(case, each, workers=workers) for each in several)
     top = max(3.0, 1.5 * case.speed)
     speeds = (SPEED_STEP * np.arange(1, round(top / SPEED_STEP) + 1)).round(9).tolist()
-    by_speed = columns_by_speed(case, speeds, rows, workers=workers, on_progress=on_progress)
-    return ColumnsReport(case, by_rows, tuple(speeds), by_speed)
+    by_speed = []
+    for done, speed in enumerate(speeds):
+        on_progress(done, len(speeds))
+        by_speed.append(least_columns(replace(case, speed=speed), rows, workers=workers))
+    return ColumnsReport(case, by_rows, tuple(speeds), tuple(by_speed))
 
 
 def _header(purpose: Purpose, groups: Sequence[str]) -> tuple[str, ...]:
@@ -317,7 +297,7 @@ def _header(purpose: Purpose, groups: Sequence[str]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _row(purpose: Purpose, found: Columns, groups: Sequence[str]) -> tuple[report.Cell, ...]:
+def _row(purpose: Purpose, found: Columns, groups: Sequence[str]) -> tuple[cases.Cell, ...]:
     worst = [(each.columns, each.success) for each in found.worst if each.group in groups]
     return (
         found.rows, found.columns, found.modules, found.layout, purpose.scale * found.measure,

@@ -1,31 +1,20 @@
 """Limits of entry speed, tilt and friction on one surface."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from surface_gym import checks, parallel
-from surface_gym.design import report, runs
-from surface_gym.design.case import (
-    NOMINAL,
-    NOTHING,
-    SURE,
-    TOGETHER,
-    WORST,
-    Case,
-    Draws,
-    Layout,
-    Unknown,
-    is_reliable,
-)
+from surface_gym.design import case as cases, runs
+from surface_gym.design.case import NOMINAL, SURE, Case, Draws, Layout, Unknown, is_reliable
 from surface_gym.design.columns import MOST, Columns, least_columns
 from surface_gym.physics.types import Array, Booleans
 
-SPEED_STEP, SPEED_STEP_DRAWN = 0.01, 0.02  # [m/s] with nothing unknown, and with draws
-TILT_STEP, TILT_STEP_DRAWN = math.radians(0.1), math.radians(0.2)  # [rad] likewise
+# [m/s] and [rad] steps with nothing unknown, and with draws
+SPEED_STEPS, TILT_STEPS = (0.01, 0.02), (math.radians(0.1), math.radians(0.2))
 FACTOR_RANGE = 16.0  # [-] largest factor of friction to try, and inverse of the smallest
 FACTOR_PARTS, FACTOR_PARTS_DRAWN = 48, 8  # factors per doubling, likewise
 
@@ -58,24 +47,8 @@ class Arrangement:
     def description(self) -> str:
         """The surface after the word "on", e.g. "6 columns of 4 rows, +45 deg"."""
         return (
-            f"{report.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
+            f"{cases.plural(self.columns, 'column')} of {self.line.rows} rows, {self.layout.name}"
         )
-
-    @property
-    def columns_to_pass(self) -> int:
-        """Number of columns after which a run ends: the zone, plus a run-out if it may help."""
-        return self.columns + (0 if self.case.purpose.leaves_zone else self.line.run_out)
-
-    def run(
-        self,
-        drawn: Draws,
-        asked: runs.RunRequests,
-        workers: parallel.Workers = 1,
-        on_progress: runs.OnProgress = lambda *_: None,
-    ) -> runs.Ends:
-        """Simulate runs of draws over the layout."""
-        axes = self.layout.axis[np.newaxis]
-        return self.case.run(self.line, axes, asked, drawn, workers, on_progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +65,7 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits(report.Answer):
+class Limits(cases.Answer):
     """Limits of one quantity for success."""
 
     quantity: Quantity
@@ -103,10 +76,6 @@ class Limits(report.Answer):
     @property
     def name(self) -> str:
         return self.quantity.name
-
-    def of(self, group: str) -> Span:
-        checks.one_of("group", group, [each.group for each in self.spans])
-        return next(each for each in self.spans if each.group == group)
 
     @property
     def sentence(self) -> str:
@@ -136,42 +105,14 @@ class Limits(report.Answer):
             return f"{high}{unit} or less"
         return f"{low} to {high}{unit}"
 
-    def tables(self) -> tuple[report.ReportTable, ...]:
+    def tables(self) -> tuple[cases.ReportTable, ...]:
         name, what, unit, *_ = self.quantity
-        return (
-            report.ReportTable(
-                name,
-                f"Limits of {what}",
-                ("unknown", f"least [{unit}]", f"most [{unit}]", "success as it comes"),
-                tuple(self.limit_rows()),
-            ),
-            report.ReportTable(
-                f"{name}_curve",
-                f"Success by {what}",
-                ("unknown", f"{what} [{unit}]", "success"),
-                tuple(self.curve_rows()),
-                shown=False,
-            ),
-        )
+        return _tables(name, what, f"{what} [{unit}]", unit, {(): self})
 
-    def limit_rows(self) -> Iterable[tuple[report.Cell, ...]]:
-        """Yield a row for each span: its limits, and the success of the case's own value."""
-        scale = self.quantity.scale
-        for span in self.spans:
-            own = float(span.share[abs(span.values - self.own).argmin()])
-            ends = [None if end is None else scale * end for end in (span.least, span.most)]
-            yield (report.group_label(span.group), *ends, own)
-
-    def curve_rows(self) -> Iterable[tuple[report.Cell, ...]]:
-        """Yield a row for each tried value."""
-        for span in self.spans:
-            for value, share in zip(span.values.tolist(), span.share.tolist(), strict=True):
-                yield (report.group_label(span.group), self.quantity.scale * value, share)
-
-    def draw(self) -> "report.Figure":
+    def draw(self) -> "cases.Figure":
         """Draw success over the quantity, one line per group of unknown quantities."""
         case, quantity = self.arrangement.case, self.quantity
-        figure, axes = report.new_panel(
+        figure, axes = cases.new_panel(
             f"{quantity.question} {case.purpose.passive}?",
             f"{case.parcel_text}; {self.arrangement.description}",
         )
@@ -183,14 +124,14 @@ class Limits(report.Answer):
             f" {case.entry_text}", (own, 0.02), fontsize="small", rotation=90.0,
             ha="left", va="bottom", bbox={"color": "white", "alpha": 0.7, "pad": 0.5},
         )  # fmt: skip
-        axes.legend(**report.legend_of_drawn(axes))
+        axes.legend(**cases.legend_of_drawn(axes))
         return figure
 
-    def draw_curves(self, axes: "report.Axes") -> None:
+    def draw_curves(self, axes: "cases.Axes") -> None:
         from matplotlib.ticker import PercentFormatter
 
         for span in self.spans:
-            colour, style = report.LINES[span.group]
+            colour, style = cases.LINES[span.group]
             values = self.quantity.scale * span.values
             if span.group == NOMINAL:
                 axes.fill_between(
@@ -200,10 +141,10 @@ class Limits(report.Answer):
                 continue
             axes.plot(
                 values, span.share, color=colour, linestyle=style,
-                linewidth=2.2 if span.group == TOGETHER else 1.5,
-                label=report.group_label(span.group),
+                linewidth=2.2 if span.group == cases.TOGETHER else 1.5,
+                label=cases.group_label(span.group),
             )  # fmt: skip
-        axes.axhline(1.0 - WORST, color=report.ORANGE, linewidth=0.8)
+        axes.axhline(1.0 - cases.WORST, color=cases.ORANGE, linewidth=0.8)
         axes.grid(alpha=0.25)
         axes.set_ylim(0.0, 1.03)
         axes.margins(x=0.0)
@@ -211,7 +152,7 @@ class Limits(report.Answer):
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionRange(report.Answer):
+class FrictionRange(cases.Answer):
     """Limits of the factors of friction for success, varied one at a time."""
 
     along: Limits  # factors of mu_max
@@ -236,42 +177,23 @@ class FrictionRange(report.Answer):
             text += f"; for {SURE} of the draws of what else is unknown, {' and '.join(worst)}"
         return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
 
-    def tables(self) -> tuple[report.ReportTable, ...]:
-        both = [(limits.quantity.description, limits) for limits in (self.along, self.across)]
-        return (
-            report.ReportTable(
-                "friction",
-                "Limits of friction, as factors",
-                ("varied", "unknown", "least [-]", "most [-]", "success as it comes"),
-                tuple((what, *row) for what, limits in both for row in limits.limit_rows()),
-            ),
-            report.ReportTable(
-                "friction_curve",
-                "Success by friction",
-                ("varied", "unknown", "factor [-]", "success"),
-                tuple((what, *row) for what, limits in both for row in limits.curve_rows()),
-                shown=False,
-            ),
-        )
+    def tables(self) -> tuple[cases.ReportTable, ...]:
+        both = (self.along, self.across)
+        parts: dict[tuple[str, ...], Limits] = {(x.quantity.description,): x for x in both}
+        return _tables("friction", "friction", "factor [-]", "-", parts)
 
-    def draw(self) -> "report.Figure":
+    def draw(self) -> "cases.Figure":
         """Draw success over the factors of mu_max and mu_min."""
         from matplotlib.ticker import FuncFormatter
 
         arrangement, case = self.along.arrangement, self.along.arrangement.case
         title = f"How far may friction be off for it to {case.purpose.passive}?"
         subtitle = f"{case.parcel_text}; {arrangement.description}"
-        figure = report.new_figure(9.6, 4.4, f"{title}\n{subtitle}", "medium")
+        figure = cases.new_figure(9.6, 4.4, f"{title}\n{subtitle}", "medium")
         panels = figure.subplots(1, 2, sharey=True)
-        for axes, limits, name in zip(
-            panels,
-            (self.along, self.across),
-            (
-                f"along axes, mu_max, over {case.mu_max:g}",
-                f"across axes, mu_min, over {case.mu_min:g}",
-            ),
-            strict=True,
-        ):
+        along = (self.along, f"along axes, mu_max, over {case.mu_max:g}")
+        across = (self.across, f"across axes, mu_min, over {case.mu_min:g}")
+        for axes, (limits, name) in zip(panels, (along, across), strict=True):
             limits.draw_curves(axes)
             axes.set_xscale("log", base=2)
             axes.xaxis.set_major_formatter(
@@ -280,8 +202,40 @@ class FrictionRange(report.Answer):
             axes.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
             axes.set_xlabel(f"friction {name}")
         panels[0].set_ylabel("success")
-        panels[1].legend(**report.legend_of_drawn(panels[1]))
+        panels[1].legend(**cases.legend_of_drawn(panels[1]))
         return figure
+
+
+def _tables(
+    name: str, what: str, value: str, unit: str, parts: dict[tuple[str, ...], Limits]
+) -> tuple[cases.ReportTable, ...]:
+    """Make a table of limits and one of curves, with one row for each span and each tried value.
+
+    Args:
+        value: heading of tried values.
+        parts: limits by the cells before them: none, or the varied quantity.
+    """
+    limits, curve = [], []
+    for varied, each in parts.items():
+        scale = each.quantity.scale
+        for span in each.spans:
+            label = (*varied, cases.group_label(span.group))
+            ends = [None if end is None else scale * end for end in (span.least, span.most)]
+            own = float(span.share[abs(span.values - each.own).argmin()])
+            limits.append((*label, *ends, own))
+            points = zip(span.values.tolist(), span.share.tolist(), strict=True)
+            curve += [(*label, scale * x, share) for x, share in points]
+    single = () in parts
+    title = f"Limits of {what}" + ("" if single else ", as factors")
+    head = ("unknown",) if single else ("varied", "unknown")
+    ends_head = (f"least [{unit}]", f"most [{unit}]", "success as it comes")
+    return (
+        cases.ReportTable(name, title, (*head, *ends_head), tuple(limits)),
+        cases.ReportTable(
+            f"{name}_curve", f"Success by {what}", (*head, value, "success"), tuple(curve),
+            shown=False,
+        ),
+    )  # fmt: skip
 
 
 def least_speed(
@@ -300,9 +254,8 @@ def least_speed(
     0.72
     """
     top = min(20.0, max(3.0, 1.5 * case.speed)) if highest is None else highest
-    checks.within("highest", top, max(case.speed, SPEED_STEP_DRAWN), 20.0)
-    steps = (SPEED_STEP, SPEED_STEP_DRAWN)
-    return _sweep(case, SPEED, steps, top, columns, rows, workers, on_progress)
+    checks.within("highest", top, max(case.speed, SPEED_STEPS[1]), 20.0)
+    return _sweep(case, SPEED, SPEED_STEPS, top, columns, rows, workers, on_progress)
 
 
 def least_tilt(
@@ -316,22 +269,18 @@ def least_tilt(
     """
     usual = max(math.radians(15.0), 1.5 * case.tilt)
     top = max(case.tilt, min(math.radians(44.0), usual)) if highest is None else highest
-    if not max(case.tilt, TILT_STEP_DRAWN) <= checks.number("highest", top) < math.pi / 4:
+    if not max(case.tilt, TILT_STEPS[1]) <= checks.number("highest", top) < math.pi / 4:
         raise ValueError(
             f"highest must be from the case's tilt, {case.tilt:g}, to below pi/4 (45 deg), "
             f"got {top!r}; {checks.DEGREES}"
         )
-    steps = (TILT_STEP, TILT_STEP_DRAWN)
-    return _sweep(case, TILT, steps, top, columns, rows, workers, on_progress)
+    return _sweep(case, TILT, TILT_STEPS, top, columns, rows, workers, on_progress)
 
 
 def friction_range(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
-    workers: parallel.Workers = 1,
-    on_progress: runs.OnProgress = lambda *_: None,
-) -> FrictionRange:
+    case: Case, columns: int | None = None, rows: int | None = None,
+    workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
+) -> FrictionRange:  # fmt: skip
     """Find the limits of uniform factors of mu_max (along axes) and mu_min (across axes).
 
     Tries factors from 1/16 to 16, with 48 factors per doubling, or 8 with draws.
@@ -379,9 +328,8 @@ def _sweep(
     """Find the limits of speed or tilt among the multiples of a step and the case's own value."""
     arrangement = arrange(case, columns, rows, workers)
     own = getattr(case, quantity.name)
-    least = (
-        0 if (case.tilt if quantity is SPEED else case.speed) else 1
-    )  # at rest on a level surface, success is impossible
+    # At rest on a level surface, success is impossible.
+    least = 0 if (case.tilt if quantity is SPEED else case.speed) else 1
     grids = []
     for step in steps:
         multiples = step * np.arange(least, round(top / step) + 1)
@@ -396,15 +344,10 @@ def _sweep(
 
 
 def _limits(
-    arrangement: Arrangement,
-    quantity: Quantity,
-    own: float,
-    grids: list[Array],
-    unknown: Unknown,
-    at: Callable[[Array], runs.RunRequests],
-    workers: parallel.Workers,
+    arrangement: Arrangement, quantity: Quantity, own: float, grids: list[Array], unknown: Unknown,
+    at: Callable[[Array], runs.RunRequests], workers: parallel.Workers,
     on_progress: runs.OnProgress,
-) -> Limits:
+) -> Limits:  # fmt: skip
     """Find the span of each group of unknown quantities.
 
     The group with nothing unknown is searched on the first grid, and the others on the second.
@@ -426,11 +369,9 @@ def _limits(
 
 
 def arrange(
-    case: Case,
-    columns: int | None = None,
-    rows: int | None = None,
+    case: Case, columns: int | None = None, rows: int | None = None,
     workers: parallel.Workers = 1,
-) -> Arrangement:
+) -> Arrangement:  # fmt: skip
     """Choose the surface on which a case is varied, with the layout that succeeds in most draws.
 
     The default of `columns` is the fewest for all but `WORST` of the draws with all quantities
@@ -441,41 +382,37 @@ def arrange(
     if columns is None:
         columns, chosen = _fewest(case, least_columns(case, rows, workers=workers))
     line = case.line(max(MOST, checks.integer("columns", columns, least=1)), rows)
-    tried = [
-        Arrangement(case, line, layout, columns, chosen)
-        for layout in case.purpose.layouts(line, columns)
-    ]
-    if len(tried) == 1:
-        return tried[0]
+    layouts = case.purpose.layouts(line, columns)
+    tried = [Arrangement(case, line, layout, columns, chosen) for layout in layouts]
     point = runs.make_runs(case.speed, case.tilt)
 
-    def merit(each: Arrangement) -> tuple[float, ...]:
+    def merit(each: Arrangement) -> list[float]:
         """Return the success with nothing unknown, and the share of successful draws."""
-        return tuple(
+        return [
             float(success_shares(each, case.draw(line, unknown), point, workers)[0])
-            for unknown in (NOTHING, case.unknown)
-        )
+            for unknown in (cases.NOTHING, case.unknown)
+        ]
 
-    return max(tried, key=merit)
+    return max(tried, key=merit) if len(tried) > 1 else tried[0]
 
 
 def success_shares(
-    arrangement: Arrangement,
-    drawn: Draws,
-    points: runs.RunRequests,
-    workers: parallel.Workers = 1,
-    on_progress: runs.OnProgress = lambda *_: None,
-) -> Array:
+    arrangement: Arrangement, drawn: Draws, points: runs.RunRequests,
+    workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
+) -> Array:  # fmt: skip
     """Return the share (points,) of successful draws, with the same draws at every point.
 
     Only the points' speed, tilt and friction are used.
     """
+    case, line = arrangement.case, arrangement.line
     speed, tilt, factors = (
         values[:, np.newaxis] for values in (points.speed, points.tilt, points.friction)
     )
-    asked = drawn.runs(speed, tilt, arrangement.columns_to_pass, friction=factors)
-    ends = arrangement.run(drawn, asked, workers, on_progress)
-    done = arrangement.case.purpose.succeeds(ends)
+    # A run ends after the zone, plus a run-out if it may help.
+    passed = arrangement.columns + (0 if case.purpose.leaves_zone else line.run_out)
+    asked = drawn.runs(speed, tilt, passed, friction=factors)
+    axes = arrangement.layout.axis[np.newaxis]
+    done = case.purpose.succeeds(case.run(line, axes, asked, drawn, workers, on_progress))
     return done.reshape(len(points), len(drawn)).mean(axis=1)
 
 

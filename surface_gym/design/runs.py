@@ -150,15 +150,9 @@ MOST_STEPS = 128_000  # maximum steps in a chunk, so that Ctrl-C does not wait l
 BUNDLE = 5000  # maximum runs per task of a node: some tenths of a second
 LEAST_BUNDLE = 500  # fewer runs are not distributed
 
-# Reasons for the end of a run, and their descriptions.
+# Reasons for the end of a run: no rotor under the parcel, every rotor under it behind the zone, at
+# rest, off the surface, out of time.
 OUT, PAST, AT_REST, OFF, OUT_OF_TIME = range(5)
-ENDS = (
-    "out of the line",  # no rotor under the parcel
-    "past the zone",  # every rotor under it lies behind the zone
-    "at rest",
-    "off the surface",
-    "out of time",
-)
 
 # Columns of `RunArrays.number` and of `RunArrays.end`.
 LAYOUT, STIFFNESS, PARCEL, EXIT, STEPS = range(5)
@@ -207,17 +201,13 @@ class Ends:
 
     line: DesignLine
     runs: RunRequests  # requested runs
-    reason: Integers  # (runs,) index into `ENDS`
+    reason: Integers  # (runs,) OUT, PAST, ...
     touched: Integers  # (runs,) columns from the zone's first to the last under the parcel
     time: Array  # (runs,) [s] until the end
     pose: Array  # (runs, 3) [m, m, rad] of the base's frame at the end
     velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
     tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
     steps: Integers  # (runs,) number of steps
-
-    def describe(self, run: int) -> str:
-        """Return the reason for the end of a run in words."""
-        return ENDS[self.reason[run]]
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:

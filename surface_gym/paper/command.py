@@ -1,12 +1,13 @@
-"""The command line of `python -m surface_gym.paper`."""
+"""The command `surface-gym paper`. It imports what computes and draws when it runs."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
+from rich.console import Console
 
 from surface_gym.cli import parse_options
 
@@ -24,7 +25,7 @@ class PaperOptions:
     """
 
     figures: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw Figures 6 to 10 and the alignment into this folder, as PNG and PDF."""
+    """Draw Figures 7, 8 and 10 and the alignment into this folder, as PNG and PDF."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Write every number to this file."""
 
@@ -32,38 +33,20 @@ class PaperOptions:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a file that cannot be written ends it with a one-line error."""
     options = parse_options(PaperOptions, "paper", arguments)
+    from surface_gym.paper import report, reproduction
+
     try:
-        reproduce_and_report(options)
+        # Check that the paths are writable before the long computation.
+        if options.json is not None:
+            options.json.open("a").close()
+        if options.figures is not None:
+            options.figures.mkdir(parents=True, exist_ok=True)
+        with Console(stderr=True).status("") as status:
+            found = reproduction.reproduce(status.update)
+        report.print_report(found, Console())
+        if options.json is not None:
+            options.json.write_text(reproduction.to_json(found), encoding="utf-8")
+        if options.figures is not None:
+            print(*report.draw_figures(found, options.figures), sep="\n")
     except OSError as error:
         sys.exit(f"error: cannot write {error.filename}: {error.strerror}")
-
-
-def reproduce_and_report(options: PaperOptions) -> None:
-    """Compute everything, print it and write the requested files."""
-    # Check that the paths are writable before the long computation.
-    if options.json is not None:
-        options.json.open("a").close()
-    if options.figures is not None:
-        options.figures.mkdir(parents=True, exist_ok=True)
-        from surface_gym.paper.figures import draw_figures
-    from rich.console import Console
-
-    from surface_gym.paper import reproduction
-    from surface_gym.paper.report import print_report
-
-    found = reproduction.reproduce(_show_progress)
-    print_report(found, Console())
-    if options.json is not None:
-        options.json.write_text(reproduction.to_json(found), encoding="utf-8")
-    if options.figures is not None:
-        print(*draw_figures(found, options.figures), sep="\n")
-
-
-def _show_progress(cases: Sequence[Any], description: str) -> Iterable[Any]:
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
-    return track(
-        cases, description, console=console, transient=True, disable=not console.is_terminal
-    )

@@ -2,13 +2,13 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations, product
 from typing import Any
 
 from surface_gym import layouts
-from surface_gym.paper import claims, runs
+from surface_gym.paper import runs
 from surface_gym.paper.runs import ComputedValue, Integration, PaperTable, TableCell, Targets
 
 NAMES = (f"{1000 * runs.COARSE.dt:g} ms", "converged", "implicit")  # names of INTEGRATIONS
@@ -30,12 +30,6 @@ ABOUT_COARSE = tuple(
 )
 # [rad] larger than 1e-15, the tolerance within which an axis counts as 90 deg.
 LAST_DIGITS = (-4e-15, 0.0, 4e-15)
-
-
-def untracked(cases: Sequence[Any], description: str) -> Iterable[Any]:
-    """Iterate over the cases without showing progress."""
-    del description
-    return cases
 
 
 @dataclass(frozen=True)
@@ -65,76 +59,66 @@ class StepEndSpread(EndSpread):
 class Reproduction:
     """The paper's tables and claims beside ours."""
 
-    tables: tuple[PaperTable, ...]
-    sorted_by_speed: tuple[runs.SortingCase, ...]  # Figure 8, red
-    sorted_by_tilt: tuple[runs.SortingCase, ...]  # Figure 8, blue
-    near_the_limit: tuple[StepEndSpread, ...]
+    tables: list[PaperTable]
+    sorted_by_speed: list[runs.SortingCase]  # Figure 8, red
+    sorted_by_tilt: list[runs.SortingCase]  # Figure 8, blue
+    near_the_limit: list[StepEndSpread]
     about_coarse: StepEndSpread
     last_digits: EndSpread  # effect of round-off at the coarse step
-    by_step: tuple[AgreementCount, ...]
-    self_stopping: tuple[claims.SelfStop, ...]
-    alignment: tuple[claims.Alignment, ...]
+    by_step: list[AgreementCount]
+    self_stopping: list[runs.SelfStop]
+    alignment: list[runs.Alignment]
 
     def table(self, key: str) -> PaperTable:
         return next(table for table in self.tables if table.key == key)
 
 
-def reproduce(track: claims.Track = untracked) -> Reproduction:
-    """Compute every table."""
+def reproduce(begin: Callable[[str], None] = lambda _: None) -> Reproduction:
+    """Compute every table; `begin` is called with the name of each part."""
     targets = runs.load_targets()
+    rows = targets.sorting_runs
+    begin("Figure 8")
     by_speed, by_tilt = (
-        tuple(
-            runs.sort_case(size, speed, tilt, runs.INTEGRATIONS)
-            for size, (speed, tilt) in track(tuple(product(runs.SIZES, inputs)), title)
-        )
-        for title, inputs in (
-            ("Table 3", [(speed, 0.0) for speed in targets.sorting_speeds]),
-            ("Figure 8", [(0.0, tilt) for tilt in TILTS]),
+        [runs.sort_case(size, *each, runs.INTEGRATIONS) for size, each in product(runs.SIZES, over)]
+        for over in (
+            [(speed, 0.0) for speed in targets.sorting_speeds],
+            [(0.0, tilt) for tilt in TILTS],
         )
     )
+    begin("Tables 2 to 4")
+    tables = [
+        build_table2(targets, runs.INTEGRATIONS),
+        build_passing(targets),
+        build_table3(targets, by_speed),
+        build_slowest_sorted(targets),
+        build_table4(targets, runs.INTEGRATIONS),
+        build_slowing_ratios(targets),
+        build_stopping(targets),
+    ]
+    begin("Convergence")
+    near_the_limit = [compare_steps(rows, pair) for pair in NEAR_THE_LIMIT]
+    about_coarse = compare_steps(rows, ABOUT_COARSE)
+    turned = ([run_turned(run, turn, runs.COARSE) for turn in LAST_DIGITS] for run in rows)
+    last_digits = EndSpread(*_widest(turned))
+    begin("Steps")
+    by_step = count_agreements(targets)
+    begin("Standstill and alignment")
     return Reproduction(
-        tables=(
-            build_table2(targets, runs.INTEGRATIONS, track),
-            build_passing(targets),
-            build_table3(targets, by_speed),
-            build_slowest_sorted(targets, track),
-            build_table4(targets, runs.INTEGRATIONS, track),
-            build_slowing_ratios(targets),
-            build_stopping(targets, track),
-        ),
-        sorted_by_speed=by_speed,
-        sorted_by_tilt=by_tilt,
-        near_the_limit=tuple(
-            compare_steps(targets.sorting_runs, pair)
-            for pair in track(NEAR_THE_LIMIT, "Convergence")
-        ),
-        about_coarse=compare_steps(targets.sorting_runs, ABOUT_COARSE),
-        last_digits=EndSpread(
-            *_widest(
-                [run_turned(run, turn, runs.COARSE) for turn in LAST_DIGITS]
-                for run in targets.sorting_runs
-            )
-        ),
-        by_step=count_agreements(targets, track),
-        self_stopping=claims.study_standstill(track),
-        alignment=claims.study_alignment(track),
-    )
+        tables, by_speed, by_tilt, near_the_limit, about_coarse, last_digits, by_step,
+        runs.study_standstill(), runs.study_alignment(),
+    )  # fmt: skip
 
 
-def build_table2(
-    targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
-) -> PaperTable:
+def build_table2(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
     """Build Table 2: end poses of the sorting runs."""
     cells = []
-    for run in track(targets.sorting_runs, "Table 2"):
+    for run in targets.sorting_runs:
         push = f"{run.speed:g} m/s" if run.speed > 0.0 else f"{run.tilt:g}°"
         row = f"{run.figure[:2]}, {push}"
-        trajectories = [runs.run_table2(run, integration) for integration in integrations]
+        trajectories = [runs.run_table2(run, each) for each in integrations]
         shares = [runs.tipping_share(each) for each in trajectories]
-        x, y, theta = (
-            tuple(map(ComputedValue, values, shares))
-            for values in zip(*map(runs.displacement, trajectories), strict=True)
-        )
+        ends = zip(*map(runs.displacement, trajectories), strict=True)
+        x, y, theta = (tuple(map(ComputedValue, values, shares)) for values in ends)
         cells += [
             TableCell(row, "x [m]", "S", run.x, x, 3, POSITION_TOLERANCE),
             TableCell(row, "y [m]", "S", run.y, y, 3, POSITION_TOLERANCE),
@@ -144,7 +128,7 @@ def build_table2(
         "table2",
         "Table 2: displacement when sorting the S-box",
         "agrees within 10 mm and 3.5°, rounded as the paper prints",
-        tuple(cells),
+        cells,
     )
 
 
@@ -153,129 +137,112 @@ def build_passing(targets: Targets) -> PaperTable:
     case = targets.passing
     row = f"y = {case.y:g}"
     x, theta, time = zip(*(runs.pass_by(case, each) for each in runs.INTEGRATIONS), strict=True)
+    cells = [
+        TableCell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
+        TableCell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
+        TableCell(row, "time [s]", "S", case.time, time, 3, TIME_TOLERANCE),
+    ]
     return PaperTable(
         "passing",
         "Section 5.1: the S-box at 10° on its way",
         "agrees within 10 mm, 3.5° and 10 ms, rounded as the paper prints",
-        (
-            TableCell(row, "x [m]", "S", case.x, x, 3, POSITION_TOLERANCE),
-            TableCell(row, "theta [°]", "S", case.theta, theta, 2, ANGLE_TOLERANCE),
-            TableCell(row, "time [s]", "S", case.time, time, 3, TIME_TOLERANCE),
-        ),
+        cells,
     )
 
 
 def build_table3(targets: Targets, cases: Sequence[runs.SortingCase]) -> PaperTable:
     """Build Table 3: columns to sort, for cases in the paper's order of sizes and speeds."""
     paper = [columns for size in runs.SIZES for columns in targets.sorting_columns[size]]
+    cells = []
+    for case, theirs in zip(cases, paper, strict=True):
+        ours = [ComputedValue(each.columns, each.tipping) for each in case.ours]
+        cells.append(_cell(f"{case.speed:.1f}", case.size, theirs, ours))
     return PaperTable(
         "table3",
         "Table 3: columns to sort, by v0 [m/s]",
         "from the first inclined column to the last one touched before the box is out of the "
         "line; / where it stops in the line",
-        tuple(
-            _cell(case.speed, case.size, theirs, [(o.columns, o.tipping) for o in case.ours])
-            for case, theirs in zip(cases, paper, strict=True)
-        ),
+        cells,
     )
 
 
-def build_slowest_sorted(targets: Targets, track: claims.Track) -> PaperTable:
+def build_slowest_sorted(targets: Targets) -> PaperTable:
     """Compare the smallest speeds at which sorting succeeds."""
-    return PaperTable(
-        "slowest_sorted",
-        "Section 5.1: slowest v0 [m/s] that sorts",
-        "in steps of 0.1 m/s",
-        tuple(
-            TableCell(
-                "v0 [m/s]",
-                f"{size}-box",
-                size,
-                targets.slowest_sorted[size],
-                tuple(runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS),
-                1,
-            )
-            for size in track(runs.SIZES, "Slowest speed sorted")
-        ),
-    )
+    cells = []
+    for size, paper in targets.slowest_sorted.items():
+        ours = [runs.slowest_sorted(size, each) for each in runs.INTEGRATIONS]
+        cells.append(_cell("v0 [m/s]", size, paper, ours, 1))
+    title = "Section 5.1: slowest v0 [m/s] that sorts"
+    return PaperTable("slowest_sorted", title, "in steps of 0.1 m/s", cells)
 
 
-def build_table4(
-    targets: Targets, integrations: runs.Integrations, track: claims.Track = untracked
-) -> PaperTable:
+def build_table4(targets: Targets, integrations: Sequence[Integration]) -> PaperTable:
     """Build Table 4: columns to slow."""
+    cells = []
+    for size, speed, layout in _slowing_cases(targets):
+        ours = [runs.smallest_layout(size, speed, each) for each in integrations]
+        cells.append(_cell(f"{speed:.1f}", size, layout, ours))
     return PaperTable(
         "table4",
         "Table 4: columns to slow, and axes, by v0 [m/s]",
         "the fewest columns with 0.5 v0 >= v_out > 0; / where no layout does that",
-        tuple(
-            TableCell(
-                f"{speed:.1f}",
-                f"{size}-box",
-                size,
-                layout,
-                tuple(runs.smallest_layout(size, speed, each) for each in integrations),
-            )
-            for size, speed, layout in track(_slowing_cases(targets), "Table 4")
-        ),
+        cells,
     )
 
 
 def build_slowing_ratios(targets: Targets) -> PaperTable:
     """Compare the ratios of exit to entry speed after two columns."""
-    cells = []
-    speed = targets.ratio_speed
-    for angle, size in product(runs.ANGLES, runs.SIZES):
+    cells, speed = [], targets.ratio_speed
+    for (k, angle), size in product(enumerate(runs.ANGLES), runs.SIZES):
         layout = runs.SlowingLayout(targets.ratio_columns, angle)
         surface = runs.slowing_surface(size, layout)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
-        ours = tuple(ComputedValue(done.speed / speed, done.tipping) for done in exits)
-        paper = targets.slowing_ratios[size][angle]
-        cells.append(TableCell(f"columns: {layout}", f"{size}-box", size, paper, ours, 2))
+        ours = [ComputedValue(left / speed, tipping) for left, tipping in exits]
+        cells.append(_cell(f"columns: {layout}", size, targets.slowing_ratios[size][k], ours, 2))
     return PaperTable(
         "slowing_ratios",
         f"Section 5.2: v_out / v0 at {speed:g} m/s",
         "v_out is taken as the base leaves the slowing columns; agrees when rounded as printed",
-        tuple(cells),
+        cells,
     )
 
 
-def build_stopping(targets: Targets, track: claims.Track) -> PaperTable:
+def build_stopping(targets: Targets) -> PaperTable:
     """Compare the speed after Table 4's layout and one more column with the paper's 0."""
     cells = []
-    for size, speed, layout in track(_slowing_cases(targets), "Stopping"):
+    for size, speed, layout in _slowing_cases(targets):
         surface = runs.slowing_surface(size, layout, stops=True)
         exits = [runs.leave(surface, size, speed, each) for each in runs.INTEGRATIONS]
-        cells.append(_cell(speed, size, 0.0, exits, 3))
+        ours = [ComputedValue(*each) for each in exits]
+        cells.append(_cell(f"{speed:.1f}", size, 0.0, ours, 3))
     return PaperTable(
         "stopping",
         "Section 5.3: speed [m/s] after one more column",
         "behind the paper's Table 4 layout and one more column at 0°, by v0 [m/s]; "
         "0 where the box stops on them, as the paper says all do",
-        tuple(cells),
+        cells,
     )
 
 
 def _cell(
-    speed: float, size: str, paper: Any, ours: Iterable[tuple[Any, Any]], decimals: int = 0
+    row: str, size: str, paper: Any, ours: Iterable[ComputedValue], decimals: int = 0
 ) -> TableCell:
-    """Make the cell in the row of a speed and the column of a box."""
-    found = tuple(ComputedValue(*each) for each in ours)
-    return TableCell(f"{speed:.1f}", f"{size}-box", size, paper, found, decimals)
+    """Make the cell in the column of a box."""
+    return TableCell(row, f"{size}-box", size, paper, tuple(ours), decimals)
 
 
-def _slowing_cases(targets: Targets) -> tuple[tuple[str, float, runs.SlowingLayout], ...]:
-    return tuple(
+def _slowing_cases(targets: Targets) -> list[tuple[str, float, runs.SlowingLayout]]:
+    return [
         (size, speed, layout)
         for size in runs.SIZES
         for speed, layout in zip(targets.slowing_speeds, targets.slowing_layouts[size], strict=True)
-    )
+    ]
 
 
-def count_agreements(targets: Targets, track: claims.Track) -> tuple[AgreementCount, ...]:
+def count_agreements(targets: Targets) -> list[AgreementCount]:
     """Compare Tables 2, 3 and 4 by explicit steps of 0.5 to 10 ms."""
     found = []
-    for integration in track([Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS], "Steps"):
+    for integration in [Integration("explicit", 1e-3 * ms) for ms in MILLISECONDS]:
         only = (integration,)
         sorting = product(runs.SIZES, targets.sorting_speeds)
         tables = (
@@ -283,10 +250,9 @@ def count_agreements(targets: Targets, track: claims.Track) -> tuple[AgreementCo
             build_table3(targets, [runs.sort_case(*each, 0.0, only) for each in sorting]),
             build_table4(targets, only),
         )
-        found.append(
-            AgreementCount(integration, {table.key: table.agreeing(0) for table in tables})
-        )
-    return tuple(found)
+        agreeing = {table.key: table.agreeing(0) for table in tables}
+        found.append(AgreementCount(integration, agreeing))
+    return found
 
 
 def compare_steps(
@@ -323,9 +289,9 @@ def _widest(ends: Iterable[Sequence[tuple[float, float, float]]]) -> tuple[float
 
 def to_json(reproduction: Reproduction) -> str:
     """Return every number as JSON, unrounded; `ours` is in the order of `integrations`."""
-    targets = runs.load_targets()
+    targets, data = runs.load_targets(), asdict(reproduction)
     report = {
-        "source": targets.source,
+        "source": runs.load_data()["source"],
         "integrations": [
             {"name": name, **asdict(integration)}
             for name, integration in zip(NAMES, runs.INTEGRATIONS, strict=True)
@@ -337,29 +303,28 @@ def to_json(reproduction: Reproduction) -> str:
         "sorting_rates": {
             "unit": "pcs/h",
             "medium": targets.medium_rates,
-            "by_speed": [asdict(case) for case in reproduction.sorted_by_speed],
-            "by_tilt": [asdict(case) for case in reproduction.sorted_by_tilt],
+            "by_speed": data["sorted_by_speed"],
+            "by_tilt": data["sorted_by_tilt"],
         },
-        "near_the_limit": [asdict(spread) for spread in reproduction.near_the_limit],
-        "about_coarse_step": asdict(reproduction.about_coarse),
-        "last_digits_of_axes": asdict(reproduction.last_digits),
-        "agreeing_by_step": [asdict(each) for each in reproduction.by_step],
-        "self_stopping": [asdict(each) for each in reproduction.self_stopping],
-        "alignment": [asdict(each) for each in reproduction.alignment],
+        "near_the_limit": data["near_the_limit"],
+        "about_coarse_step": data["about_coarse"],
+        "last_digits_of_axes": data["last_digits"],
+        "agreeing_by_step": data["by_step"],
+        "self_stopping": data["self_stopping"],
+        "alignment": data["alignment"],
     }
     return json.dumps(report, indent=2) + "\n"
 
 
 def _table_data(table: PaperTable) -> dict[str, Any]:
-    count = len(runs.INTEGRATIONS)
+    each = range(len(runs.INTEGRATIONS))
     return {
         "title": table.title,
         "rule": table.rule,
         "cells": [
-            {**asdict(cell), "agrees": [cell.agrees(k) for k in range(count)]}
-            for cell in table.cells
+            {**asdict(cell), "agrees": [cell.agrees(k) for k in each]} for cell in table.cells
         ],
-        "agreeing": [table.agreeing(k) for k in range(count)],
+        "agreeing": [table.agreeing(k) for k in each],
         "of": len(table.cells),
-        "tipping": [table.tipping(k) for k in range(count)],
+        "tipping": [table.tipping(k) for k in each],
     }

@@ -1,4 +1,4 @@
-"""The study's targets, and the runs that reproduce them."""
+"""The study's targets, the runs that reproduce them, and tests of two of its claims."""
 
 import json
 import math
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +21,6 @@ from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 
 SIZES = ("S", "B")
-_KEYS = {"S": "s_box", "B": "b_box"}
 
 
 class SlowingLayout(NamedTuple):
@@ -64,22 +64,21 @@ class Passing:
 
 @dataclass(frozen=True)
 class Targets:
-    """The paper's tables. Keys of mappings are the sizes of the box, "S" and "B".
+    """The paper's tables of Section 5, by size of the box if they differ.
 
-    A tuple in a mapping of Table 3 or 4 has one entry per speed.
+    Lists of Tables 3 and 4 have one entry per speed.
     """
 
-    source: str
-    sorting_runs: tuple[SortingRun, ...]  # Table 2
+    sorting_runs: list[SortingRun]  # Table 2
     passing: Passing
-    sorting_speeds: tuple[float, ...]  # [m/s] of Table 3
-    sorting_columns: dict[str, tuple[int | None, ...]]  # Table 3; None: the box is not sorted
+    sorting_speeds: list[float]  # [m/s] of Table 3
+    sorting_columns: dict[str, list[int | None]]  # Table 3; None: the box is not sorted
     slowest_sorted: dict[str, float]  # [m/s] smallest speed at which the box is sorted
-    slowing_speeds: tuple[float, ...]  # [m/s] of Table 4
-    slowing_layouts: dict[str, tuple[SlowingLayout, ...]]  # Table 4
+    slowing_speeds: list[float]  # [m/s] of Table 4
+    slowing_layouts: dict[str, list[SlowingLayout]]  # Table 4
     ratio_speed: float  # [m/s] entry speed of the slowing ratios in Section 5.2
     ratio_columns: int
-    slowing_ratios: dict[str, dict[int, float]]  # by size, then axis angle [deg]
+    slowing_ratios: dict[str, list[float]]  # [-] for each of ANGLES
     medium_rates: tuple[float, float]  # [pcs/h] band of torsional discs in Figure 8
 
 
@@ -93,29 +92,14 @@ def load_data() -> dict[str, Any]:
 @cache
 def load_targets() -> Targets:
     """Read the paper's tables of Section 5."""
-    data = load_data()
-    table3, table4, ratio = data["table3"], data["table4"], data["slowing_ratio"]
-    passing = data["table2"]["passing"]
-    low, high = data["sorting_rate"]["paper_band_pcs_per_h"]
-    return Targets(
-        source=data["source"],
-        sorting_runs=tuple(SortingRun(*row) for row in data["table2"]["rows"]),
-        passing=Passing(*(passing[key] for key in ("gamma", "dy", "dx", "theta", "time"))),
-        sorting_speeds=tuple(table3["v0"]),
-        sorting_columns={size: tuple(table3[_KEYS[size]]) for size in SIZES},
-        slowest_sorted={size: table3["fails_below"][_KEYS[size]] for size in SIZES},
-        slowing_speeds=tuple(table4["v0"]),
-        slowing_layouts={
-            size: tuple(SlowingLayout(*entry) for entry in table4[_KEYS[size]]) for size in SIZES
-        },
-        ratio_speed=ratio["v0"],
-        ratio_columns=ratio["columns"],
-        slowing_ratios={
-            size: {int(angle): value for angle, value in ratio[_KEYS[size]].items()}
-            for size in SIZES
-        },
-        medium_rates=(low, high),
-    )
+    data = dict(load_data()["targets"])
+    data["sorting_runs"] = [SortingRun(*row) for row in data["sorting_runs"]]
+    data["passing"] = Passing(**data["passing"])
+    data["slowing_layouts"] = {
+        size: [SlowingLayout(*entry) for entry in entries]
+        for size, entries in data["slowing_layouts"].items()
+    }
+    return Targets(**data)
 
 
 Value = int | float | SlowingLayout | None
@@ -161,7 +145,7 @@ class PaperTable:
     key: str  # its name in the JSON report
     title: str
     rule: str  # definition of the values, and of agreement
-    cells: tuple[TableCell, ...]
+    cells: list[TableCell]
 
     def agreeing(self, integration: int) -> int:
         """Count the agreeing cells of one integration."""
@@ -210,7 +194,6 @@ CONVERGED = Integration("explicit", 5e-5)
 # The method of the environments. It does not chatter, so chatter causes no tipping here.
 SMOOTH = Integration("implicit", 1e-3)
 INTEGRATIONS = (COARSE, CONVERGED, SMOOTH)
-Integrations = Sequence[Integration]
 
 
 def tipping_share(trajectory: Trajectory, end: int | None = None) -> float | None:
@@ -286,9 +269,7 @@ def run_table2(case: SortingRun, integration: Integration) -> Trajectory:
     return integration.run(surface, "S", case.speed, case.time)
 
 
-def pass_by(
-    case: Passing, integration: Integration
-) -> tuple[ComputedValue, ComputedValue, ComputedValue]:
+def pass_by(case: Passing, integration: Integration) -> list[ComputedValue]:
     """Return displacement x [m], theta [deg] and time [s] when displacement y is reached."""
     surface = layouts.sorting("S", side=-1, tilt=math.radians(case.tilt))
     trajectory = integration.run(surface, "S", speed=0.0, duration=2.0 * case.time)
@@ -297,12 +278,8 @@ def pass_by(
     part = (case.y - moved[after - 1, 1]) / (moved[after, 1] - moved[after - 1, 1])
     x, _, theta = moved[after - 1] + part * (moved[after] - moved[after - 1])
     time = trajectory.time[after - 1] + part * integration.dt
-    share = tipping_share(trajectory, after)
-    return (
-        ComputedValue(float(x), share),
-        ComputedValue(math.degrees(theta), share),
-        ComputedValue(float(time), share),
-    )
+    found = (float(x), math.degrees(theta), float(time))
+    return [ComputedValue(value, tipping_share(trajectory, after)) for value in found]
 
 
 def sort(size: str, speed: float, tilt: float, integration: Integration) -> SortingResult:
@@ -326,10 +303,11 @@ def sort(size: str, speed: float, tilt: float, integration: Integration) -> Sort
     return SortingResult(columns, rate, tipping_share(trajectory, end))
 
 
-def sort_case(size: str, speed: float, tilt: float, integrations: Integrations) -> SortingCase:
+def sort_case(
+    size: str, speed: float, tilt: float, integrations: Sequence[Integration]
+) -> SortingCase:
     """Sort a box by each integration."""
-    ours = tuple(sort(size, speed, tilt, integration) for integration in integrations)
-    return SortingCase(size, speed, tilt, ours)
+    return SortingCase(size, speed, tilt, tuple(sort(size, speed, tilt, k) for k in integrations))
 
 
 def slowest_sorted(size: str, integration: Integration) -> ComputedValue:
@@ -353,22 +331,21 @@ def slowing_surface(size: str, layout: SlowingLayout, stops: bool = False) -> Su
     return build(size, math.radians(layout.angle), layout.columns, columns=columns)
 
 
-class ExitState(NamedTuple):
-    """State of a box as it leaves the slowing area."""
+def leave(
+    surface: Surface, size: str, speed: float, integration: Integration
+) -> tuple[float, float | None]:
+    """Run a box over a `slowing_surface`.
 
-    speed: float  # [m/s] when its base leaves the last column; 0 if it stops before
-    tipping: float | None  # [-] share of tipping steps until then
-
-
-def leave(surface: Surface, size: str, speed: float, integration: Integration) -> ExitState:
-    """Run a box over a `slowing_surface`; return the box's state as it leaves the slowing area."""
+    Returns the speed [m/s] when its base leaves the slowing area, 0 if it stops before, and the
+    share of tipping steps until then.
+    """
     trajectory = integration.run(surface, size, speed, LONGEST)
     first, _ = rotor_columns(surface, size, trajectory.pose)
     past = first >= surface.columns - layouts.LEAD_IN[size]
     if not past.any():
-        return ExitState(0.0, tipping_share(trajectory))
+        return 0.0, tipping_share(trajectory)
     end = int(np.argmax(past))
-    return ExitState(float(trajectory.velocity[end, 0]), tipping_share(trajectory, end))
+    return float(trajectory.velocity[end, 0]), tipping_share(trajectory, end)
 
 
 def smallest_layout(size: str, speed: float, integration: Integration) -> ComputedValue:
@@ -376,7 +353,166 @@ def smallest_layout(size: str, speed: float, integration: Integration) -> Comput
     for columns in range(1, MOST_COLUMNS + 1):
         for angle in ANGLES:
             layout = SlowingLayout(columns, angle)
-            left = leave(slowing_surface(size, layout), size, speed, integration)
-            if 0.5 * speed >= left.speed > 0.0:
-                return ComputedValue(layout, left.tipping)
+            left, tipping = leave(slowing_surface(size, layout), size, speed, integration)
+            if 0.5 * speed >= left > 0.0:
+                return ComputedValue(layout, tipping)
     return ComputedValue(None, None)
+
+
+# Section 5.2: axes at +-45 deg that align a box. Section 6.2: tilts that stop it.
+#
+# docs/reproduction.md derives the steepest tilt gamma at which a box stops by itself. It is
+# tan(gamma) = sqrt(2) mu_min on axes at +45 deg, and tan(gamma) = (mu_max + mu_min) / sqrt(2) on
+# alternate rows at +45 and -45 deg.
+
+INWARDS, OUTWARDS = 1, -1  # sign of the outer row's angle at y > 1 m
+ZONES = ((2, 1.5), (6, 2.5), (30, 2.5))  # columns, and entry speed [m/s] of a box
+ZONE_TILTS = (0.0, 10.0)  # [deg]
+OFFSETS = (0.01, 0.02, 0.04)  # [m] offset from the middle of boxes without a turn
+TURNS = (5.0, 10.0)  # [deg] turn of boxes in the middle
+NEARER = 0.9  # [-] maximum ratio of final to initial offset that counts as nearer
+LONGEST_CROSSING = 6.0  # [s]
+STEP = 1e-3  # [s] implicit step
+
+METHODS = (Integration("implicit", 5e-3), Integration("explicit", 1e-3))
+PUSH = 0.05  # [m/s] along x at the start
+LONGEST_PUSH = 60.0  # [s]
+STEEPEST = 30.0  # [deg]
+RESOLUTION = 0.005  # [deg] resolution of a threshold
+ELEMENTS = 80  # elements per side of the field
+START = (1.0, 7.0, 0.0)  # [m, m, rad]
+# [m/s] With the explicit method, a box at rest still oscillates at some mm/s.
+STANDING = 0.02
+
+
+@dataclass(frozen=True)
+class Zone:
+    """Slowing columns at +-45 deg in alternate rows, and the entry speed of a box."""
+
+    size: str  # size of the box, "S" or "B"
+    towards: int  # INWARDS or OUTWARDS: direction in which the outer rows push
+    columns: int
+    speed: float  # [m/s]
+    tilt: float  # [deg]
+
+    @property
+    def surface(self) -> Surface:
+        """The line, with equal numbers of columns at 90 deg before and after the zone."""
+        return layouts.slowing(
+            self.size,
+            self.towards * 0.25 * math.pi,
+            self.columns,
+            columns=self.columns + 2 * layouts.LEAD_IN[self.size],
+            tilt=math.radians(self.tilt),
+        )
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Offsets [m] and turns [deg] of boxes that leave a zone or stop in it."""
+
+    zone: Zone
+    straight: list[tuple[float, float]]  # for each of OFFSETS, boxes without a turn
+    centred: list[tuple[float, float]]  # for each of TURNS, boxes in the middle
+    nearer: int  # number of boxes with offset and turn that end nearer in both
+    mixed: int  # number of boxes with offset and turn
+    tipping: float  # [-] share of all steps that would tip the box
+
+
+def study_alignment() -> list[Alignment]:
+    """Study every zone with both signs and both boxes, level and tilted."""
+    zones = product(SIZES, ZONES, ZONE_TILTS, (INWARDS, OUTWARDS))
+    return [align(Zone(size, towards, *zone, tilt)) for size, zone, tilt, towards in zones]
+
+
+def align(zone: Zone) -> Alignment:
+    """Run boxes with an offset, with a turn, and with both."""
+    mixed = [(offset, side * turn) for offset, turn, side in product(OFFSETS, TURNS, (1.0, -1.0))]
+    starts = (*((offset, 0.0) for offset in OFFSETS), *((0.0, turn) for turn in TURNS), *mixed)
+    runs = [cross(zone, *start) for start in starts]
+    ends = [end_of_run(run) for run in runs]
+    straight, centred = ends[: len(OFFSETS)], ends[len(OFFSETS) : -len(mixed)]
+    both = sum(
+        abs(offset) <= NEARER * abs(came[0]) and abs(turn) <= NEARER * abs(came[1])
+        for (offset, turn), came in zip(ends[-len(mixed) :], mixed, strict=True)
+    )
+    tipping = float(np.mean([tipping_share(run) or 0.0 for run in runs]))
+    return Alignment(zone, straight, centred, both, len(mixed), tipping)
+
+
+@expect_tipping()
+def cross(zone: Zone, offset: float, turn: float) -> Trajectory:
+    """Run a box with an offset [m] and a turn [deg] until it has departed or stopped."""
+    surface = zone.surface
+    x, y, _ = layouts.start(zone.size)
+    run = simulate(
+        surface, layouts.box(zone.size), (x, y + offset, math.radians(turn)),
+        (zone.speed, 0.0, 0.0), LONGEST_CROSSING, STEP,
+    )  # fmt: skip
+    first, _ = rotor_columns(surface, zone.size, run.pose)
+    past = (first >= surface.columns - layouts.LEAD_IN[zone.size]) | (first == NONE)
+    rows = int(np.argmax(past)) + 1 if past.any() else len(past)
+    return Trajectory(
+        run.time[:rows], run.pose[:rows], run.velocity[:rows], run.tipping[:rows], run.end
+    )
+
+
+def end_of_run(run: Trajectory) -> tuple[float, float]:
+    """Return the offset from the middle [m] and the turn [deg] at the end."""
+    return float(run.pose[-1, 1]) - layouts.LINE_Y, math.degrees(run.pose[-1, 2])
+
+
+@dataclass(frozen=True)
+class SelfStop:
+    """The steepest tilt at which a pushed box stops by itself."""
+
+    layout: str
+    integration: Integration
+    measured: float  # [deg]
+    expected: float  # [deg] by the balance of forces
+    study: float | None  # [deg] value in Section 6.2; None: not stated for this layout
+
+
+def wide_field(signs: tuple[int, ...], tilt: float) -> Surface:
+    """Build a field tilted by `tilt` [rad] with rows at 45 deg times `signs`, repeated."""
+    axis = np.tile(0.25 * math.pi * np.resize(signs, (ELEMENTS, 1)), ELEMENTS)
+    return Surface(axis, np.ones(axis.shape, dtype=bool), tilt=tilt)
+
+
+def study_standstill() -> list[SelfStop]:
+    """Measure both fields by both methods."""
+    surface = wide_field((1,), 0.0)
+    printed = math.degrees(math.asin(math.sqrt(0.5) * surface.mu_min))
+    rolling = math.degrees(math.atan(math.sqrt(2.0) * surface.mu_min))
+    both = math.degrees(math.atan(math.sqrt(0.5) * (surface.mu_max + surface.mu_min)))
+    fields = (
+        ("+45° everywhere", (1,), rolling, printed),
+        ("±45° in alternate rows", (-1, 1), both, None),
+    )
+    return [
+        SelfStop(name, integration, steepest_stop(signs, integration), expected, study)
+        for (name, signs, expected, study), integration in product(fields, METHODS)
+    ]
+
+
+def steepest_stop(signs: tuple[int, ...], integration: Integration) -> float:
+    """Find by bisection the steepest tilt [deg] at which a pushed box stops by itself."""
+    low, high = 0.0, STEEPEST
+    while high - low > RESOLUTION:
+        middle = 0.5 * (low + high)
+        if _stops(wide_field(signs, math.radians(middle)), integration):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@expect_tipping()
+def _stops(surface: Surface, integration: Integration) -> bool:
+    """Push the S-box, and return whether it is at rest in the last quarter of the time."""
+    run = simulate(
+        surface, layouts.box("S"), START, (PUSH, 0.0, 0.0), LONGEST_PUSH, integration.dt,
+        integration.method,
+    )  # fmt: skip
+    speed = np.hypot(run.velocity[:, 0], run.velocity[:, 1])
+    return run.end != "left the surface" and bool(speed[-len(speed) // 4 :].mean() < STANDING)

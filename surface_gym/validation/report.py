@@ -16,8 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from surface_gym import parallel
-from surface_gym.paper import figures
-from surface_gym.paper.report import make_table
+from surface_gym.cli import make_table
+from surface_gym.paper.report import draw_base, draw_surface
 from surface_gym.validation import comparison, drawn
 from surface_gym.validation.comparison import (
     EXPLICIT,
@@ -390,12 +390,12 @@ def draw_trajectories(study: Study) -> Figure:
     figure, panels = _row(len(runs), (5.5 * len(runs), 4.6))
     for axes, run in zip(panels, runs, strict=True):
         surface = run.case.surface
-        figures.draw_surface(axes, surface, rotor="darkorange", support="pink", width=2.5)
+        draw_surface(axes, surface, rotor="darkorange", support="pink", width=2.5)
         for name, style in ((IMPLICIT, "-"), (MUJOCO, "--")):
             pose, colour = run.by[name].pose, COLOURS[name]
             axes.plot(*pose.T[:2], style, color=colour, label=name)
             for place, shade in ((0, "0.5"), (-1, colour)):
-                figures.draw_base(axes, comparison.PARCEL.base, pose[place], shade, width=1.0)
+                draw_base(axes, comparison.PARCEL.base, pose[place], shade, width=1.0)
         case = run.case
         axes.set(
             xlim=(0.0, 1.2), ylim=(0.45, 1.35), aspect="equal", xlabel="x [m]", ylabel="y [m]",

@@ -14,8 +14,7 @@ from surface_gym.agents.schedule_policy import (
     ScheduleNetwork,
     SchedulePolicy,
 )
-from surface_gym.agents.scheduling.decisions import Decisions
-from surface_gym.agents.scheduling.features import USUAL
+from surface_gym.agents.scheduling.decisions import USUAL, Decisions
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.exits import Exit, Exits
 from surface_gym.flow.stream import Stream

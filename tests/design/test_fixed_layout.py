@@ -1,18 +1,14 @@
 """The best fixed layout, beside the study's and beside all there are; those that ship."""
 
 import itertools
-import json
 import math
-from functools import partial
 
 import numpy as np
 import pytest
 
 import surface_gym as sg
 from surface_gym import layouts
-from surface_gym.design import sorting_layouts as shipped
-from surface_gym.design.case import (
-    NOTHING,
+from surface_gym.design import (
     Case,
     Purpose,
     SlowPurpose,
@@ -20,10 +16,18 @@ from surface_gym.design.case import (
     StopPurpose,
     TurnPurpose,
     Unknown,
+    fixed_layout as shipped,
 )
-from surface_gym.design.fixed_layout import best_layout, evaluate_layout, every_layout
+from surface_gym.design.case import NOTHING
+from surface_gym.design.fixed_layout import (
+    Effort,
+    LayoutSpace,
+    best_layout,
+    evaluate_layout,
+    every_layout,
+    search,
+)
 from surface_gym.design.runs import make_runs, run_all
-from surface_gym.design.search import Effort
 from surface_gym.lines import ORIENTATIONS
 
 S = layouts.box("S")
@@ -62,9 +66,9 @@ def test_any_angle_sorts_slower_boxes_than_the_study_s_four():
 
 def test_no_layout_of_the_four_orientations_sorts_below_the_study_s_least_speed():
     """All 4^32 of them, the S-box; one that sorts from 0.72 m/s on is the study's."""
-    tried = [every_layout(case(speed=speed / 100)) for speed in (30, 40, 50, 60, 66, 68, 70)]
-    assert all(each.complete and each.axis is None for each in tried)
-    assert every_layout(case(speed=0.72)).axis is not None
+    for speed in (30, 40, 50, 60, 66, 68, 70):
+        assert every_layout(case(speed=speed / 100)) is None
+    assert every_layout(case(speed=0.72)) is not None
     assert evaluate_study(np.arange(30, 271, 2) / 100).least_speed == 0.72
 
 
@@ -81,14 +85,12 @@ def test_every_layout_is_really_every_one_unless_there_is_no_time_to_try_them():
         runs = make_runs(0.9, layout=np.arange(len(axes)), columns=columns)
         ends = run_all(line, axes, [S], runs)
         found = every_layout(asked, columns)
-        assert found.complete
-        assert (found.axis is not None) == purpose.succeeds(ends).any()
-        if found.axis is not None:
-            over = evaluate_layout("it", found.axis, asked, line, np.array([0.9]))
+        assert (found is not None) == purpose.succeeds(ends).any()
+        if found is not None:
+            over = evaluate_layout("it", found, asked, line, np.array([0.9]))
             assert over.success.tolist() == [True]
-    tried = every_layout(case(speed=0.7), most=100)
-    assert (tried.axis, tried.complete) == (None, False)
-    assert tried.runs <= 100
+    with pytest.raises(ValueError, match=r"most must be more than the \d+ runs so far, got 100"):
+        every_layout(case(speed=0.7), most=100)
 
 
 @pytest.mark.parametrize(
@@ -149,24 +151,6 @@ def test_for_other_purposes_success_alone_counts():
     np.testing.assert_array_equal(Purpose.shortfall(StopPurpose(), ends), [0.0, 1.0])
 
 
-def test_threads_change_nothing_and_a_search_goes_on_where_it_was(tmp_path):
-    class Broken(Exception):
-        pass
-
-    def stop(done: int, _: int) -> None:
-        if done == 2:
-            raise Broken
-
-    find = partial(best_layout, case(), SPEEDS, 6, orientations=None, effort=QUICK)
-    whole, file = find(), tmp_path / "S.npz"
-    with pytest.raises(Broken):
-        find(checkpoint=file, on_progress=stop)
-    found = find(checkpoint=file, workers=2)
-    np.testing.assert_array_equal(found.best.axis, whole.best.axis)
-    np.testing.assert_array_equal(found.best.time, whole.best.time)
-    assert found.evaluations == whole.evaluations
-
-
 def test_what_is_not_known_costs_speed():
     speeds = np.arange(60, 101, 4) / 100
     over = evaluate_study(speeds, case(unknown=Unknown(), draws=40), workers=2)
@@ -184,18 +168,16 @@ def test_what_is_not_known_costs_speed():
     [
         (best_layout, {"speeds": ([], [0.0, 1.0], [math.nan])}),
         (best_layout, {"columns": (0,), "workers": (0,), "orientations": ((0.0,),)}),
-        (every_layout, {"columns": (0,), "workers": (0,), "orientations": ((0.0,),)}),
+        (every_layout, {"columns": (0,), "orientations": ((0.0,),)}),
         (every_layout, {"most": (0, 15)}),
-        (shipped.find_sorting_layouts, {"offers": (("two",),), "sizes": (("M",),)}),
     ],
 )
 def test_an_argument_that_is_not_allowed_is_named(find, wrong):
     given = {best_layout: {"speeds": SPEEDS, "effort": QUICK}}.get(find, {})
-    own = () if find is shipped.find_sorting_layouts else (case(),)
     for name, values in wrong.items():
         for value in values:
             with pytest.raises(ValueError, match=name):
-                find(*own, **{**given, name: value})
+                find(case(), **{**given, name: value})
 
 
 FEW = np.array([0.5, 0.7, 0.72, 1.5])  # [m/s]; the study's layout sorts at the last two
@@ -228,36 +210,110 @@ def test_there_is_one_for_every_box_and_offer_the_more_axes_the_slower_may_it_co
         assert least[box, "any"] < least[box, "eight"] < least[box, "four"]
 
 
-def test_layouts_found_anew_are_read_back(tmp_path, monkeypatch):
+def test_layouts_found_anew_are_read_back(tmp_path, monkeypatch, capsys):
     effort = Effort(members=6, generations=1, epochs=1, rounds=0)
     monkeypatch.setattr(shipped, "SPEEDS", FEW)
-    calls = []
-    found = shipped.find_sorting_layouts(
-        ("eight", "any"), ("S",), effort, checkpoints=tmp_path / "kept",
-        on_progress=lambda *at: calls.append(at),
-    )  # fmt: skip
-    again = shipped.find_sorting_layouts(("any",), ("S",), effort, checkpoints=tmp_path / "kept")
-    np.testing.assert_array_equal(again["S", "any"].best.axis, found["S", "any"].best.axis)
-    assert calls[-1] == (2, 2)
-    shipped.write_sorting_layouts(tmp_path / "new" / "sorting.json", found)
     monkeypatch.setattr(shipped.resources, "files", lambda _: tmp_path)
     monkeypatch.setattr(shipped, "FILE", "new/sorting.json")
+    file = tmp_path / "new" / "sorting.json"
+    shipped.write_sorting_layouts(file, ("four", "any"), ("S",), effort)
+    four, _ = capsys.readouterr().out.splitlines()
+    assert four == "S-box, four: sorts from 0.72 m/s on"
     read = shipped.sorting_layouts.__wrapped__()
-    assert [own.offer for own in read] == ["eight", "any"]
-    for own in read:
-        np.testing.assert_array_equal(own.axis, found["S", own.offer].best.axis)
-        assert own.least_speed == found["S", own.offer].best.least_speed
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["sorting.json"]
+    assert [(own.box, own.offer) for own in read] == [("S", "four"), ("S", "any")]
+    wanted = best_layout(Case(S), FEW, orientations=None, effort=effort)
+    np.testing.assert_allclose(read[1].axis, wanted.best.axis, rtol=0.0, atol=1e-12)
+    assert read[1].least_speed == wanted.best.least_speed
+    assert [path.name for path in file.parent.iterdir()] == ["sorting.json"]
 
 
-def test_the_command_writes_what_it_finds(tmp_path, monkeypatch, capsys):
-    small = Effort(members=5, generations=1, epochs=1, rounds=0)
-    monkeypatch.setattr(shipped, "SPEEDS", FEW)
-    quick = partial(shipped.find_sorting_layouts, sizes=("S",), effort=small)
-    monkeypatch.setattr(shipped, "find_sorting_layouts", quick)
-    file, kept = tmp_path / "found.json", tmp_path / "kept"
-    shipped.main(file, ("four",), kept)
-    (row,) = json.loads(file.read_text())
-    assert (row["box"], row["offer"], row["least_speed"]) == ("S", "four", 0.72)
-    assert (kept / "S-four.npz").is_file()
-    assert capsys.readouterr().out == "S-box, four: sorts from 0.72 m/s on\n"
+# The search alone, held against costs whose least is known.
+
+FOUR = tuple(np.radians([-45.0, 0.0, 45.0, 90.0]).tolist())
+SMALL = Effort(members=16, generations=5, epochs=4, rounds=2)
+ROLLING = np.full((1, 2, 5), math.pi / 2)
+SPACE = LayoutSpace(2, 5, FOUR)
+
+
+def target(space: LayoutSpace = SPACE) -> np.ndarray:
+    """A layout (rows, columns) [rad] drawn by chance."""
+    return space.axes(space.sample(np.random.default_rng(5), 1))[0]
+
+
+def apart(wanted: np.ndarray):
+    """A cost that is least, 0, at the wanted axes; its slope tells little: modules that differ."""
+
+    def score(axes: np.ndarray) -> np.ndarray:
+        return np.abs(np.sin(axes - wanted)).sum(axis=(1, 2))
+
+    return score
+
+
+def test_it_finds_the_least_of_a_sum_over_modules_and_keeps_what_it_begins_with():
+    found = search(SPACE, apart(target()), ROLLING, SMALL, seed=0)
+    np.testing.assert_array_equal(found, target())
+    found = search(SPACE, apart(target()), target()[None], Effort(5, 1, 1, 0), seed=3)
+    np.testing.assert_array_equal(found, target())
+
+
+def test_it_finds_what_no_single_module_tells_by_all_of_a_column():
+    def score(axes: np.ndarray) -> np.ndarray:
+        right = (np.abs(axes - target()) < 1e-9).all(axis=1)
+        return -right.sum(axis=1).astype(float)
+
+    found = search(SPACE, score, ROLLING, Effort(5, 1, 0, 1), seed=0)
+    np.testing.assert_array_equal(found, target())
+
+
+def test_any_angle_may_be_found():
+    space = LayoutSpace(2, 3, None)
+    wanted = np.radians([[10.0, -20.0, 33.0], [5.0, 80.0, -61.0]])
+    effort = Effort(members=30, generations=40, epochs=5, rounds=10)
+    found = search(space, apart(wanted), ROLLING[:, :, :3], effort, seed=0)
+    assert np.abs(np.sin(found - wanted)).max() < math.radians(2.0)
+
+
+def test_the_seed_alone_is_left_to_chance_and_progress_is_reported():
+    space = LayoutSpace(2, 5, None)
+    score, effort = apart(target(space)), Effort(8, 2, 2, 0)
+    one, same, other = (search(space, score, ROLLING, effort, seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+    calls = []
+    search(SPACE, apart(target()), ROLLING, SMALL, 0, on_progress=lambda *at: calls.append(at))
+    done = [at for at, _ in calls]
+    assert done == sorted(done)
+    assert {steps for _, steps in calls} == {4 + 2 * 5}
+    assert (done[0], done[-1]) == (0, 14)
+
+
+def test_members_and_axes_are_each_other_s_inverse_but_for_a_turn_by_pi():
+    for orientations in (FOUR, None):
+        space = LayoutSpace(3, 4, orientations)
+        axes = space.axes(space.sample(np.random.default_rng(0), 20))
+        np.testing.assert_array_equal(space.axes(space.members(axes)), axes)
+    axes = np.radians([[[135.0, -90.0, 180.0]]])
+    places = LayoutSpace(1, 3, FOUR).members(axes)
+    np.testing.assert_array_equal(places, [[0.0, 3.0, 1.0]])
+    angles = LayoutSpace(1, 3, None).members(axes)[0, [0, 2]]
+    np.testing.assert_allclose(angles, [-math.pi / 4, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("rows", "count"), [(2, 16), (4, 256), (5, 20)])
+def test_neighbours_differ_in_one_column(rows, count):
+    """All arrangements of it, or single modules where these are too many."""
+    space = LayoutSpace(rows, 3, FOUR)
+    member = space.sample(np.random.default_rng(2), 1)[0]
+    around = space.neighbours(member, 1).reshape(count, rows, 3)
+    differs = around != member.reshape(rows, 3)
+    assert not differs[:, :, [0, 2]].any()
+    if rows < 5:
+        assert len(np.unique(around, axis=0)) == 4**rows
+    else:
+        assert (differs.sum(axis=(1, 2)) <= 1).all()
+
+
+def test_an_effort_that_is_none_is_refused():
+    for name, value in (("members", 4), ("generations", 0), ("epochs", -1), ("rounds", 1.5)):
+        with pytest.raises(ValueError, match=name):
+            Effort(**{name: value})

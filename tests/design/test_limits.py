@@ -10,7 +10,7 @@ import surface_gym as sg
 from surface_gym import layouts
 from surface_gym.design import Case, SlowPurpose, SortPurpose, StopPurpose, TurnPurpose, Unknown
 from surface_gym.design.case import NOMINAL, NOTHING, TOGETHER
-from surface_gym.design.columns import columns_by_rows, columns_by_speed, least_columns
+from surface_gym.design.columns import least_columns
 from surface_gym.design.limits import (
     Arrangement,
     arrange,
@@ -33,7 +33,7 @@ LARGE = Case(OWN, SortPurpose(), speed=1.2, unknown=NOTHING)
 def test_table_3(size):
     """The S-box at 1.5 m/s takes 5 (the study 4); the B-box is sorted at 1.0 m/s (there not)."""
     case = Case(layouts.box(size), SortPurpose(), unknown=NOTHING, step=FINE)
-    ours = [each.columns for each in columns_by_speed(case, TARGETS.sorting_speeds)]
+    ours = [least_columns(replace(case, speed=v)).columns for v in TARGETS.sorting_speeds]
     same = [one == other for one, other in zip(ours, TARGETS.sorting_columns[size], strict=True)]
     assert sum(same) == 19
 
@@ -41,7 +41,7 @@ def test_table_3(size):
 @pytest.mark.parametrize(("size", "agree"), [("S", 18), ("B", 17)])
 def test_table_4(size, agree):
     case = Case(layouts.box(size), SlowPurpose(0.5), unknown=NOTHING, step=FINE)
-    found = columns_by_speed(case, TARGETS.slowing_speeds, most=8)
+    found = [least_columns(replace(case, speed=v), most=8) for v in TARGETS.slowing_speeds]
     angle = {"0 deg": 0, "+-45 deg": 45}
     same = [
         ours.columns is not None and SlowingLayout(ours.columns, angle[ours.layout]) == theirs
@@ -87,12 +87,6 @@ def test_too_slow_a_parcel_is_never_sorted_and_no_columns_are_refused():
         least_columns(Case(layouts.box("S")), most=0)
 
 
-def test_rows_from_one_to_the_parcel_s_width():
-    found = columns_by_rows(Case(layouts.box("B"), speed=1.5, unknown=NOTHING))
-    assert [each.rows for each in found] == [1, 2, 3, 4]
-    assert all(each.columns for each in found)
-
-
 @pytest.mark.parametrize(
     ("purpose", "speed", "low", "high"),
     [
@@ -124,11 +118,11 @@ def is_sorted(arrangement: Arrangement, speed: float, mu_factor: float = 1.0) ->
 @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
 def test_simulate_agrees_on_both_sides_of_the_limits_of_speed_and_friction():
     speeds, factors = least_speed(LARGE), friction_range(LARGE).along
-    found, step = speeds.of(NOMINAL), 0.01
+    found, step = speeds.spans[0], 0.01
     tried = (found.least - step, found.least, found.most, found.most + step)
     sorts = [is_sorted(speeds.arrangement, speed) for speed in tried]
     assert sorts == [False, True, True, False]
-    found, step = factors.of(NOMINAL), 2.0 ** (1.0 / 48.0)
+    found, step = factors.spans[0], 2.0 ** (1.0 / 48.0)
     tried = (found.least / step, found.least, found.most, found.most * step)
     sorts = [is_sorted(factors.arrangement, 1.2, factor) for factor in tried]
     assert sorts == [False, True, True, False]
@@ -146,7 +140,7 @@ def stops_at_the_latest(tilt: float, speed: float, mu: float) -> float:
 def test_a_parcel_stops_on_slopes_up_to_the_angle_of_friction():
     """tan(tilt) = mu_max, less what a zone of 3 m takes off it."""
     case = Case(layouts.box("S"), StopPurpose(), speed=0.2, unknown=NOTHING)
-    found = least_tilt(case, columns=30, highest=math.radians(30.0)).of(NOMINAL)
+    found = least_tilt(case, columns=30, highest=math.radians(30.0)).spans[0]
     assert found.least == 0.0
     assert found.most < math.atan(0.5)
     sure = [tilt for tilt in found.values if stops_at_the_latest(tilt, 0.2, 0.5) < 2.6]
@@ -157,12 +151,12 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
     tilt = math.radians(15.0)
     case = Case(layouts.box("S"), StopPurpose(), speed=0.2, tilt=tilt, unknown=NOTHING)
     limits = friction_range(case, columns=30)
-    found = limits.along.of(NOMINAL)
+    found = limits.along.spans[0]
     assert found.least > math.tan(tilt) / 0.5
     sure = [factor for factor in found.values if stops_at_the_latest(tilt, 0.2, 0.5 * factor) < 2.6]
     assert found.least <= sure[0]
     assert found.most == 16.0  # all that was tried
-    across = limits.across.of(NOMINAL)  # friction across only helps to stop
+    across = limits.across.spans[0]  # friction across only helps to stop
     assert across.least <= 1.0
     assert across.most == 16.0
 
@@ -170,7 +164,7 @@ def test_friction_that_holds_a_parcel_on_a_slope_may_be_off_by_its_reserve():
 def test_draws_narrow_the_limits_and_share_the_draws_of_least_columns():
     case = Case(layouts.box("S"), SlowPurpose(0.7), speed=2.5, draws=40)
     limits = least_speed(case, columns=4)
-    known, together = limits.of(NOMINAL), limits.of(TOGETHER)
+    known, together = limits.spans[0], limits.spans[-1]
     assert [each.group for each in limits.spans] == [
         NOMINAL, "friction", "load", "unevenness", TOGETHER,
     ]  # fmt: skip
@@ -196,14 +190,14 @@ def test_what_is_varied_is_left_out_of_what_is_unknown_and_progress_adds_up():
 
 def test_a_case_that_fails_has_no_limits_and_one_at_rest_and_level_is_not_tried():
     case = Case(layouts.box("S"), SortPurpose(), speed=0.3, unknown=NOTHING)
-    found = least_speed(case, columns=4, highest=1.0).of(NOMINAL)
+    found = least_speed(case, columns=4, highest=1.0).spans[0]
     assert (found.least, found.most) == (None, None)
     assert found.share.max() == 1.0  # though others succeed
     case = Case(
         layouts.box("S"), SortPurpose(), speed=0.0, tilt=math.radians(10.0), unknown=NOTHING
     )
-    assert least_tilt(case, columns=5).of(NOMINAL).values[0] > 0.0
-    assert least_speed(case, columns=5, highest=0.5).of(NOMINAL).values[0] == 0.0
+    assert least_tilt(case, columns=5).spans[0].values[0] > 0.0
+    assert least_speed(case, columns=5, highest=0.5).spans[0].values[0] == 0.0
 
 
 def test_a_span_ends_at_the_first_failure():
@@ -232,12 +226,14 @@ def test_of_two_layouts_the_one_that_does_it_is_taken():
 
 def test_errors_name_what_came():
     for ask, error in (
-        (lambda: least_speed(CASE.at(0.3)), r"columns must be given: .* does it at 0\.3 m/s"),
+        (
+            lambda: least_speed(replace(CASE, speed=0.3)),
+            r"columns must be given: .* does it at 0\.3 m/s",
+        ),
         (lambda: least_speed(CASE, columns=0), "columns must be a whole number of at least 1"),
         (lambda: least_speed(CASE, highest=1.0), r"highest must be between 1\.2 and 20, got 1\.0"),
         (lambda: least_tilt(CASE, highest=0.8), "highest must be from the case's tilt, 0, .* 0.8"),
         (lambda: friction_range(CASE, workers=0), "workers must be a whole number of at least 1"),
-        (lambda: least_speed(CASE, columns=5).of("friction"), "group must be one of 'nominal'"),
     ):
         with pytest.raises(ValueError, match=error):
             ask()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.paper import claims
-from surface_gym.paper.claims import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross, end_of_run
+from surface_gym.paper import runs
+from surface_gym.paper.runs import INWARDS, OFFSETS, OUTWARDS, TURNS, Zone, cross, end_of_run
 from surface_gym.physics.friction import ROUNDING
 
 HELD = 600.0  # [s]
@@ -80,7 +80,7 @@ def test_short_zones_do_not_hang_on_the_step():
         sg.simulate(zone.surface, BOX, start, (1.5, 0.0, 0.0), 0.5, dt=dt) for dt in (1e-3, 1e-4)
     )
     assert run.pose[-1] == pytest.approx(fine.pose[-1], abs=1e-3)
-    assert claims.align(zone).straight[0][0] == pytest.approx(0.0036, abs=5e-4)
+    assert runs.align(zone).straight[0][0] == pytest.approx(0.0036, abs=5e-4)
 
 
 def field(angle, degrees):
@@ -92,7 +92,7 @@ def field(angle, degrees):
 
 def test_the_measured_tilts_are_those_of_the_balance_and_the_study_has_half(reproduction):
     for case in reproduction.self_stopping:
-        assert case.measured == pytest.approx(case.expected, abs=2.0 * claims.RESOLUTION)
+        assert case.measured == pytest.approx(case.expected, abs=2.0 * runs.RESOLUTION)
     uniform_cases = [case for case in reproduction.self_stopping if case.study is not None]
     assert [case.integration.method for case in uniform_cases] == ["implicit", "explicit"]
     for case in uniform_cases:
@@ -105,7 +105,7 @@ def test_a_rolling_box_is_slowed_as_the_balance_says(degrees):
     """Half of gravity lies across the axes, against it the rolling friction alone."""
     tilt, side = math.radians(degrees), 0.2 * math.sqrt(0.5)
     start, velocity = (2.0, 6.0, 0.0), (side, -side, 0.0)
-    run = sg.simulate(claims.wide_field((1,), tilt), BOX, start, velocity, 1.0, dt=1e-3)
+    run = sg.simulate(runs.wide_field((1,), tilt), BOX, start, velocity, 1.0, dt=1e-3)
     gained = math.hypot(*run.velocity[-1, :2]) - 0.2
     balance = 9.81 * (math.sqrt(0.5) * math.sin(tilt) - 0.01 * math.cos(tilt))
     assert gained == pytest.approx(balance, rel=1e-3)

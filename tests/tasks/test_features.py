@@ -46,7 +46,7 @@ SCALES = (
     r"\b0\.3 \* (see|row|shown)",
 )
 # Numbers there are scales of what networks see of a schedule.
-OTHER = {"agents/scheduling/features.py"}
+OTHER = {"agents/scheduling/decisions.py"}
 
 
 @compiled

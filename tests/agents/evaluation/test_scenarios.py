@@ -23,10 +23,10 @@ from surface_gym.agents.evaluation.method import (
     stream_benchmark,
 )
 from surface_gym.agents.evaluation.results import Sample, make_rows
-from surface_gym.agents.planning.receding_horizon import RecedingHorizon
+from surface_gym.agents.planning.planner import RecedingHorizon
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.scheduling.bounds import entrance_bound
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups
+from surface_gym.agents.scheduling.scheduler import entrance_bound
 from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import Arrival, Trace

@@ -18,8 +18,8 @@ from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.modules import ModuleLearner
 from surface_gym.agents.learning.ppo import compute_advantages
 from surface_gym.agents.learning.runs import train
-from surface_gym.agents.scheduling.bounds import entrance_bound
-from surface_gym.agents.scheduling.features import ABOUT, LEVELS, OPTION, TOKEN
+from surface_gym.agents.scheduling.decisions import ABOUT, LEVELS, OPTION, TOKEN
+from surface_gym.agents.scheduling.scheduler import entrance_bound
 from surface_gym.randomisation import Randomisation
 from surface_gym.registration import env_id
 from surface_gym.sensors import Exact

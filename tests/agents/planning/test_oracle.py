@@ -1,12 +1,13 @@
 """The oracle: what it finds is what an environment does by the same actions."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from surface_gym import Parcel, Rectangle
-from surface_gym.agents.planning.oracle import Oracle, find_reachable, run_oracle
+from surface_gym.agents.planning.planner import Oracle, OracleResult, run_oracle
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.randomisation import Actuators, Randomisation
@@ -26,8 +27,13 @@ HARD = EnvConfig(
 )
 
 
+def found_by_oracle(config: EnvConfig, starts: list[Any], budget: int) -> list[OracleResult]:
+    oracle = Oracle(config, budget)
+    return [oracle.find(start, SEED + k) for k, start in enumerate(starts)]
+
+
 def test_what_is_found_happens_in_the_environment() -> None:
-    found = find_reachable(HARD, [{}] * 3, SEED, budget=8)
+    found = found_by_oracle(HARD, [{}] * 3, 8)
     episodes = run_episodes(Scripted([each.actions for each in found]), HARD, [{}] * 3, SEED)
     assert [each.success for each in found] == episodes.success.tolist()
     assert [each.outcome for each in found] == list(episodes.outcome)
@@ -41,7 +47,7 @@ def test_what_is_found_happens_in_the_environment() -> None:
 
 def test_its_episodes_are_like_a_controllers() -> None:
     starts = [{"speed": 1.0}, {"speed": 2.0, "ratio": 0.5}]
-    found = find_reachable(HARD, starts, SEED, budget=8)
+    found = found_by_oracle(HARD, starts, 8)
     episodes = run_oracle(HARD, starts, SEED, budget=8)
     assert episodes.success.tolist() == [each.success for each in found]
     assert episodes.outcome == ("success", "success")
@@ -54,7 +60,7 @@ def test_its_episodes_are_like_a_controllers() -> None:
 
 def test_each_start_is_found_as_if_it_were_alone() -> None:
     env_config = EnvConfig(task="stop", actions="halves", preset="stuck")
-    together = find_reachable(env_config, [{}] * 7, SEED, budget=2)
+    together = found_by_oracle(env_config, [{}] * 7, 2)
     for place in (0, 6):
         alone = Oracle(env_config, budget=2).find({}, SEED + place)
         assert alone.actions == together[place].actions
@@ -63,7 +69,7 @@ def test_each_start_is_found_as_if_it_were_alone() -> None:
 def test_more_nodes_are_followed_only_where_fewer_find_no_success() -> None:
     """A parcel that enters at 2.7 m/s cannot be stopped where the zone begins."""
     starts = [{"speed": 1.0}, {"speed": 2.7, "position": 0.5}]
-    within, beyond = find_reachable(HALVES, starts, SEED, 24)
+    within, beyond = found_by_oracle(HALVES, starts, 24)
     assert (within.success, within.width, beyond.success, beyond.width) == (True, 8, False, 24)
     assert beyond.outcome == "passed the asked x"
 
@@ -82,7 +88,7 @@ def test_it_stops_wide_parcels_and_follows_paths_but_not_beyond_its_time(
     settings, start, budget, outcome, most
 ) -> None:
     config = EnvConfig(actions="halves", **settings)
-    (found,) = find_reachable(config, [start], SEED, budget)
+    (found,) = found_by_oracle(config, [start], budget)
     assert (found.outcome, found.success) == (outcome, outcome == "success")
     assert abs(found.metrics[0]) < most
     if outcome == "out of time":

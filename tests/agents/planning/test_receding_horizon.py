@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.planning.receding_horizon import RecedingHorizon
+from surface_gym.agents.planning.planner import RecedingHorizon
 from surface_gym.agents.rules.sequencing import PassAndPark
 from surface_gym.agents.rules.singulation import TimeSlots
 from surface_gym.agents.scheduling.scheduler import begin_streams

@@ -11,7 +11,7 @@ from surface_gym.agents.planning.layouts import ShownPath
 from surface_gym.agents.rules.layouts import BestSlowing, BestStopping, BestTracking, BestTurning
 from surface_gym.agents.rules.sorting import BestSorting, BoxLayouts, GradedLayout
 from surface_gym.config import PRESETS, EnvConfig
-from surface_gym.design.sorting_layouts import OFFERS, SortingLayout, sorting_layouts
+from surface_gym.design.fixed_layout import OFFERS, SortingLayout, sorting_layouts
 from surface_gym.layouts import LINE_Y, box
 from surface_gym.lines import Line
 from surface_gym.tasks import Track

@@ -99,15 +99,12 @@ class TestGroups:
         ("made", "message"),
         [
             (lambda: ColumnGroups(0), "columns must be"),
-            (lambda: ColumnGroups(1, 0), "count must be"),
             (lambda: ColumnGroups(exclusive=1), "exclusive must be one of"),  # type: ignore[arg-type]
             (lambda: ColumnGroups(20).spans(15), "columns must fit on the 15 that obey"),
             (lambda: library(gated(actions="modules")), "actions must be one of"),
-            (lambda: library(zoned(), None), "actions must be one of"),
             (lambda: library(gated(), ColumnGroups()), "actions must be one of"),
             (lambda: library(line()), "gate must be True for a schedule, got False"),
             (lambda: make_library(gated(), place_count=0), "place_count must be"),
-            (lambda: make_library(gated(), margin=-0.1), "margin must be"),
             (lambda: make_library(gated(), slack=-0.1), "slack must be"),
         ],
     )
