@@ -26,9 +26,7 @@ from surface_gym import agents
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.merge import lines
-from surface_gym.flow.sequence import shuffled
-from surface_gym.flow.singulate import MOUTH_ALIGNMENT
+from surface_gym.flow.slope_tasks import MOUTH_ALIGNMENT, lines, shuffled
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import bulk
 from surface_gym.rendering import Painter, Scene

@@ -11,7 +11,7 @@ from surface_gym import checks
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
-from surface_gym.flow.sequence import PLACE, Sequence
+from surface_gym.flow.slope_tasks import PLACE, Sequence
 from surface_gym.tasks.features import read
 
 from ..base import Integers, Numbers, Singles

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, files
-from surface_gym.flow.exits import Exits, check_name
-from surface_gym.flow.inlets import EDGE, Inlets
+from surface_gym.flow.exits import EDGE, Exits, Inlets, check_name, check_several
 from surface_gym.parcel import Parcel, Rectangle
 
 Numbers = NDArray[np.float64]
@@ -230,44 +229,19 @@ class Trace:
     arrivals: tuple[Arrival, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.arrivals, (tuple, list)) or not self.arrivals:
-            raise ValueError(
-                f"arrivals must be at least one Arrival in a tuple, got {self.arrivals!r}"
-            )
-        for each in self.arrivals:
-            if not isinstance(each, Arrival):
-                raise ValueError(f"arrivals must be Arrival objects, got {each!r}")
+        object.__setattr__(self, "arrivals", check_several("arrivals", self.arrivals, Arrival))
         for before, after in itertools.pairwise(self.arrivals):
             _check_order(before, after)
-        object.__setattr__(self, "arrivals", tuple(self.arrivals))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Distinct names of the destinations."""
         return tuple(dict.fromkeys(each.exit for each in self.arrivals))
 
-    @property
+    @cached_property
     def kinds(self) -> tuple[Parcel, ...]:
         """Distinct parcels."""
-        return self._recorded.kinds
-
-    @cached_property
-    def _recorded(self) -> Arrivals:
-        """All arrivals; exits are indices into `names`."""
-        kinds = tuple(dict.fromkeys(each.parcel for each in self.arrivals))
-        kind = {parcel: place for place, parcel in enumerate(kinds)}
-        name = {name: place for place, name in enumerate(self.names)}
-        return Arrivals(
-            time=np.array([each.time for each in self.arrivals]),
-            parcel=np.array([kind[each.parcel] for each in self.arrivals]),
-            kinds=kinds,
-            speed=np.array([each.speed for each in self.arrivals]),
-            exit=np.array([name[each.exit] for each in self.arrivals]),
-            inlet=np.zeros(len(self.arrivals), dtype=np.int64),
-            aside=np.array([each.aside for each in self.arrivals]),
-            turned=np.array([each.turned for each in self.arrivals]),
-            number=np.arange(len(self.arrivals)),
-        )
+        return tuple(dict.fromkeys(each.parcel for each in self.arrivals))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
         """Raise a ValueError for unknown destinations or inlets."""
@@ -279,25 +253,19 @@ class Trace:
 
     def within(self, duration: float, exits: Exits, inlets: Inlets = EDGE) -> Arrivals:
         """Return the arrivals before `duration` [s], renumbered in order."""
-        recorded = self._recorded
-        count = int(np.searchsorted(recorded.time, duration))
-        place = np.array([exits.place(name) for name in self.names])
+        first = [each for each in self.arrivals if each.time < duration]
+        kind = {parcel: place for place, parcel in enumerate(self.kinds)}
+        inlet = [0 if each.inlet is None else inlets.place(each.inlet) for each in first]
         return Arrivals(
-            time=recorded.time[:count].copy(),
-            parcel=recorded.parcel[:count].copy(),
-            kinds=recorded.kinds,
-            speed=recorded.speed[:count].copy(),
-            exit=place[recorded.exit[:count]],
-            inlet=np.array(
-                [
-                    0 if each.inlet is None else inlets.place(each.inlet)
-                    for each in self.arrivals[:count]
-                ],
-                dtype=np.int64,
-            ),
-            aside=recorded.aside[:count].copy(),
-            turned=recorded.turned[:count].copy(),
-            number=np.arange(count),
+            time=np.array([each.time for each in first]),
+            parcel=np.array([kind[each.parcel] for each in first], dtype=np.int64),
+            kinds=self.kinds,
+            speed=np.array([each.speed for each in first]),
+            exit=np.array([exits.place(each.exit) for each in first], dtype=np.int64),
+            inlet=np.array(inlet, dtype=np.int64),
+            aside=np.array([each.aside for each in first]),
+            turned=np.array([each.turned for each in first]),
+            number=np.arange(len(first)),
         )
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.flow import arrivals as laws
 from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, Poisson, Spread, Steady, Trace
-from surface_gym.flow.exits import Exits, check_name
-from surface_gym.flow.inlets import EDGE, Inlets
+from surface_gym.flow.exits import EDGE, Exits, Inlets, check_name
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
 

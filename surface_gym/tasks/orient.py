@@ -94,10 +94,6 @@ class Orient(base.Task):
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], info["angle_error"]
         ('running', -0.5)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (1.3, 1.7)  # [m/s] entry speed

@@ -94,10 +94,6 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], round(info["ratio_error"], 3)
         ('running', 0.498)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.9, 2.7)  # [m/s] entry speed

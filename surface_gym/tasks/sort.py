@@ -113,10 +113,6 @@ distance from the line's middle |
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], info["pose"][:2].round(3).tolist()
         ('running', [0.185, 1.0])
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     slow_share: float = 0.5  # [-] share of starts in the low band, where sorting is hard

@@ -99,10 +99,6 @@ class Stop(base.Task):
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], round(info["stop_error"], 3)
         ('running', -0.835)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.5, 2.7)  # [m/s] entry speed

@@ -143,10 +143,6 @@ the path and the asked speed |
         >>> observation, info = env.reset(options=start)
         >>> info["pose"].tolist(), info["velocity"].tolist(), info["rms_error"]
         ([0.5, 1.0, 0.0], [0.8, 0.0, 0.0], 0.0)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked

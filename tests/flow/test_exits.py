@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
-from surface_gym.flow.exits import EXITS, NOWHERE, Exit, Exits, chutes, exits_option, sides
+from surface_gym.flow.exits import EXITS, Exit, Exits, chutes, exits_option, sides
 
 LEFT = Exit("left", 1, 0.5, 2.0)
 STRAIGHT = Exit("straight", 0)
@@ -34,25 +33,6 @@ def test_presets_scale_with_the_line_which_must_be_long(name: str) -> None:
     for length in (0.0, -1.0, math.nan, None):
         with pytest.raises(ValueError, match="length must be"):
             EXITS[name](length)
-
-
-@given(x=st.floats(-1.0, 7.0), side=st.sampled_from((-1, 0, 1)))
-def test_the_table_says_the_same_as_the_rule(x: float, side: int) -> None:
-    exits = chutes()
-    of_side, first, last = exits.table.T
-    inside = (of_side == side) & (first <= x) & (x < last)
-    assert inside.sum() <= 1
-    assert exits.at(side, x) == (int(np.argmax(inside)) if inside.any() else NOWHERE)
-
-
-def test_a_parcel_at_the_end_of_a_span_is_past_it_and_straight_on_has_a_span_of_y() -> None:
-    exits = Exits((LEFT, Exit("next", 1, 2.0)))
-    assert [exits.at(1, x) for x in (0.4, 0.5, 1.9, 2.0, 90.0)] == [NOWHERE, 0, 0, 1, 1]
-    exits = Exits((LEFT, Exit("end", 0)))
-    assert [exits.at(0, y) for y in (-6.0, 0.0, 6.0)] == [1, 1, 1]
-    exits = Exits((Exit("middle", 0, -0.3, 0.3), Exit("left", 0, 0.3, 0.6)))
-    assert [exits.at(0, y) for y in (-0.31, -0.3, 0.29, 0.3, 0.6)] == [NOWHERE, 0, 0, 1, NOWHERE]
-    assert Exits((LEFT,)).at(0, 6.0) == NOWHERE
 
 
 def test_exits_are_counted_gone_through_hashed_and_found_by_name() -> None:

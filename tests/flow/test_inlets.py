@@ -8,8 +8,7 @@ import pytest
 from surface_gym.config import EnvConfig
 from surface_gym.flow.arrivals import Arrival, Steady, Trace, read_trace, write_trace
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.exits import end
-from surface_gym.flow.inlets import Inlet, Inlets, side_by_side
+from surface_gym.flow.exits import Inlet, Inlets, end, side_by_side
 from surface_gym.flow.stream import Stream
 from surface_gym.parcel import Parcel, Rectangle
 from surface_gym.physics.types import VX, VY

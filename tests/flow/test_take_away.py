@@ -14,8 +14,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.arrivals import Arrival, Schedule, Trace
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.exits import Exit
-from surface_gym.flow.inlets import Inlet
+from surface_gym.flow.exits import Exit, Inlet
 from surface_gym.flow.state import JAM, ORDER
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk, bulk_parcels

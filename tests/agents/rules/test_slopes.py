@@ -12,9 +12,8 @@ from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
 from surface_gym.agents.rules.slopes import SlopeRule, read_slope
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.inlets import side_by_side
-from surface_gym.flow.merge import lines
-from surface_gym.flow.sequence import shuffled
+from surface_gym.flow.exits import side_by_side
+from surface_gym.flow.slope_tasks import lines, shuffled
 from surface_gym.flow.state import JAM
 from surface_gym.flow.take_away import Stops, TakeAwayStatistics, bulk, slope_line
 from surface_gym.state import RUNNING
