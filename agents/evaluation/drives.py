@@ -26,7 +26,7 @@ from surface_gym.tasks.benchmark import Offer
 from ..base import Controller
 from ..library import QUEUE, task_label
 from ..rollout import Episodes
-from ..rules.aiming import AIMS, AimRule, Make
+from ..rules.steering import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
 from .method import Method, is_on_streams, rules, shipped, start_benchmark, stream_benchmark
 from .plots import choose_colours, save_figure

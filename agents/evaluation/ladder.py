@@ -21,7 +21,7 @@ from surface_gym.sensors import Exact
 
 from .. import library
 from ..base import Controller
-from ..rules.streams import SortEach, StreamEventRule
+from ..rules.sorting import SortEach, StreamEventRule
 from ..scheduling.decisions import make_model_library
 from ..scheduling.maneuvers import ColumnGroups, make_library
 from ..scheduling.scheduler import CLEARANCES, Scheduler, find_plain, make_scheduler, predict_rate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surface_gym.agents.rollout import run_episodes
-from surface_gym.agents.rules.aiming import AIMS, AimRule, towards
+from surface_gym.agents.rules.steering import AIMS, AimRule, towards
 from surface_gym.config import EnvConfig
 from surface_gym.modules import Belt, OmniModule, SteeredRoller
 

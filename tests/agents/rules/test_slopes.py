@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules.sequencing import PassAndPark
-from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
+from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
 from surface_gym.agents.rules.slopes import SlopeRule, read_slope
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
