@@ -257,20 +257,12 @@ class TimeSlots(SlopeRule):
 
 @rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
-    """Hold parcels before the end, and release them one by one: zero-pressure accumulation.
-
-    Args:
-        hold: [m] distance from a held parcel's front to the end.
-    """
+    """Hold parcels before the end, and release them one by one: zero-pressure accumulation."""
 
     kernel = staticmethod(choose_by_release)
 
-    def __init__(self, config: EnvConfig, tuning: Tuning | None = None, hold: float = HOLD) -> None:
-        super().__init__(config, tuning)
-        self._hold = checks.not_negative("hold", hold, self._slope.length)
-
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
-        return (*super().arguments(tables, memory, halves), self._hold)
+        return (*super().arguments(tables, memory, halves), HOLD)
 
 
 class Parking(NamedTuple):
@@ -490,14 +482,11 @@ class PassAndPark(SlopeRule):
 
     kernel = staticmethod(choose_in_order)
 
-    def __init__(
-        self, config: EnvConfig, tuning: Tuning | None = None, parking: Parking | None = None
-    ) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         checks.instance("task", config.task, Sequence, "a Sequence")
-        super().__init__(config, tuning)
+        super().__init__(config)
         self._slope = self._slope._replace(alignment=min(self._slope.alignment, ALIGNMENT))
-        self._parking = Parking() if parking is None else parking
 
     def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
         tables, slope, tuning, *more = super().arguments(tables, memory, halves)
-        return (tables, slope, tuning, self._parking, *more)
+        return (tables, slope, tuning, Parking(), *more)

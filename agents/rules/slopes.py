@@ -355,10 +355,10 @@ class SlopeRule(BaseStreamRule, CompiledController):
     Its function does not write the halves of empty rows.
     """
 
-    def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
+    def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
         self._slope = read_slope(config)
-        self._tuning = find_tuning(config) if tuning is None else tuning
+        self._tuning = find_tuning(config)
         self._shape: tuple[int | None, int] = (None, len(config.features))
         self._rows = config.rows
         self._parcels = make_parcels(self._rows)

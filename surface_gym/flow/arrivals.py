@@ -58,13 +58,18 @@ class Law(ABC):
 
 
 @dataclass(frozen=True)
-class Steady(Law):
-    """Equal gaps: parcel k arrives at k * 3600 / rate."""
+class RateLaw(Law):
+    """Base class of laws with one mean rate."""
 
-    rate: float  # [parcels/h]
+    rate: float  # [parcels/h] mean
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+
+
+@dataclass(frozen=True)
+class Steady(RateLaw):
+    """Equal gaps: parcel k arrives at k * 3600 / rate."""
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         del rng
@@ -73,14 +78,13 @@ class Steady(Law):
 
 
 @dataclass(frozen=True)
-class Spread(Law):
+class Spread(RateLaw):
     """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate."""
 
-    rate: float  # [parcels/h] mean
     spread: float  # [-]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        super().__post_init__()
         object.__setattr__(self, "spread", _spread(self.spread))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
@@ -90,17 +94,16 @@ class Spread(Law):
 
 
 @dataclass(frozen=True)
-class Poisson(Law):
+class Poisson(RateLaw):
     """Gaps are `least_gap` plus an exponential number; their mean is 3600 / rate.
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
 
-    rate: float  # [parcels/h] mean
     least_gap: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        super().__post_init__()
         object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
         if self.least_gap > HOUR / self.rate:
             raise ValueError(

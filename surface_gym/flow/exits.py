@@ -82,7 +82,7 @@ class Inlet(Opening):
     """A span of an edge over which parcels enter the surface.
 
     At the start (side 0, x = 0), the span is in y from the line's middle, and parcels move towards
-    +x. At a side, the span is in x, and parcels move across the line. By default, it goes from the
+    +x. At a side, the span is in x, and parcels move across the line. The default span is from the
     first to the last row or column of rotors.
     """
 

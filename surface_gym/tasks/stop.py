@@ -108,14 +108,11 @@ class Stop(base.Task):
     outcomes = OUTCOMES
     metrics = ("stop_error",)
     options = ("speed", "parcel", "position")
+    ranges = {"speeds": (0.0, 5.0)}
     draws = 3
     goals = 1
     memories = 1
     periods = 150
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal x, all uniform.

@@ -138,8 +138,6 @@ class TestArguments:
             PassAndPark(EnvConfig("merge", actions="parcels"))
         with pytest.raises(ValueError, match="actions must be"):
             TimeSlots(EnvConfig("singulate"))
-        with pytest.raises(ValueError, match="hold must be"):
-            HoldAndRelease(EnvConfig("singulate", actions="parcels"), hold=-1.0)
 
     def test_the_slope_is_that_of_the_physics(self) -> None:
         slope = read_slope(EnvConfig("singulate", actions="parcels"))
