@@ -186,83 +186,80 @@ def move(
         hold(parcels, k, speed, halves[i, k])
 
 
-@compiled
-def choose_by_slots(
-    tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
-    order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
-) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) that bring each parcel to the end at its time slot.
+@inlined
+def plan_by_slot(
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
+) -> float:
+    """Return the speed [m/s] that brings a parcel to the end at its time slot.
 
     A slot begins as soon as the parcel can arrive, but at least the asked gap after the previous
     slot. An early parcel is braked, so that it arrives on time at the take-away's speed.
     """
-    for i in range(tables.shape[0]):
-        read_parcels(tables[i], slope, tuning, parcels)
-        count = sort_by_progress(
-            tables[i], parcels, order[i], came[i], brakes.stood[i], tuning.swap
-        )
-        forget_slots(slots)
-        for place in range(count):
-            k = order[i, place]
-            distance = find_distance(slope, parcels, k)
-            late = 0.0  # [s] time lost by remaining turns and shifts
-            if parcels.shift[k] != 0.0:
-                late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
-            if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
-                late += tuning.turn_cost * abs(parcels.turn[k])
-            slot = rolling_time(slope, distance, parcels.vx[k]) + late
-            slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
-            give_slot(slope, parcels, slots, k, slot)
-            # Aim a little early, since a delay cannot be made up.
-            time = slot - late - min(0.02, 0.02 * distance)
-            speed = speed_for(slope, distance, time)
-            speed = min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
-            move(slope, tuning, parcels, order[i], count, place, speed, brakes, i, halves)
+    distance = find_distance(slope, parcels, k)
+    late = 0.0  # [s] time lost by remaining turns and shifts
+    if parcels.shift[k] != 0.0:
+        late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
+    if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
+        late += tuning.turn_cost * abs(parcels.turn[k])
+    slot = rolling_time(slope, distance, parcels.vx[k]) + late
+    slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
+    give_slot(slope, parcels, slots, k, slot)
+    # Aim a little early, since a delay cannot be made up.
+    time = slot - late - min(0.02, 0.02 * distance)
+    speed = speed_for(slope, distance, time)
+    return min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
 
 
-@compiled
-def choose_by_release(
-    tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
-    order: Integers, came: Numbers, brakes: Brakes, halves: Integers, stop: float,
-) -> None:  # fmt: skip
-    """Choose halves (num_envs, rows, 2) that stop parcels at a distance [m] before the end.
+@inlined
+def plan_by_release(
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
+) -> float:
+    """Return the speed [m/s] that stops a parcel at a distance `HOLD` before the end.
 
     A parcel is released when it will depart with the required gap behind its predecessor.
     """
-    for i in range(tables.shape[0]):
-        read_parcels(tables[i], slope, tuning, parcels)
-        count = sort_by_progress(
-            tables[i], parcels, order[i], came[i], brakes.stood[i], tuning.swap
-        )
-        forget_slots(slots)
-        for place in range(count):
-            k = order[i, place]
-            distance = find_distance(slope, parcels, k)
-            after = find_slot(slope, tuning, parcels, slots, k)
-            slot = rolling_time(slope, distance, parcels.vx[k])
-            room = distance - stop - parcels.along[k]
-            speed = slope.take_away
-            if room > -0.02 and (slot < after or parcels.shift[k] != 0.0):
-                speed = stopping_speed(slope, tuning, room)
-            give_slot(slope, parcels, slots, k, max(slot, after))
-            move(slope, tuning, parcels, order[i], count, place, speed, brakes, i, halves)
+    distance = find_distance(slope, parcels, k)
+    after = find_slot(slope, tuning, parcels, slots, k)
+    slot = rolling_time(slope, distance, parcels.vx[k])
+    room = distance - HOLD - parcels.along[k]
+    speed = slope.take_away
+    if room > -0.02 and (slot < after or parcels.shift[k] != 0.0):
+        speed = stopping_speed(slope, tuning, room)
+    give_slot(slope, parcels, slots, k, max(slot, after))
+    return speed
+
+
+def _make_kernel(plan: Any) -> Any:
+    def choose_one_by_one(
+        tables: Singles, slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots,
+        order: Integers, came: Numbers, brakes: Brakes, halves: Integers,
+    ) -> None:  # fmt: skip
+        """Choose halves (num_envs, rows, 2), so that parcels depart one by one."""
+        for i in range(tables.shape[0]):
+            read_parcels(tables[i], slope, tuning, parcels)
+            count = sort_by_progress(
+                tables[i], parcels, order[i], came[i], brakes.stood[i], tuning.swap
+            )
+            forget_slots(slots)
+            for place in range(count):
+                speed = plan(slope, tuning, parcels, slots, order[i, place])
+                move(slope, tuning, parcels, order[i], count, place, speed, brakes, i, halves)
+
+    return compiled(choose_one_by_one)
 
 
 @rule("time slots", "singulate", "merge", actions="parcels", is_prior=True)
 class TimeSlots(SlopeRule):
     """Give each parcel a time slot at the end, and brake early parcels."""
 
-    kernel = staticmethod(choose_by_slots)
+    kernel = staticmethod(_make_kernel(plan_by_slot))
 
 
 @rule("hold and release", "singulate", "merge", actions="parcels")
 class HoldAndRelease(SlopeRule):
     """Hold parcels before the end, and release them one by one: zero-pressure accumulation."""
 
-    kernel = staticmethod(choose_by_release)
-
-    def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
-        return (*super().arguments(tables, memory, halves), HOLD)
+    kernel = staticmethod(_make_kernel(plan_by_release))
 
 
 class Parking(NamedTuple):

@@ -64,30 +64,18 @@ def test_the_option_is_a_preset_or_exits_of_ones_own() -> None:
     ("changes", "message"),
     [
         ({"name": ""}, "name must be text without spaces at its ends, got ''"),
-        ({"name": " left"}, "name must be text without spaces at its ends, got ' left'"),
         ({"name": "le\0ft"}, "name must hold neither NUL nor half a letter"),
-        ({"name": "\ud800"}, "name must hold neither NUL nor half a letter"),
-        ({"name": 3}, "name must be text without spaces at its ends, got 3"),
         ({"side": 2}, "side must be one of -1, 0, 1, got 2"),
-        ({"side": "left"}, "side must be one of -1, 0, 1, got 'left'"),
         ({"last": math.nan}, "last must be a finite number, got nan"),
-        ({"last": None}, "last must be a finite number, got None"),
         ({"last": 0.5}, "last must be greater than first, 0.5, got 0.5 for 'left'"),
-        ({"first": 3.0}, "last must be greater than first, 3, got 2.0 for 'left'"),
         ((), r"exits must be at least one Exit in a tuple, got \(\)"),
-        (LEFT, "exits must be at least one Exit in a tuple, got Exit"),
         ((LEFT, "straight"), "exits must be Exit objects, got 'straight'"),
         ((LEFT, Exit("left", 0)), "exits must have names of their own, got 'left' twice"),
-        (
-            (STRAIGHT, LEFT, Exit("end", 0)),
-            "exits must not overlap on one side, got 'straight' from -inf to inf m",
-        ),
         (
             (LEFT, STRAIGHT, Exit("wide", 1, 1.9)),
             "exits must not overlap on one side, got 'left' from 0.5 to 2 m and 'wide' "
             "from 1.9 to inf m",
         ),
-        ((LEFT, Exit("within", 1, 1.0, 1.5)), "exits must not overlap on one side"),
     ],
 )
 def test_exits_that_are_bad_or_do_not_go_together_are_refused(changes: Any, message: str) -> None:

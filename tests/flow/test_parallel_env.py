@@ -228,15 +228,6 @@ class TestTakeAway:
         by_the_exit = {k for k in gone if streams.taken[0, k] == streams.exit[0, k]}
         assert {ended[k] for k in by_the_exit} == {"correct", "wrong"}
 
-    def test_possible_ones_after_the_end_are_those_that_entered(self, task: str) -> None:
-        env = FlowParallelEnv(task=task, duration=2.0, stream=FAST[task])
-        env.reset(seed=1)
-        assert len(env.possible_agents) == env.batch.streams.arrivals[0]
-        while env.agents:
-            env.step(all_say(env, BRAKE))
-        entered = np.flatnonzero(~np.isnan(env.batch.streams.entered[0]))
-        assert [number_of(agent) for agent in env.possible_agents] == entered.tolist()
-
 
 class TestBadInput:
     @pytest.mark.parametrize(
