@@ -187,6 +187,24 @@ def move(
 
 
 @inlined
+def arrive_in_slot(
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int, late: float
+) -> float:
+    """Give a parcel the next time slot; return the speed [m/s] that brings it to the end in time.
+
+    `late` [s] is the time that it loses by remaining turns and shifts.
+    """
+    distance = find_distance(slope, parcels, k)
+    slot = rolling_time(slope, distance, parcels.vx[k]) + late
+    slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
+    give_slot(slope, parcels, slots, k, slot)
+    # Aim a little early, since a delay cannot be made up.
+    time = slot - late - min(0.02, 0.02 * distance)
+    speed = speed_for(slope, distance, time)
+    return min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
+
+
+@inlined
 def plan_by_slot(
     slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int
 ) -> float:
@@ -195,19 +213,12 @@ def plan_by_slot(
     A slot begins as soon as the parcel can arrive, but at least the asked gap after the previous
     slot. An early parcel is braked, so that it arrives on time at the take-away's speed.
     """
-    distance = find_distance(slope, parcels, k)
-    late = 0.0  # [s] time lost by remaining turns and shifts
+    late = 0.0
     if parcels.shift[k] != 0.0:
         late += tuning.shift_time + abs(parcels.shift[k]) * tuning.shift_cost
     if slope.alignment < ta.EIGHTH - 1e-9 and abs(parcels.turn[k]) > tuning.turned:
         late += tuning.turn_cost * abs(parcels.turn[k])
-    slot = rolling_time(slope, distance, parcels.vx[k]) + late
-    slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
-    give_slot(slope, parcels, slots, k, slot)
-    # Aim a little early, since a delay cannot be made up.
-    time = slot - late - min(0.02, 0.02 * distance)
-    speed = speed_for(slope, distance, time)
-    return min(slope.take_away, speed + slope.rolls * slope.period) if speed > 0.0 else 0.0
+    return arrive_in_slot(slope, tuning, parcels, slots, k, late)
 
 
 @inlined
@@ -426,7 +437,6 @@ def choose_in_order(
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
-            distance = find_distance(slope, parcels, k)
             parcels.shift[k] = 0.0
             waits = _must_wait(parcels, order[i], ready, place)
             if waits:
@@ -445,13 +455,7 @@ def choose_in_order(
                 _lead_out(parking, parcels, order[i], count, place)
                 free = is_free(parcels, order[i], count, k)
                 late = abs(parcels.shift[k]) * tuning.shift_cost
-                slot = rolling_time(slope, distance, parcels.vx[k]) + late
-                slot = max(slot, find_slot(slope, tuning, parcels, slots, k))
-                give_slot(slope, parcels, slots, k, slot)
-                time = slot - late - min(0.02, 0.02 * distance)
-                speed = speed_for(slope, distance, time)
-                gained = min(slope.take_away, speed + slope.rolls * slope.period)
-                speed = gained if speed > 0.0 else 0.0
+                speed = arrive_in_slot(slope, tuning, parcels, slots, k, late)
             limit = limit_in_order(slope, tuning, parcels, order[i], count, k, free)
             speed = min(speed, limit)
             choose_halves(slope, tuning, parcels, k, speed, free, brakes, i, halves[i, k])

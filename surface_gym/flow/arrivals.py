@@ -323,18 +323,17 @@ def write_trace(
     if len(arrivals) == 0:
         raise ValueError("arrivals must be at least one parcel, got none")
     sizes = [_size(parcel) for parcel in arrivals.kinds]
-    times, speeds = arrivals.time.tolist(), arrivals.speed.tolist()
+    placed = bool(arrivals.aside.any() or arrivals.turned.any() or arrivals.inlet.any())
     with open(path, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        placed = bool(arrivals.aside.any() or arrivals.turned.any() or arrivals.inlet.any())
         rows.writerow(COLUMNS + (MORE_COLUMNS if placed else ()))
-        names = [inlets.names[inlet] for inlet in arrivals.inlet.tolist()]
-        entries = zip(names, arrivals.aside.tolist(), arrivals.turned.tolist(), strict=True)
-        for time, kind, speed, leaving, entry in zip(
-            times, arrivals.parcel, speeds, arrivals.exit, entries, strict=True
-        ):
-            more = entry if placed else ()
-            rows.writerow([time, *sizes[kind], speed, exits.names[leaving], *more])
+        for k in range(len(arrivals)):
+            time, speed = arrivals.time.item(k), arrivals.speed.item(k)
+            row = [time, *sizes[arrivals.parcel[k]], speed, exits.names[arrivals.exit[k]]]
+            if placed:
+                inlet = inlets.names[arrivals.inlet[k]]
+                row += [inlet, arrivals.aside.item(k), arrivals.turned.item(k)]
+            rows.writerow(row)
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:
