@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
-from surface_gym.agents.rules.slopes import SlopeRule, read_slope
+from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
 from surface_gym.flow.exits import side_by_side
@@ -138,9 +138,3 @@ class TestArguments:
             PassAndPark(EnvConfig("merge", actions="parcels"))
         with pytest.raises(ValueError, match="actions must be"):
             TimeSlots(EnvConfig("singulate"))
-
-    def test_the_slope_is_that_of_the_physics(self) -> None:
-        slope = read_slope(EnvConfig("singulate", actions="parcels"))
-        assert slope.rolls == pytest.approx(9.81 * (math.sin(TILT) - 0.01 * math.cos(TILT)))
-        assert slope.length == pytest.approx(5.0)
-        np.testing.assert_allclose(slope.mouths, [[-0.7, 0.7]])

@@ -142,11 +142,6 @@ def test_the_square_slides_as_in_the_simulator(angle) -> None:
     assert (np.abs(np.array(found) - truth) <= [0.03, 0.03, 0.5]).all()
 
 
-def test_parts_of_modules_are_mixed_in_every_way():
-    mixed = steering.mixes(2).tolist()
-    assert sorted(mixed) == [[0, 0, 2], [0, 1, 1], [0, 2, 0], [1, 0, 1], [1, 1, 0], [2, 0, 0]]
-
-
 CREEPING = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 SORTING = SteeredRoller(speeds=(1.0, 2.0))
 
