@@ -35,19 +35,17 @@ STREAMS = {
 }
 WIDTH = 120  # characters of a line
 LONGEST_DEFAULT = 60  # characters of a default in a table
-# A history that tells no more than the id.
-FIRST_VERSION = re.compile(r"\n*### Version history\n\n- `?v0`?: first version\.\n*")
 # Lines from a prompt to the next empty one, and the heading above them, if any.
 EXAMPLE = re.compile(r"(?:^### Example\n\n)?^ *>>> .*(?:\n.+)*\n\n", re.MULTILINE)
 
 
 def _opening(kind: type[Any], title: str, *top: str) -> str:
     """Open a page: title, film, first paragraph, `top`, the example, and then the docstring."""
-    text = inspect.cleandoc(kind.__doc__ or "")
+    text = inspect.cleandoc(kind.__doc__ or "") + "\n\n"
     found = EXAMPLE.search(text)
     if found is None:
         raise ValueError(f"the docstring of {kind.__name__} must have an example")
-    first, rest = FIRST_VERSION.sub("\n\n", EXAMPLE.sub("", text)).split("\n\n", 1)
+    first, rest = EXAMPLE.sub("", text).split("\n\n", 1)
     lines = textwrap.dedent(found[0].removeprefix("### Example\n\n")).strip()
     example = f"```pycon\n{lines}\n```"
     return _join(f"# {title}", *top[:1], _wrap(first), *top[1:], example, _wrap(rest)).strip()

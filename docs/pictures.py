@@ -26,9 +26,7 @@ from surface_gym import agents
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
-from surface_gym.flow.merge import lines
-from surface_gym.flow.sequence import shuffled
-from surface_gym.flow.singulate import MOUTH_ALIGNMENT
+from surface_gym.flow.slope_tasks import MOUTH_ALIGNMENT, lines, shuffled
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import bulk
 from surface_gym.rendering import Painter, Scene
@@ -229,7 +227,7 @@ def _slope_film(env: SmartSurfaceEnv, rule: Any, begin: float, end: float) -> li
 
 def singulate() -> list[Picture]:
     """Film time slots that single out a bulk of 12 000 parcels an hour through a mouth."""
-    from surface_gym.agents.rules.singulation import TimeSlots
+    from surface_gym.agents.rules.departures import TimeSlots
 
     env = SmartSurfaceEnv(
         "singulate", actions="parcels", stream=bulk(12000.0), exits="mouth",
@@ -240,7 +238,7 @@ def singulate() -> list[Picture]:
 
 def merge() -> list[Picture]:
     """Film time slots that merge three lines of 9000 parcels an hour in all."""
-    from surface_gym.agents.rules.singulation import TimeSlots
+    from surface_gym.agents.rules.departures import TimeSlots
 
     env = SmartSurfaceEnv("merge", actions="parcels", stream=lines(9000.0))
     return _slope_film(env, TimeSlots(env.config), 4.0, 13.0)
@@ -248,7 +246,7 @@ def merge() -> list[Picture]:
 
 def sequence() -> list[Picture]:
     """Film a rule that brings 2400 parcels an hour into their order."""
-    from surface_gym.agents.rules.sequencing import PassAndPark
+    from surface_gym.agents.rules.departures import PassAndPark
 
     env = SmartSurfaceEnv("sequence", actions="parcels", stream=shuffled(2400.0, window=4))
     return _slope_film(env, PassAndPark(env.config), 0.0, 16.0)

@@ -30,8 +30,7 @@ from surface_gym.tasks.start import Start
 
 if TYPE_CHECKING:
     from surface_gym.flow.base import StreamTask
-    from surface_gym.flow.exits import Exits
-    from surface_gym.flow.inlets import Entrance, Inlets
+    from surface_gym.flow.exits import Entrance, Exits, Inlets
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,7 @@ task's functions whether a parcel at rest may move again.
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady, Trace
 from surface_gym.flow.base import SURFACE_TERMS, StreamTask
-from surface_gym.flow.exits import Exit, Exits, flow_line
-from surface_gym.flow.inlets import Inlet, Inlets
+from surface_gym.flow.exits import Exit, Exits, Inlet, Inlets, flow_line
 from surface_gym.flow.state import (
     BETWEEN,
     DEPARTED_CORRECT,

@@ -24,9 +24,9 @@ SHIPPED = {
     "track": ShippedTask("surface_gym.tasks.track:Track", 300),
     "orient": ShippedTask("surface_gym.tasks.orient:Orient", 200),
     "flow": ShippedTask("surface_gym.flow.task:Flow", None),
-    "singulate": ShippedTask("surface_gym.flow.singulate:Singulate", None),
-    "merge": ShippedTask("surface_gym.flow.merge:Merge", None),
-    "sequence": ShippedTask("surface_gym.flow.sequence:Sequence", None),
+    "singulate": ShippedTask("surface_gym.flow.slope_tasks:Singulate", None),
+    "merge": ShippedTask("surface_gym.flow.slope_tasks:Merge", None),
+    "sequence": ShippedTask("surface_gym.flow.slope_tasks:Sequence", None),
 }
 DEFAULT_TASK, DEFAULT_STREAM = "sort", "flow"
 DEFAULT_SLOPE = "singulate"  # default task for modules as agents

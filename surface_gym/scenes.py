@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.arrivals import HOUR
-from surface_gym.flow.inlets import EDGE, START
+from surface_gym.flow.exits import EDGE, START
 from surface_gym.flow.state import BETWEEN, ENTERED, NOBODY, TOUCHES, WRONG
 from surface_gym.physics.step import tilt_of_gravity
 from surface_gym.physics.types import RADIUS, VX, Array, Integers

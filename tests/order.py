@@ -116,7 +116,7 @@ NIGHTLY = (
         for task in ("singulate", "sequence")
     ),
     *(
-        f"tests/agents/rules/test_aiming.py::test_it_serves_every_task[{task}"
+        f"tests/agents/rules/test_steering.py::test_it_serves_every_task[{task}"
         for task in ("slow", "orient", "track")
     ),
     "tests/agents/evaluation/test_drives.py::test_a_stream_is_carried_by_driven_modules",

@@ -14,8 +14,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch, Batch
 from surface_gym.flow.arrivals import Steady
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.exits import Exit, Exits
-from surface_gym.flow.inlets import LEFT, START, Inlet, Inlets
+from surface_gym.flow.exits import LEFT, START, Exit, Exits, Inlet, Inlets
 from surface_gym.flow.state import BETWEEN, JAM, ON_ITS_WAY, TOUCHES
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops

@@ -25,7 +25,7 @@ from surface_gym.tasks.benchmark import Offer
 
 from ..library import QUEUE, task_label
 from ..rollout import Episodes
-from ..rules.aiming import AIMS, AimRule, Make
+from ..rules.steering import AIMS, AimRule, Make
 from ..scheduling.scheduler import make_scheduler
 from .method import (
     Method,

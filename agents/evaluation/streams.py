@@ -29,7 +29,7 @@ from surface_gym.tasks.benchmark import ENTRANCE, Offer, StreamBenchmark
 from .. import library
 from ..base import Booleans, Controller
 from ..planning.planner import RecedingHorizon
-from ..rules.streams import SortEach, StreamEventRule
+from ..rules.sorting import SortEach, StreamEventRule
 from ..scheduling.decisions import make_model_library
 from ..scheduling.maneuvers import ColumnGroups, make_library
 from ..scheduling.scheduler import (

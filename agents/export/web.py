@@ -41,7 +41,7 @@ from ..module_places import find_places
 from ..module_policy import ModulePolicy
 from ..parcel_policy import ParcelPolicy
 from ..rules import find_prior, find_rules
-from ..rules.streams import OWN, SortEach
+from ..rules.sorting import OWN, SortEach
 from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
 from .rules import Card, configure, find_layouts, write, write_machine, write_rule, write_rules

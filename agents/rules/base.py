@@ -56,8 +56,7 @@ RULES: Registry[Rule] = Registry(
     *(
         f"surface_gym.agents.rules.{name}"
         for name in (
-            "sorting", "layouts", "local", "steering", "braking", "streams", "singulation",
-            "sequencing",
+            "sorting", "layouts", "local", "steering", "braking", "departures",
         )
     ),
 )  # fmt: skip
@@ -91,6 +90,11 @@ def _name_of(make: Callable[..., Any]) -> str | None:
     return getattr(make, "__qualname__", None)
 
 
+def _check_choices(config: EnvConfig) -> None:
+    if config.action_kind.continuous:
+        raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
+
+
 class BaseRule(BatchController):
     """Base class of rules for one parcel per environment."""
 
@@ -100,8 +104,7 @@ class BaseRule(BatchController):
         checks.one_of("task", config.task_name, tasks)
         if actions:
             checks.one_of("actions", config.actions, actions)
-        if config.action_kind.continuous:
-            raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
+        _check_choices(config)
         self._config = config
         self._kind = config.action_kind
         self._shape = (len(config.features),)
@@ -121,18 +124,6 @@ class BaseRule(BatchController):
         fresh = is_fresh(len(batch), state, episode_start)
         commands, memory = self._decide(batch, state, fresh)
         return self._kind.encode(commands), memory
-
-
-class UniformRule(BaseRule):
-    """A rule that sets all modules alike, from the current observation."""
-
-    @abstractmethod
-    def _choose(self, observations: Observations) -> Commands:
-        """Choose one orientation per environment (num_envs,)."""
-
-    def _decide(self, observations: Observations, *_: Any) -> Decision:
-        choice = self._choose(observations)
-        return np.repeat(choice[:, np.newaxis], self._kind.size, axis=1), None
 
 
 class CompiledController(ABC):
@@ -186,15 +177,25 @@ class CompiledRule(BaseRule, CompiledController):
         return commands, begun or None
 
 
-class UniformLayout(UniformRule):
+class BaseStreamRule(BatchController):
+    """Base class of rules with `actions="parcels"` for streams."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        checks.one_of("actions", config.actions, ("parcels",))
+        _check_choices(config)
+        axes = find_axes(config)
+        self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
+
+
+class UniformLayout(BaseRule):
     """Every axis at one fixed angle, for any task."""
 
     def __init__(self, config: EnvConfig, angle: float, tasks: tuple[str, ...] = ()) -> None:
         super().__init__(config, tasks or (config.task_name,))
         self._choice = shared.find_orientation(config, angle)
 
-    def _choose(self, observations: Observations) -> Commands:
-        return np.full(len(observations), self._choice)
+    def _decide(self, observations: Observations, *_: Any) -> Decision:
+        return np.full((len(observations), self._kind.size), self._choice), None
 
 
 # Every axis of a field at 90 deg: a parcel rolls straight downhill. A layout along the path is

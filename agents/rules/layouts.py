@@ -229,7 +229,19 @@ class FixedTurning(FixedRule):
         )
 
 
-class _SearchedLayout(FixedRule):
+class _PerStart(FixedRule):
+    """A layout searched for each start."""
+
+    @abstractmethod
+    def _search(self, start: Start) -> Commands:
+        """Choose (rows, columns)."""
+
+    def _layout(self, observations: Observations) -> Commands:
+        layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
+        return np.stack(layouts).reshape(len(observations), -1)
+
+
+class _SearchedLayout(_PerStart):
     """Layouts searched per start, from known layouts (layouts, modules)."""
 
     _layouts: Commands
@@ -241,12 +253,7 @@ class _SearchedLayout(FixedRule):
         self._known = self._layouts.reshape(-1, *self._kind.shape)
         self._model = search.LayoutModel(config, max(search.LAYOUTS, len(self._known)))
 
-    def _layout(self, observations: Observations) -> Commands:
-        layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
-        return np.stack(layouts).reshape(len(observations), -1)
-
     def _search(self, start: Start) -> Commands:
-        """Choose (rows, columns)."""
         self._model.begin_at(start)
         return search.search_layout(self._model, self._cost, self._turns, self._known)
 
@@ -296,7 +303,7 @@ class BestTurning(_SearchedLayout, FixedTurning):
 
 
 @rule("best fixed layout", "track", actions="modules", searches=True, observed_task=ShownPath.of)
-class BestTracking(FixedRule):
+class BestTracking(_PerStart):
     """Two axes per column, left and right of the path, that lead the parcel along it."""
 
     def __init__(self, config: EnvConfig) -> None:
@@ -307,10 +314,6 @@ class BestTracking(FixedRule):
             raise ValueError(f"zone must be None, the whole field, got {config.zone!r}")
         self._model = search.path_model(config)
         self._axes = find_axes(config)
-
-    def _layout(self, observations: Observations) -> Commands:
-        layouts = [self._search(self._config.decode_start(seen)) for seen in observations]
-        return np.stack(layouts).reshape(len(observations), -1)
 
     def _search(self, start: Start) -> Commands:
         """Choose (rows, columns); paths that first turn right are mirrored."""

@@ -19,8 +19,8 @@ from surface_gym.physics.types import GRAVITY
 from surface_gym.sensors import Exact
 from surface_gym.tasks.features import read
 
-from ..base import BatchController, Booleans, Integers, Numbers, Singles, find_axes, is_fresh
-from .base import CompiledController
+from ..base import Booleans, Integers, Numbers, Singles, is_fresh
+from .base import BaseStreamRule, CompiledController
 
 NOBODY = -1
 HELD = 0.1  # [m/s] speed below which all modules may hold a parcel
@@ -349,21 +349,16 @@ def forget(memory: SlopeMemory, fresh: Booleans) -> None:
     memory.brakes.halves[fresh] = memory.brakes.since[fresh] = memory.brakes.stood[fresh] = 0
 
 
-class SlopeRule(BatchController, CompiledController):
-    """A rule with `actions="parcels"` for tasks on a slope with a take-away.
+class SlopeRule(BaseStreamRule, CompiledController):
+    """A rule for tasks on a slope with a take-away.
 
     Its function does not write the halves of empty rows.
     """
 
-    def __init__(self, config: EnvConfig, tuning: Tuning | None = None) -> None:
-        checks.one_of("actions", config.actions, ("parcels",))
-        checks.instance("task", config.task, TakeAwayTask, "one with a take-away")
-        if config.action_kind.continuous:
-            raise ValueError(f"orientations must be some on offer, got {config.orientations!r}")
-        axes = find_axes(config)
-        self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
         self._slope = read_slope(config)
-        self._tuning = find_tuning(config) if tuning is None else tuning
+        self._tuning = find_tuning(config)
         self._shape: tuple[int | None, int] = (None, len(config.features))
         self._rows = config.rows
         self._parcels = make_parcels(self._rows)

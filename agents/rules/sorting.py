@@ -1,5 +1,6 @@
-"""Rules of Sort: fixed layouts, and a rule with one event."""
+"""Rules that sort, a single parcel or a stream: fixed layouts, and rules with one event."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,11 +11,27 @@ from surface_gym.actions import ANY
 from surface_gym.compiler.jit import compiled
 from surface_gym.config import EnvConfig
 from surface_gym.design.fixed_layout import SIDE, SortingLayout, sorting_layouts
+from surface_gym.flow.task import COLUMN as STREAM
 from surface_gym.layouts import ROLLING
+from surface_gym.tasks import Sort
+from surface_gym.tasks.features import read
 
+from .. import library
 from ..base import SAME, BatchController, Integers, Numbers, Singles, axes_apart, find_axes
-from .base import Commands, CompiledRule, FixedRule, Observations, rule
+from .base import (
+    BaseStreamRule,
+    Commands,
+    CompiledController,
+    CompiledRule,
+    FixedRule,
+    Observations,
+    rule,
+)
 from .decoding import Sight, look_at_line, see_line
+from .slopes import ROLL, TO_LEFT, TO_RIGHT
+
+OWN = len(Sort.features)  # number of Sort's features, the first of a stream's row
+OPEN = 1  # the gate opens at the first physics step, if there is room
 
 
 @compiled
@@ -146,3 +163,80 @@ def _fit(axis: Numbers, rows: int, columns: int) -> Numbers:
     column = np.arange(columns)
     own = np.ix_(row.clip(0, len(axis) - 1), column.clip(0, axis.shape[1] - 1))
     return axis[own]
+
+
+class ParcelRule(BaseStreamRule):
+    """A rule for a stream that decides for each parcel from its row alone."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self._shape = (config.rows, len(config.features))
+        self._places = config.stream_task.max_parcels
+        self._gated = config.stream_task.gate
+
+    @abstractmethod
+    def halves(self, rows: Singles) -> Integers:
+        """Choose orientations (parcels, 2) of modules ahead of and behind each centre."""
+
+    def _predict(self, batch: Singles, *_: Any, **__: bool) -> tuple[Integers, None]:
+        num_envs = len(batch)
+        rows = batch[:, : self._places].reshape(-1, batch.shape[-1])
+        present = (STREAM.present.of(rows) > 0.5) & (STREAM.waits.of(rows) < 0.5)
+        choices = np.full((len(rows), 2), self.choices[ROLL])
+        if present.any():
+            choices[present] = self.halves(rows[present])
+        actions = choices.reshape(num_envs, -1)
+        if self._gated:
+            actions = np.pad(actions, ((0, 0), (0, 1)), constant_values=OPEN)
+        return actions, None
+
+
+@compiled
+def choose_by_exits(tables: Singles, halves: Integers) -> None:
+    """Choose halves (num_envs, rows, 2): to a parcel's side once it is past its exit's start."""
+    for i in range(tables.shape[0]):
+        for k in range(tables.shape[1]):
+            row, choice = tables[i, k], ROLL
+            is_there = read(row, STREAM.present) > 0.5 and read(row, STREAM.waits) < 0.5
+            side = read(row, STREAM.side)
+            if is_there and side != 0.0 and read(row, STREAM.past_the_exit_s_start) > 0.0:
+                choice = TO_LEFT if side > 0.0 else TO_RIGHT
+            halves[i, k, 0] = halves[i, k, 1] = choice
+
+
+@rule("event rule", "flow", actions="parcels")
+class StreamEventRule(ParcelRule, CompiledController):
+    """90 deg until the parcel's rear is past its exit's start, then 45 deg under it."""
+
+    kernel = staticmethod(choose_by_exits)
+
+    def halves(self, rows: Singles) -> Integers:
+        found = np.zeros((1, len(rows), 2), dtype=np.int64)
+        self.kernel(rows[np.newaxis], found)
+        return self.choices[found[0]]
+
+    def begin(self) -> tuple[Any, ...]:
+        rows = self._shape[0]
+        tables = np.zeros((1, *self._shape), dtype=np.float32)
+        return tables, np.zeros((1, rows, 2), dtype=np.int64)
+
+
+@rule("sort-ppo", "flow", actions="parcels")
+class SortEach(ParcelRule):
+    """An unchanged shipped agent of Sort; a parcel's row begins with Sort's observation.
+
+    Parcels with an exit straight ahead roll, since the agent was not trained on them.
+    """
+
+    def __init__(self, config: EnvConfig, name: str = "sort-ppo", seed: int = 0) -> None:
+        super().__init__(config)
+        self.name, self.policy = name, library.load(name, seed)
+        self._choices = config.action_kind.choices
+
+    def halves(self, rows: Singles) -> Integers:
+        choices = np.full((len(rows), 2), self.choices[ROLL])
+        aside = STREAM.side.of(rows) != 0.0
+        if aside.any():
+            actions, _ = self.policy.predict(rows[aside, :OWN])
+            choices[aside] = np.stack(np.divmod(actions, self._choices), axis=-1)
+        return choices

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, files
-from surface_gym.flow.exits import Exits, check_name
-from surface_gym.flow.inlets import EDGE, Inlets
+from surface_gym.flow.exits import EDGE, Exits, Inlets, check_name, check_several
 from surface_gym.parcel import Parcel, Rectangle
 
 Numbers = NDArray[np.float64]
@@ -59,13 +58,18 @@ class Law(ABC):
 
 
 @dataclass(frozen=True)
-class Steady(Law):
-    """Equal gaps: parcel k arrives at k * 3600 / rate."""
+class RateLaw(Law):
+    """Base class of laws with one mean rate."""
 
-    rate: float  # [parcels/h]
+    rate: float  # [parcels/h] mean
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+
+
+@dataclass(frozen=True)
+class Steady(RateLaw):
+    """Equal gaps: parcel k arrives at k * 3600 / rate."""
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
         del rng
@@ -74,14 +78,13 @@ class Steady(Law):
 
 
 @dataclass(frozen=True)
-class Spread(Law):
+class Spread(RateLaw):
     """Gaps uniform between 1 - spread and 1 + spread times the mean, 3600 / rate."""
 
-    rate: float  # [parcels/h] mean
     spread: float  # [-]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        super().__post_init__()
         object.__setattr__(self, "spread", _spread(self.spread))
 
     def times(self, rng: np.random.Generator, duration: float) -> Numbers:
@@ -91,17 +94,16 @@ class Spread(Law):
 
 
 @dataclass(frozen=True)
-class Poisson(Law):
+class Poisson(RateLaw):
     """Gaps are `least_gap` plus an exponential number; their mean is 3600 / rate.
 
     Without a least gap, the arrivals after the first are a Poisson process.
     """
 
-    rate: float  # [parcels/h] mean
     least_gap: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", checks.positive("rate", self.rate, *checks.RATE))
+        super().__post_init__()
         object.__setattr__(self, "least_gap", checks.not_negative("least_gap", self.least_gap))
         if self.least_gap > HOUR / self.rate:
             raise ValueError(
@@ -230,44 +232,19 @@ class Trace:
     arrivals: tuple[Arrival, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.arrivals, (tuple, list)) or not self.arrivals:
-            raise ValueError(
-                f"arrivals must be at least one Arrival in a tuple, got {self.arrivals!r}"
-            )
-        for each in self.arrivals:
-            if not isinstance(each, Arrival):
-                raise ValueError(f"arrivals must be Arrival objects, got {each!r}")
+        object.__setattr__(self, "arrivals", check_several("arrivals", self.arrivals, Arrival))
         for before, after in itertools.pairwise(self.arrivals):
             _check_order(before, after)
-        object.__setattr__(self, "arrivals", tuple(self.arrivals))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Distinct names of the destinations."""
         return tuple(dict.fromkeys(each.exit for each in self.arrivals))
 
-    @property
+    @cached_property
     def kinds(self) -> tuple[Parcel, ...]:
         """Distinct parcels."""
-        return self._recorded.kinds
-
-    @cached_property
-    def _recorded(self) -> Arrivals:
-        """All arrivals; exits are indices into `names`."""
-        kinds = tuple(dict.fromkeys(each.parcel for each in self.arrivals))
-        kind = {parcel: place for place, parcel in enumerate(kinds)}
-        name = {name: place for place, name in enumerate(self.names)}
-        return Arrivals(
-            time=np.array([each.time for each in self.arrivals]),
-            parcel=np.array([kind[each.parcel] for each in self.arrivals]),
-            kinds=kinds,
-            speed=np.array([each.speed for each in self.arrivals]),
-            exit=np.array([name[each.exit] for each in self.arrivals]),
-            inlet=np.zeros(len(self.arrivals), dtype=np.int64),
-            aside=np.array([each.aside for each in self.arrivals]),
-            turned=np.array([each.turned for each in self.arrivals]),
-            number=np.arange(len(self.arrivals)),
-        )
+        return tuple(dict.fromkeys(each.parcel for each in self.arrivals))
 
     def check(self, exits: Exits, inlets: Inlets = EDGE) -> None:
         """Raise a ValueError for unknown destinations or inlets."""
@@ -279,25 +256,19 @@ class Trace:
 
     def within(self, duration: float, exits: Exits, inlets: Inlets = EDGE) -> Arrivals:
         """Return the arrivals before `duration` [s], renumbered in order."""
-        recorded = self._recorded
-        count = int(np.searchsorted(recorded.time, duration))
-        place = np.array([exits.place(name) for name in self.names])
+        first = [each for each in self.arrivals if each.time < duration]
+        kind = {parcel: place for place, parcel in enumerate(self.kinds)}
+        inlet = [0 if each.inlet is None else inlets.place(each.inlet) for each in first]
         return Arrivals(
-            time=recorded.time[:count].copy(),
-            parcel=recorded.parcel[:count].copy(),
-            kinds=recorded.kinds,
-            speed=recorded.speed[:count].copy(),
-            exit=place[recorded.exit[:count]],
-            inlet=np.array(
-                [
-                    0 if each.inlet is None else inlets.place(each.inlet)
-                    for each in self.arrivals[:count]
-                ],
-                dtype=np.int64,
-            ),
-            aside=recorded.aside[:count].copy(),
-            turned=recorded.turned[:count].copy(),
-            number=np.arange(count),
+            time=np.array([each.time for each in first]),
+            parcel=np.array([kind[each.parcel] for each in first], dtype=np.int64),
+            kinds=self.kinds,
+            speed=np.array([each.speed for each in first]),
+            exit=np.array([exits.place(each.exit) for each in first], dtype=np.int64),
+            inlet=np.array(inlet, dtype=np.int64),
+            aside=np.array([each.aside for each in first]),
+            turned=np.array([each.turned for each in first]),
+            number=np.arange(len(first)),
         )
 
 
@@ -352,18 +323,17 @@ def write_trace(
     if len(arrivals) == 0:
         raise ValueError("arrivals must be at least one parcel, got none")
     sizes = [_size(parcel) for parcel in arrivals.kinds]
-    times, speeds = arrivals.time.tolist(), arrivals.speed.tolist()
+    placed = bool(arrivals.aside.any() or arrivals.turned.any() or arrivals.inlet.any())
     with open(path, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        placed = bool(arrivals.aside.any() or arrivals.turned.any() or arrivals.inlet.any())
         rows.writerow(COLUMNS + (MORE_COLUMNS if placed else ()))
-        names = [inlets.names[inlet] for inlet in arrivals.inlet.tolist()]
-        entries = zip(names, arrivals.aside.tolist(), arrivals.turned.tolist(), strict=True)
-        for time, kind, speed, leaving, entry in zip(
-            times, arrivals.parcel, speeds, arrivals.exit, entries, strict=True
-        ):
-            more = entry if placed else ()
-            rows.writerow([time, *sizes[kind], speed, exits.names[leaving], *more])
+        for k in range(len(arrivals)):
+            time, speed = arrivals.time.item(k), arrivals.speed.item(k)
+            row = [time, *sizes[arrivals.parcel[k]], speed, exits.names[arrivals.exit[k]]]
+            if placed:
+                inlet = inlets.names[arrivals.inlet[k]]
+                row += [inlet, arrivals.aside.item(k), arrivals.turned.item(k)]
+            rows.writerow(row)
 
 
 def _size(parcel: Parcel) -> tuple[float, float, float]:

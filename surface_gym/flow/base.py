@@ -16,8 +16,15 @@ from surface_gym.actions import ANY, ActionKind
 from surface_gym.compiler.jit import inlined
 from surface_gym.flow import state as fs
 from surface_gym.flow.entry import bars
-from surface_gym.flow.exits import Exits, exits_option, flow_line
-from surface_gym.flow.inlets import EDGE, Entrance, find_entrance, inlets_option
+from surface_gym.flow.exits import (
+    EDGE,
+    Entrance,
+    Exits,
+    exits_option,
+    find_entrance,
+    flow_line,
+    inlets_option,
+)
 from surface_gym.flow.stream import LAWS, Stream
 from surface_gym.lines import BaseLine
 from surface_gym.parcel import Parcel

@@ -18,7 +18,7 @@ from surface_gym.core.resets import FEWEST_EDGES, Placement, draw_noise, place_i
 from surface_gym.flow import claims, kernel, state as fs
 from surface_gym.flow.arrivals import Arrivals
 from surface_gym.flow.base import StreamTask
-from surface_gym.flow.inlets import EDGE
+from surface_gym.flow.exits import EDGE
 from surface_gym.parcel import Parcel
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.step import axis_direction, com_states, split_gravity

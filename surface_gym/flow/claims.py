@@ -21,16 +21,6 @@ CLOSING = 1.0  # [m/s] assumed closing speed of a base towards a module outside 
 
 
 @inlined
-def free_modules(owner: Places, soonest: Array, state: EnvState) -> None:
-    """Release all modules of the zone, so that any parcel may claim them."""
-    zone = state.zone
-    for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
-        for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
-            owner[row, column] = fs.NOBODY
-            soonest[row, column] = np.inf
-
-
-@inlined
 def _until(point: float, low: float, high: float, speed: float) -> float:
     """Return the time [s] until a moving interval contains a point; infinite if never."""
     if point > high:
@@ -49,8 +39,11 @@ def _after(point: float, low: float, high: float, speed: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def claiming(base_distance: Function) -> Any:
-    """Build `claim_modules` from the task's `base_distance(state, x, y)`."""
+def assigning(base_distance: Function) -> Any:
+    """Build `assign_modules(view)`, which writes the parcel that each module obeys.
+
+    It uses the task's `base_distance(state, x, y)`.
+    """
 
     @inlined
     def claim_modules(
@@ -96,7 +89,20 @@ def claiming(base_distance: Function) -> Any:
                     soonest[row, column] = until
                     owner[row, column] = slot
 
-    return claim_modules
+    @inlined
+    def assign_modules(view: StreamView) -> None:
+        streams, i, zone = view.streams, view.i, view.bodies.zone[0]
+        owner, soonest = streams.owner[i], streams.soonest[i]
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
+                owner[row, column] = fs.NOBODY
+                soonest[row, column] = np.inf
+        for slot in range(view.rows):
+            if streams.present[i, slot]:
+                ahead = view.stream_params.ahead
+                claim_modules(owner, soonest, view_parcel(view, slot), slot, ahead)
+
+    return assign_modules
 
 
 # Index of the command's part for a module; negative if none.
@@ -145,24 +151,6 @@ def is_turn(angle: float, before: float) -> bool:
     """Return whether two axis angles differ; axes have period pi."""
     apart = angle - before
     return abs(apart - math.pi * math.floor(apart / math.pi + 0.5)) > 1e-9
-
-
-@lru_cache(maxsize=64)
-def assigning(base_distance: Function) -> Any:
-    """Build `assign_modules(view)`, which writes the parcel that each module obeys."""
-    claim_modules = claiming(base_distance)
-
-    @inlined
-    def assign_modules(view: StreamView) -> None:
-        streams, i = view.streams, view.i
-        owner, soonest = streams.owner[i], streams.soonest[i]
-        free_modules(owner, soonest, view_parcel(view, 0))
-        for slot in range(view.rows):
-            if streams.present[i, slot]:
-                ahead = view.stream_params.ahead
-                claim_modules(owner, soonest, view_parcel(view, slot), slot, ahead)
-
-    return assign_modules
 
 
 @lru_cache(maxsize=64)

@@ -116,8 +116,8 @@ def occupy(view: StreamView, slot: int, arrival: int) -> None:
 
 
 @lru_cache(maxsize=64)
-def entering(has_room: Function) -> Any:
-    """Build `let_in(view)` with the task's `has_room(surface, state, other)`."""
+def entering(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
+    """Build `let_in(view) -> bool` with the task's `has_room(surface, state, other)`."""
 
     @inlined
     def is_clear(view: StreamView, slot: int) -> bool:
@@ -133,15 +133,15 @@ def entering(has_room: Function) -> Any:
         return True
 
     @inlined
-    def let_in(view: StreamView) -> int:
-        """Let the earliest due parcel that has room enter; return its slot, or NOBODY.
+    def let_in(view: StreamView) -> bool:
+        """Let the earliest due parcel that has room enter; return whether there was one.
 
-        Only the next parcel of each inlet may enter. Its task and its sensor have yet to begin.
+        Only the next parcel of each inlet may enter.
         """
         streams, i = view.streams, view.i
         slot = _free_slot(view)
         if slot == fs.NOBODY or count_waiting(streams, i) == 0:
-            return fs.NOBODY
+            return False
         barred = 0  # one bit per inlet
         open_inlets = view.stream_params.inlets
         arrival = streams.coming[i]
@@ -151,11 +151,15 @@ def entering(has_room: Function) -> Any:
                 put(view, slot, arrival)
                 if is_clear(view, slot):
                     occupy(view, slot, arrival)
-                    return slot
+                    state = view_parcel(view, slot)
+                    state.memory[fs.TOUCHED] = 0.0
+                    task_begin(state)
+                    sensor_begin(view.params.sensor, state)
+                    return True
                 barred |= inlet
                 open_inlets -= 1
             arrival += 1
-        return fs.NOBODY
+        return False
 
     return let_in
 

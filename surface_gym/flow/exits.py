@@ -1,74 +1,144 @@
-"""The line of a stream, and its exits to both sides and straight ahead."""
+"""The line of a stream, its exits, and the inlets where parcels enter."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks
-from surface_gym.lines import Pattern
+from surface_gym.lines import BaseLine, Pattern
 
 LINE_ROWS = 20  # rows of the whole surface
 RUN_OUT = 6  # columns of supports after the last rotors, for parcels that exit straight ahead
 PITCH = 0.1  # [m]
 
 SIDES = (-1, 0, 1)  # y < 0 (right), straight ahead, y > 0 (left)
-NOWHERE = -1  # index for departures between exits
+# Position of an inlet: at the start, where parcels move towards +x, or at a side.
+START, LEFT, RIGHT = 0, 1, -1
+MOST_INLETS = 32
+
+
+def check_name(name: str, value: Any) -> str:
+    """Check the name of an exit: not empty, without spaces at its ends, writable to files."""
+    if not isinstance(value, str) or not value or value != value.strip():
+        raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
+    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise ValueError(f"{name} must hold neither NUL nor half a letter (UTF-16), got {value!r}")
+    return value
+
+
+Of = TypeVar("Of")
+
+
+def check_several(name: str, given: Any, kind: type[Of]) -> tuple[Of, ...]:
+    """Check at least one object of a kind, in a tuple or a list."""
+    noun = kind.__name__
+    if not isinstance(given, (tuple, list)) or not given:
+        raise ValueError(f"{name} must be at least one {noun} in a tuple, got {given!r}")
+    for each in given:
+        checks.instance(name, each, kind, f"{noun} objects")
+    return tuple(given)
 
 
 @dataclass(frozen=True)
-class Exit:
-    """An exit for parcels; its span includes `first` and excludes `last`.
-
-    The span limits a parcel's centre: in x at a side, and in y from the line's middle straight
-    ahead.
-    """
+class Opening:
+    """A span of an edge of the surface, for entries or departures."""
 
     name: str  # "left 1"
-    side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: straight ahead, at the line's end
+    side: int  # +1: y > 0 (left), -1: y < 0 (right), 0: an end of the line
     first: float = -math.inf  # [m]
     last: float = math.inf  # [m]
 
     def __post_init__(self) -> None:
-        check_place(self)
+        set_field = object.__setattr__
+        check_name("name", self.name)
+        set_field(self, "side", checks.one_of("side", self.side, SIDES))
+        for name, endless in (("first", -math.inf), ("last", math.inf)):
+            value = getattr(self, name)
+            is_endless = isinstance(value, float) and value == endless
+            set_field(self, name, endless if is_endless else checks.coordinate(name, value))
+        if self.last <= self.first:
+            raise ValueError(
+                f"last must be greater than first, {self.first:g}, got {self.last!r} "
+                f"for {self.name!r}"
+            )
 
 
 @dataclass(frozen=True)
-class Exits:
+class Exit(Opening):
+    """An exit for parcels; its span includes `first` and excludes `last`.
+
+    The span limits a parcel's centre: in x at a side, and in y from the line's middle straight
+    ahead (side 0), at the line's end.
+    """
+
+
+@dataclass(frozen=True)
+class Inlet(Opening):
+    """A span of an edge over which parcels enter the surface.
+
+    At the start (side 0, x = 0), the span is in y from the line's middle, and parcels move towards
+    +x. At a side, the span is in x, and parcels move across the line. The default span is from the
+    first to the last row or column of rotors.
+    """
+
+    side: int = START
+
+
+Kind = TypeVar("Kind", bound=Opening)
+
+
+class Openings(Generic[Kind]):
+    """Base class of exits and inlets, indexed in order."""
+
+    kind: ClassVar[type[Opening]]
+    plural: ClassVar[str]  # name of the field with the openings
+
+    def __post_init__(self) -> None:
+        each = check_several(self.plural, getattr(self, self.plural), self.kind)
+        object.__setattr__(self, self.plural, each)
+        for place, name in enumerate(self.names):
+            if name in self.names[:place]:
+                raise ValueError(f"{self.plural} must have names of their own, got {name!r} twice")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[Kind]:
+        return iter(getattr(self, self.plural))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the openings."""
+        return tuple(each.name for each in self)
+
+    def place(self, name: str) -> int:
+        """Return the index of the opening with a name."""
+        return self.names.index(checks.one_of(self.plural[:-1], name, self.names))
+
+
+@dataclass(frozen=True)
+class Exits(Openings[Exit]):
     """The exits of a line, indexed in order.
 
-    >>> exits = Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)])
-    >>> exits.at(1, 1.2), exits.at(1, 2.5), exits.at(0, 0.1)
-    (0, -1, 1)
+    >>> Exits([Exit("left", 1, 0.5, 2.0), Exit("straight", 0)]).names
+    ('left', 'straight')
     """
 
     exits: tuple[Exit, ...]
 
+    kind = Exit
+    plural = "exits"
+
     def __post_init__(self) -> None:
-        if not isinstance(self.exits, (tuple, list)) or not self.exits:
-            raise ValueError(f"exits must be at least one Exit in a tuple, got {self.exits!r}")
-        for each in self.exits:
-            if not isinstance(each, Exit):
-                raise ValueError(f"exits must be Exit objects, got {each!r}")
-        object.__setattr__(self, "exits", tuple(self.exits))
+        super().__post_init__()
         for place, each in enumerate(self.exits):
             for other in self.exits[:place]:
                 _check_apart(other, each)
-
-    def __len__(self) -> int:
-        return len(self.exits)
-
-    def __iter__(self) -> Iterator[Exit]:
-        return iter(self.exits)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Names of the exits."""
-        return tuple(each.name for each in self.exits)
 
     @cached_property
     def table(self) -> NDArray[np.float64]:
@@ -77,21 +147,33 @@ class Exits:
         table.setflags(write=False)
         return table
 
-    def place(self, name: str) -> int:
-        """Return the index of the exit with a name."""
-        return self.names.index(checks.one_of("exit", name, self.names))
 
-    def at(self, side: int, where: float) -> int:
-        """Return the index of the exit that a parcel takes, or -1 between exits.
+def _check_apart(one: Exit, other: Exit) -> None:
+    if one.side == other.side and max(one.first, other.first) < min(one.last, other.last):
+        raise ValueError(
+            f"exits must not overlap on one side, got {one.name!r} "
+            f"from {one.first:g} to {one.last:g} m and {other.name!r} "
+            f"from {other.first:g} to {other.last:g} m"
+        )
 
-        Args:
-            side: side of the departure: +1 left, -1 right, 0 at the line's end.
-            where: [m] x of the centre; at the line's end, y of the centre from the line's middle.
-        """
-        for place, each in enumerate(self.exits):
-            if each.side == side and each.first <= where < each.last:
-                return place
-        return NOWHERE
+
+@dataclass(frozen=True)
+class Inlets(Openings[Inlet]):
+    """The inlets of a surface, indexed in order.
+
+    >>> side_by_side(2).names
+    ('line 1', 'line 2')
+    """
+
+    inlets: tuple[Inlet, ...]
+
+    kind = Inlet
+    plural = "inlets"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.inlets) > MOST_INLETS:
+            raise ValueError(f"inlets must be at most {MOST_INLETS}, got {len(self.inlets)}")
 
 
 def chutes(length: float = 6.0) -> Exits:
@@ -147,42 +229,71 @@ def exits_option(value: Any, length: float) -> Exits:
     return EXITS[checks.one_of("exits", value, EXITS)](length)
 
 
-def check_place(place: Any) -> None:
-    """Check and set the name, the side and the span of a frozen exit or inlet."""
-    set_field = object.__setattr__
-    check_name("name", place.name)
-    set_field(place, "side", checks.one_of("side", place.side, SIDES))
-    for name, endless in (("first", -math.inf), ("last", math.inf)):
-        value = getattr(place, name)
-        is_endless = isinstance(value, float) and value == endless
-        set_field(place, name, endless if is_endless else checks.coordinate(name, value))
-    if place.last <= place.first:
-        raise ValueError(
-            f"last must be greater than first, {place.first:g}, got {place.last!r} "
-            f"for {place.name!r}"
+EDGE = Inlets((Inlet("edge"),))  # the whole upper edge
+SPACING = 0.46  # [m] distance between the middles of neighbouring lines
+
+
+def side_by_side(count: int) -> Inlets:
+    """Make inlets side by side at the start, from y > 0 down, at most 0.45 m wide."""
+    checks.integer("count", count, least=1, most=MOST_INLETS)
+    middles = [SPACING * (0.5 * (count - 1) - k) for k in range(count)]
+    return Inlets(
+        tuple(
+            Inlet(f"line {k}", START, middle - 0.5 * SPACING, middle + 0.5 * SPACING)
+            for k, middle in enumerate(middles, start=1)
         )
+    )
 
 
-def check_name(name: str, value: Any) -> str:
-    """Check the name of an exit: not empty, without spaces at its ends, writable to files."""
-    if not isinstance(value, str) or not value or value != value.strip():
-        raise ValueError(f"{name} must be text without spaces at its ends, got {value!r}")
-    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise ValueError(f"{name} must hold neither NUL nor half a letter (UTF-16), got {value!r}")
-    return value
+class Entrance(NamedTuple):
+    """An inlet on a surface."""
+
+    x: float  # [m] middle of the span, on the edge
+    y: float  # [m]
+    heading: float  # [rad] direction of motion
+    width: float  # [m] of the span
 
 
-def _check_apart(one: Exit, other: Exit) -> None:
-    if one.name == other.name:
-        raise ValueError(f"exits must have names of their own, got {one.name!r} twice")
-    if one.side != other.side:
-        return
-    if max(one.first, other.first) < min(one.last, other.last):
+def find_entrance(inlet: Inlet, line: BaseLine, rotors: tuple[int, int, int, int]) -> Entrance:
+    """Find the position of an inlet on a line.
+
+    Args:
+        inlet: inlet to find.
+        line: line of the surface.
+        rotors: first row, rows, first column and columns of the rotors.
+
+    Raises:
+        ValueError: the inlet is not beside the rotors.
+    """
+    first_row, rows, first_column, columns = rotors
+    low = line.origin[1] + line.pitch_y * (first_row - 0.5)
+    high, start = low + line.pitch_y * rows, line.column_edge(first_column)
+    end = line.column_edge(first_column + columns)
+    if inlet.side == START:
+        least, most = low - line.line_y, high - line.line_y
+    else:
+        least, most = start, end
+    first, last = max(inlet.first, least), min(inlet.last, most)
+    if last <= first:
         raise ValueError(
-            f"exits must not overlap on one side, got {one.name!r} "
-            f"from {one.first:g} to {one.last:g} m and {other.name!r} "
-            f"from {other.first:g} to {other.last:g} m"
+            f"inlets must lie beside the rotors, from {least:g} to {most:g} m, got {inlet.name!r} "
+            f"from {inlet.first:g} to {inlet.last:g} m"
         )
+    endless = inlet.first == -math.inf and inlet.last == math.inf
+    middle = 0.0 if endless and inlet.side == START else 0.5 * (first + last)
+    if inlet.side == START:
+        return Entrance(start, line.line_y + middle, 0.0, last - first)
+    edge = high if inlet.side == LEFT else low
+    return Entrance(middle, edge, -0.5 * math.pi * inlet.side, last - first)
+
+
+def inlets_option(value: Any) -> Inlets:
+    """Return the inlets of an argument: Inlets, or a tuple of Inlet."""
+    if isinstance(value, Inlets):
+        return value
+    if isinstance(value, (tuple, list)):
+        return Inlets(tuple(value))
+    raise ValueError(f"inlets must be Inlets, or a tuple of Inlet objects, got {value!r}")
 
 
 def flow_line(length: float = 6.0, rotor_rows: int = 4, lead_in: int = 5) -> Pattern:

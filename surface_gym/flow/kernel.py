@@ -154,14 +154,18 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
 
 
 @lru_cache(maxsize=64)
-def _following(
+def _moving(
     has_departed: Function,
     task_exit: Function,
     deliver: Function,
+    advance: Function,
     sensor_update: Function,
     watches: bool,
+    turn: Function,
+    turns: bool,
+    meters: bool,
 ) -> Any:
-    """Build `follow(view, slot, physics)`, what follows a physics step for a parcel."""
+    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
 
     @inlined
     def follow(view: StreamView, slot: int, physics: Physics) -> None:
@@ -177,13 +181,6 @@ def _following(
         elif watches:
             st.read_truth(state)
             sensor_update(view.params.sensor, state, physics)
-
-    return follow
-
-
-@lru_cache(maxsize=64)
-def _moving(follow: Function, advance: Function, turn: Function, turns: bool, meters: bool) -> Any:
-    """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
 
     @inlined
     def move(
@@ -220,27 +217,7 @@ def _moving(follow: Function, advance: Function, turn: Function, turns: bool, me
 
 
 @lru_cache(maxsize=64)
-def _receiving(has_room: Function, task_begin: Function, sensor_begin: Function) -> Any:
-    """Build `enter(view) -> bool`, which lets a parcel enter."""
-    let_in = entering(has_room)
-
-    @inlined
-    def enter(view: StreamView) -> bool:
-        """Let the next parcel enter if there is room; return whether it did."""
-        slot = let_in(view)
-        if slot == fs.NOBODY:
-            return False
-        state = view_parcel(view, slot)
-        state.memory[fs.TOUCHED] = 0.0
-        task_begin(state)
-        sensor_begin(view.params.sensor, state)
-        return True
-
-    return enter
-
-
-@lru_cache(maxsize=64)
-def _running(move: Function, enter: Function) -> Any:
+def _running(move: Function, let_in: Function) -> Any:
     """Build `run(view, begins, scratch, sensor's scratch)`: all physics steps of a control period.
 
     Parcels depart and enter meanwhile. A start has no steps; parcels only enter.
@@ -272,7 +249,7 @@ def _running(move: Function, enter: Function) -> Any:
             # A gate opens at one physics step of the period for one parcel, or not at all.
             if gated and (entered or opens == 0 or step < opens):
                 continue
-            if enter(view):
+            if let_in(view):
                 entered = True
 
     return run
@@ -423,9 +400,12 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     f = functions
     straighten, turn, turns = f.actuation.straighten, f.actuation.turn, f.actuation.turns
     obey_command = obeying(f.base_distance, f.part_of, f.commanded, f.actuation.obey)
-    follow = _following(f.has_departed, f.exit_taken, f.deliver, f.update_sensor, f.watches)
-    enter = _receiving(f.has_room, f.begin, f.begin_sensor)
-    run = _running(_moving(follow, f.advance, turn, turns, f.meters), enter)
+    let_in = entering(f.has_room, f.begin, f.begin_sensor)
+    move = _moving(
+        f.has_departed, f.exit_taken, f.deliver, f.advance, f.update_sensor, f.watches, turn, turns,
+        f.meters,
+    )  # fmt: skip
+    run = _running(move, let_in)
     earn = _earning(f.reward, f.read_sensor)
     observe_parcels = _observing(f.inform, f.observe, f.observe_neighbour, f.observe_no_neighbour)
     may_jam = f.may_jam

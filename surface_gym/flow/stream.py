@@ -10,9 +10,8 @@ import numpy as np
 
 from surface_gym import checks
 from surface_gym.flow import arrivals as laws
-from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, Poisson, Spread, Steady, Trace
-from surface_gym.flow.exits import Exits, check_name
-from surface_gym.flow.inlets import EDGE, Inlets
+from surface_gym.flow.arrivals import Arrivals, Law, Numbers, Places, RateLaw, Steady, Trace
+from surface_gym.flow.exits import EDGE, Exits, Inlets, check_name
 from surface_gym.parcel import Parcel
 from surface_gym.tasks.start import parcel_option
 
@@ -88,7 +87,7 @@ class Stream:
 
     def with_rate(self, rate: float) -> "Stream":
         """Return the stream at another mean rate [parcels/h]; not for a Schedule or a Trace."""
-        if not isinstance(self.arrivals, (Steady, Spread, Poisson)):
+        if not isinstance(self.arrivals, RateLaw):
             raise ValueError(
                 f"arrivals must be Steady, Spread or Poisson to have another rate, "
                 f"got {type(self.arrivals).__name__}"

@@ -276,49 +276,6 @@ class TakeAwayStatistics:
     turns_per_hour: float  # [1/h] turns per obeying module, a measure of wear
 
 
-def compute_statistics(
-    task: "TakeAwayTask", streams: fs.StreamState, surface: int, jammed: bool, obeying: int
-) -> TakeAwayStatistics:
-    """Compute the statistics of a surface's episode so far, with `obeying` modules."""
-    count = int(streams.arrivals[surface])
-    time, entered, departed = (
-        values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
-    )
-    taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
-    clock, (gap, misaligned) = float(streams.clock[surface]), streams.results[surface, :count].T
-    gone, through = ~np.isnan(departed), taken >= 0
-    delivered = int(gone.sum())
-    gaps = gap[through & np.isfinite(gap)]
-    stay = (departed - entered)[gone]
-    inside = ~np.isnan(entered)
-    inlet = streams.inlet[surface, :count]
-    waits = [
-        float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
-    ]
-    per_parcel = 1000.0 / delivered if delivered else np.nan
-    turns = HOUR * float(streams.tally[surface, fs.TURNS])
-    return TakeAwayStatistics(
-        delivered=delivered,
-        parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
-        correct_gaps=fs.mean(gaps >= task.gap - ROUND_OFF),
-        gap_mean=fs.mean(gaps),
-        gap_5=fs.percentile(gaps, 5.0),
-        gap_spread=float(gaps.std()) if gaps.size else np.nan,
-        aligned=fs.mean(np.abs(misaligned[through]) <= task.alignment + ROUND_OFF),
-        beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
-        touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
-        jams_per_1000=float(jammed) * per_parcel,
-        impulse_most=float(streams.impulse[surface]),
-        squeeze_most=float(streams.squeeze[surface]),
-        time_mean=fs.mean(stay),
-        time_95=fs.percentile(stay, 95.0),
-        waiting_mean=fs.mean((entered - time)[inside]),
-        unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
-        order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], departed[gone])),
-        turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
-    )
-
-
 def _is_early(order: Integers, departed: Array) -> Booleans:
     """Return (parcels,) whether a parcel departed before a parcel with a lower place."""
     by_time = np.argsort(departed, kind="stable")
@@ -418,7 +375,43 @@ class TakeAwayTask(StreamTask):
     def compute_statistics(
         self, streams: fs.StreamState, surface: int, jammed: bool, obeying: int
     ) -> TakeAwayStatistics:
-        return compute_statistics(self, streams, surface, jammed, obeying)
+        count = int(streams.arrivals[surface])
+        time, entered, departed = (
+            values[surface, :count] for values in (streams.time, streams.entered, streams.departed)
+        )
+        taken, correct = streams.taken[surface, :count], streams.correct[surface, :count]
+        clock, (gap, misaligned) = float(streams.clock[surface]), streams.results[surface, :count].T
+        gone, through = ~np.isnan(departed), taken >= 0
+        delivered = int(gone.sum())
+        gaps = gap[through & np.isfinite(gap)]
+        stay = (departed - entered)[gone]
+        inside = ~np.isnan(entered)
+        inlet = streams.inlet[surface, :count]
+        waits = [
+            float((entered - time)[inside & (inlet == k)].mean()) for k in np.unique(inlet[inside])
+        ]
+        per_parcel = 1000.0 / delivered if delivered else np.nan
+        turns = HOUR * float(streams.tally[surface, fs.TURNS])
+        return TakeAwayStatistics(
+            delivered=delivered,
+            parcels_per_hour=HOUR * float(correct.sum()) / clock if clock > 0.0 else np.nan,
+            correct_gaps=fs.mean(gaps >= self.gap - ROUND_OFF),
+            gap_mean=fs.mean(gaps),
+            gap_5=fs.percentile(gaps, 5.0),
+            gap_spread=float(gaps.std()) if gaps.size else np.nan,
+            aligned=fs.mean(np.abs(misaligned[through]) <= self.alignment + ROUND_OFF),
+            beside=float((gone & ~through).sum()) / delivered if delivered else np.nan,
+            touches_per_1000=float(streams.tally[surface, fs.TOUCHES]) * per_parcel,
+            jams_per_1000=float(jammed) * per_parcel,
+            impulse_most=float(streams.impulse[surface]),
+            squeeze_most=float(streams.squeeze[surface]),
+            time_mean=fs.mean(stay),
+            time_95=fs.percentile(stay, 95.0),
+            waiting_mean=fs.mean((entered - time)[inside]),
+            unfairness=max(waits, default=np.nan) - min(waits, default=np.nan),
+            order_errors=fs.mean(_is_early(streams.order[surface, :count][gone], departed[gone])),
+            turns_per_hour=turns / (obeying * clock) if clock > 0.0 and obeying else np.nan,
+        )
 
     @staticmethod
     @inlined

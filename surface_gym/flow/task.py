@@ -198,10 +198,6 @@ class Flow(StreamTask):
         ...     observation, reward, terminated, truncated, info = env.step([3] * 48)
         >>> info["entered"], info["episode_touches_per_1000"]
         (2, 0.0)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     features = FEATURES

@@ -5,12 +5,399 @@ from dataclasses import dataclass, field
 
 from surface_gym import checks
 from surface_gym.compiler.jit import kernel_function
+from surface_gym.physics.contacts import EDGE_TOLERANCE
 from surface_gym.physics.types import GYRATION, OMEGA, RADIUS, THETA, VX, VY, Array, X, Y
 from surface_gym.sensors import kalman
 from surface_gym.sensors.base import Entry, Physics
-from surface_gym.sensors.kalman import COVARIANCE, LAST, MODEL_SIZE, SIZE, Observer
-from surface_gym.sensors.switches import agree, mean_of_pressed, take_contradictions, take_switches
+from surface_gym.sensors.kalman import (
+    COVARIANCE,
+    LAST,
+    MODEL_SIZE,
+    SIZE,
+    Observer,
+    correct,
+    measure,
+)
 from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState
+
+
+@kernel_function
+def between_places(low: float, high: float, count: int) -> tuple[int, int]:
+    """Return the first and last index among 0 ... count - 1 within [low, high].
+
+    If there is none, first > last. The bounds may be any floats.
+    """
+    first, last = count, -1
+    if low <= 0.0:
+        first = 0
+    elif low < count:
+        first = math.ceil(low)
+    if high >= count - 1.0:
+        last = count - 1
+    elif high >= 0.0:
+        last = math.floor(high)
+    return first, last
+
+
+@kernel_function
+def covered_columns(
+    state: EnvState,
+    row: int,
+    x: float,
+    y: float,
+    cosine: float,
+    sine: float,
+) -> tuple[int, int]:
+    """Return the first and last column of a row under a base at (x, y, theta).
+
+    If there is none, first > last. As for contacts, F_lambda <= 0 up to round-off.
+    """
+    reach = state.body[RADIUS] + EDGE_TOLERANCE
+    dy = state.elements.y0 + state.elements.pitch_y * row - y
+    square = reach * reach - dy * dy
+    if square < 0.0:
+        return 1, 0
+    high = math.sqrt(square)
+    low = -high
+    edges = state.edges
+    for k in range(edges.shape[0]):
+        nx = cosine * edges[k, 0] - sine * edges[k, 1]
+        ny = sine * edges[k, 0] + cosine * edges[k, 1]
+        room = edges[k, 2] + EDGE_TOLERANCE - ny * dy
+        if nx > 1e-12:
+            high = min(high, room / nx)
+        elif nx < -1e-12:
+            low = max(low, room / nx)
+        elif room < 0.0:
+            return 1, 0
+    per_pitch = 1.0 / state.elements.pitch_x
+    return between_places(
+        (x + low - state.elements.x0) * per_pitch,
+        (x + high - state.elements.x0) * per_pitch,
+        state.rotor.shape[1],
+    )
+
+
+@kernel_function
+def distance_and_normal(
+    state: EnvState, dx: float, dy: float, cosine: float, sine: float, ux: float, uy: float
+) -> tuple[float, float, float]:
+    """Return the distance [m] from the base to a point (dx, dy) from the centroid, and the normal.
+
+    The distance is the largest F_lambda (Section 3.2), negative inside. The normal (x, y) points
+    outwards from the closest edge, or from the circle of a disc.
+    """
+    x = cosine * dx + sine * dy
+    y = cosine * dy - sine * dx
+    wx = cosine * ux + sine * uy
+    wy = cosine * uy - sine * ux
+    edges = state.edges
+    radius = state.body[RADIUS]
+    farthest = -4.0 * radius
+    best = -4.0 * radius
+    nx = 0.0
+    ny = 0.0
+    for k in range(edges.shape[0]):
+        beyond = edges[k, 0] * x + edges[k, 1] * y - edges[k, 2]
+        score = beyond
+        if edges[k, 0] * wx + edges[k, 1] * wy < 0.0:
+            score -= 2.0 * radius
+        if score > best:
+            best = score
+            farthest = beyond
+            nx = edges[k, 0]
+            ny = edges[k, 1]
+    if farthest > -4.0 * radius:
+        return farthest, cosine * nx - sine * ny, sine * nx + cosine * ny
+    # A disc has no edges; its padding edges are far away.
+    distance = math.sqrt(dx * dx + dy * dy)
+    per_distance = 1.0 / distance if distance > 0.0 else 0.0
+    return distance - radius, dx * per_distance, dy * per_distance
+
+
+GATE = 4.0  # maximum residual of an equation in standard deviations; `agree` handles larger ones
+
+
+@kernel_function
+def _take_switch(
+    state: EnvState,
+    x: float,
+    y: float,
+    covered: bool,
+    interval: float,
+    tolerance: float,
+    switches: int,
+) -> None:
+    """Correct by a module at (x, y), which the perimeter passed within the last `interval` [s]."""
+    estimate = state.sensor_state
+    lead = 0.5 * interval
+    theta = estimate[THETA] - lead * estimate[OMEGA]
+    dx = x - estimate[X] + lead * estimate[VX]
+    dy = y - estimate[Y] + lead * estimate[VY]
+    # The module's velocity relative to the base, pointing outwards, shows which edge passed.
+    outwards = -1.0 if covered else 1.0
+    ux = outwards * (-estimate[VX] + estimate[OMEGA] * dy)
+    uy = outwards * (-estimate[VY] - estimate[OMEGA] * dx)
+    distance, nx, ny = distance_and_normal(state, dx, dy, math.cos(theta), math.sin(theta), ux, uy)
+    lever = nx * dy - ny * dx
+    speed = nx * estimate[VX] + ny * estimate[VY] - lever * estimate[OMEGA]
+    variance = measure(estimate, -nx, -ny, lever, lead)
+    when = speed * interval
+    unsure = switches * (when * when / 12.0 + tolerance * tolerance)
+    if distance * distance > GATE * GATE * (variance + unsure):
+        return
+    gain = 1.0 / (variance + unsure)
+    correct(estimate, -distance * gain, gain)
+
+
+@kernel_function
+def _take_contradiction(
+    state: EnvState, x: float, y: float, covered: bool, tolerance: float
+) -> float:
+    """Correct the estimate by a module at (x, y) on the wrong side of the estimated perimeter.
+
+    The perimeter's exact position is unknown, so the correction moves the estimate without reducing
+    the variance.
+
+    Returns:
+        [m] distance of the estimate on the wrong side; 0 within the tolerance.
+    """
+    estimate = state.sensor_state
+    dx = x - estimate[X]
+    dy = y - estimate[Y]
+    cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+    distance, nx, ny = distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)
+    wrong = distance if covered else -distance
+    if wrong <= tolerance:
+        return 0.0
+    variance = measure(estimate, -nx, -ny, nx * dy - ny * dx, 0.0)
+    unsure = variance + tolerance * tolerance
+    if distance * distance > GATE * GATE * unsure:
+        return wrong
+    correct(estimate, -distance / unsure, 0.0)
+    return wrong
+
+
+@kernel_function
+def covered_by_both(
+    state: EnvState, row: int, pose: Array, other: Array
+) -> tuple[int, int, int, int, int, int]:
+    """Return the columns of a row under a base in two poses.
+
+    Returns:
+        First and last column under `pose`, first and last column under `other`, and first and last
+        column under either pose.
+    """
+    first, last = covered_columns(
+        state, row, pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    )
+    was_first, was_last = covered_columns(
+        state, row, other[0], other[1], math.cos(other[2]), math.sin(other[2])
+    )
+    return first, last, was_first, was_last, min(first, was_first), max(last, was_last)
+
+
+@kernel_function
+def rows_of_both(state: EnvState, y: float, other_y: float) -> tuple[int, int]:
+    """Return the first and last row that a base can cover from either of two positions."""
+    reach = state.body[RADIUS] + EDGE_TOLERANCE
+    low = (min(y, other_y) - reach - state.elements.y0) / state.elements.pitch_y
+    high = (max(y, other_y) + reach - state.elements.y0) / state.elements.pitch_y
+    return between_places(low, high, state.rotor.shape[0])
+
+
+@kernel_function
+def _count_switches(state: EnvState, sampled: Array) -> int:
+    """Return the number of modules that switched since the last sample at pose `sampled` (3,)."""
+    truth = state.truth
+    first_row, last_row = rows_of_both(state, truth[1], sampled[1])
+    switches = 0
+    for row in range(first_row, last_row + 1):
+        first, last, was_first, was_last, low, high = covered_by_both(state, row, truth, sampled)
+        for column in range(low, high + 1):
+            differ = (first <= column <= last) != (was_first <= column <= was_last)
+            switches += state.rotor[row, column] and differ
+    return switches
+
+
+@kernel_function
+def take_switches(state: EnvState, sampled: Array, interval: float, tolerance: float) -> None:
+    """Correct the estimate by every module that switched since pose `sampled` (3,).
+
+    The time since this pose is `interval` [s]; switches have a `tolerance` [m]. Switches of one
+    sample share the error of the estimate, so together they have the weight of one.
+    """
+    truth = state.truth
+    switches = _count_switches(state, sampled)
+    if switches == 0:
+        return
+    first_row, last_row = rows_of_both(state, truth[1], sampled[1])
+    for row in range(first_row, last_row + 1):
+        y = state.elements.y0 + state.elements.pitch_y * row
+        first, last, was_first, was_last, low, high = covered_by_both(state, row, truth, sampled)
+        for column in range(low, high + 1):
+            covered = first <= column <= last
+            if state.rotor[row, column] and covered != (was_first <= column <= was_last):
+                x = state.elements.x0 + state.elements.pitch_x * column
+                _take_switch(state, x, y, covered, interval, tolerance, switches)
+
+
+@kernel_function
+def take_contradictions(state: EnvState, tolerance: float) -> float:
+    """Correct the estimate by every module whose switch contradicts it.
+
+    Returns:
+        [m] largest distance of the estimate on a wrong side; 0 within the tolerance [m] of
+        switches.
+    """
+    truth = state.truth
+    estimate = state.sensor_state
+    worst = 0.0
+    first_row, last_row = rows_of_both(state, truth[1], estimate[Y])
+    for row in range(first_row, last_row + 1):
+        y = state.elements.y0 + state.elements.pitch_y * row
+        first, last, has_first, has_last, low, high = covered_by_both(state, row, truth, estimate)
+        for column in range(low, high + 1):
+            covered = first <= column <= last
+            if state.rotor[row, column] and covered != (has_first <= column <= has_last):
+                x = state.elements.x0 + state.elements.pitch_x * column
+                worst = max(worst, _take_contradiction(state, x, y, covered, tolerance))
+    return worst
+
+
+@kernel_function
+def worst_contradiction(state: EnvState) -> tuple[float, float, float, float]:
+    """Find the module with the largest contradiction to the estimate.
+
+    Returns:
+        [m] size of the contradiction, 0 if there is none; [m] position of the module from the
+        estimate's centroid; and 1 if the module is covered, else -1.
+    """
+    truth = state.truth
+    estimate = state.sensor_state
+    cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+    worst, worst_x, worst_y, worst_side = 0.0, 0.0, 0.0, 0.0
+    first_row, last_row = rows_of_both(state, truth[1], estimate[Y])
+    for row in range(first_row, last_row + 1):
+        dy = state.elements.y0 + state.elements.pitch_y * row - estimate[Y]
+        first, last, has_first, has_last, low, high = covered_by_both(state, row, truth, estimate)
+        for column in range(low, high + 1):
+            covered = first <= column <= last
+            if state.rotor[row, column] and covered != (has_first <= column <= has_last):
+                dx = state.elements.x0 + state.elements.pitch_x * column - estimate[X]
+                side = 1.0 if covered else -1.0
+                wrong = side * distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)[0]
+                if wrong > worst:
+                    worst, worst_x, worst_y, worst_side = wrong, dx, dy, side
+    return worst, worst_x, worst_y, worst_side
+
+
+@kernel_function
+def mean_of_pressed(state: EnvState) -> tuple[int, float, float]:
+    """Return the number of pressed switches, and the mean position [m] of their modules."""
+    truth = state.truth
+    pressed, x, y = 0, 0.0, 0.0
+    cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
+    first_row, last_row = rows_of_both(state, truth[1], truth[1])
+    for row in range(first_row, last_row + 1):
+        first, last = covered_columns(state, row, truth[0], truth[1], cosine, sine)
+        for column in range(first, last + 1):
+            if state.rotor[row, column]:
+                pressed += 1
+                x += state.elements.x0 + state.elements.pitch_x * column
+                y += state.elements.y0 + state.elements.pitch_y * row
+    per_module = 1.0 / max(pressed, 1)
+    return pressed, x * per_module, y * per_module
+
+
+MOVES = 60  # maximum moves of an estimate, one module each, before a restart
+# [-] square of the length, relative to the base's radius, that converts a turn to a displacement.
+# Larger values prefer shifts to turns, since headings have smaller errors than positions.
+TURN_WEIGHT = 2.0
+BUILD_UP = 0.1  # [s] assumed duration over which a contradiction has built up
+MOST_BUILT_UP = 0.03  # [m] maximum displacement of the base's rim; larger ones cause a restart
+HEADINGS = 36  # number of headings to try in a restart
+
+
+@kernel_function
+def agree(state: EnvState, tolerance: float) -> None:
+    """Move the estimate minimally until no contradiction exceeds a tolerance [m].
+
+    The velocity is corrected as if the shift had built up over some time. The variances of pose and
+    velocity are increased accordingly, since they were too small.
+    """
+    estimate = state.sensor_state
+    x, y, theta = estimate[X], estimate[Y], estimate[THETA]
+    if _move(state, tolerance) > tolerance:
+        _start_over(state, tolerance, x, y, theta)
+    shift_x, shift_y, turn = estimate[X] - x, estimate[Y] - y, estimate[THETA] - theta
+    size = math.sqrt(shift_x * shift_x + shift_y * shift_y + (state.body[RADIUS] * turn) ** 2)
+    share = min(1.0, MOST_BUILT_UP / max(size, MOST_BUILT_UP))
+    _build_up(estimate, share * shift_x, share * shift_y, share * turn)
+
+
+@kernel_function
+def _build_up(estimate: Array, shift_x: float, shift_y: float, turn: float) -> None:
+    """Correct the velocity by the shift of the pose, and increase the variance of both."""
+    per_time = 1.0 / BUILD_UP
+    estimate[VX] += per_time * shift_x
+    estimate[VY] += per_time * shift_y
+    estimate[OMEGA] += per_time * turn
+    for i in range(SIZE):
+        by_i = (shift_x, shift_y, turn)[i % 3] * (1.0 if i < 3 else per_time)
+        for j in range(SIZE):
+            by_j = (shift_x, shift_y, turn)[j % 3] * (1.0 if j < 3 else per_time)
+            estimate[COVARIANCE + SIZE * i + j] += by_i * by_j
+
+
+@kernel_function
+def _move(state: EnvState, tolerance: float) -> float:
+    """Repeatedly move the pose to the correct side of the module with the largest contradiction.
+
+    Returns:
+        [m] remaining contradiction.
+    """
+    estimate = state.sensor_state
+    square = TURN_WEIGHT * state.body[RADIUS] * state.body[RADIUS]
+    wrong = 0.0
+    for _ in range(MOVES):
+        wrong, dx, dy, side = worst_contradiction(state)
+        if wrong <= tolerance:
+            return wrong
+        cosine, sine = math.cos(estimate[THETA]), math.sin(estimate[THETA])
+        _, nx, ny = distance_and_normal(state, dx, dy, cosine, sine, 0.0, 0.0)
+        lever = nx * dy - ny * dx
+        step = side * wrong / (1.0 + lever * lever / square)
+        estimate[X] += step * nx
+        estimate[Y] += step * ny
+        estimate[THETA] -= step * lever / square
+    return wrong
+
+
+@kernel_function
+def _start_over(state: EnvState, tolerance: float, x: float, y: float, theta: float) -> None:
+    """Search for a consistent pose at the middle of the pressed modules.
+
+    Headings are tried with increasing distance from `theta`. If no pose is consistent, the best one
+    is used. Without pressed modules, the estimate stays at (x, y).
+    """
+    estimate = state.sensor_state
+    best_x, best_y, best_theta, least = x, y, theta, math.inf
+    pressed, middle_x, middle_y = mean_of_pressed(state)
+    if pressed == 0:  # the parcel has left the rotors to an unknown position
+        estimate[X], estimate[Y], estimate[THETA] = x, y, theta
+        return
+    for k in range(1, HEADINGS + 1):
+        turn = k // 2 * (1.0 if k % 2 == 0 else -1.0)
+        estimate[X], estimate[Y] = middle_x, middle_y
+        estimate[THETA] = theta + turn * 2.0 * math.pi / HEADINGS
+        wrong = _move(state, tolerance)
+        if wrong < least:
+            best_x, best_y, best_theta, least = estimate[X], estimate[Y], estimate[THETA], wrong
+        if wrong <= tolerance:
+            break
+    estimate[X], estimate[Y], estimate[THETA] = best_x, best_y, best_theta
+
 
 SURE = 3.0  # standard deviations of an entry that are considered
 # [-] factor of the maximum energy of a centred load. With an off-centre load, the centroid is

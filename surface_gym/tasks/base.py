@@ -65,6 +65,8 @@ class Task:
     outcomes: ClassVar[tuple[str, ...]]  # names of the failures
     metrics: ClassVar[tuple[str, ...]] = ()  # numbers in `info`, in the order of `state.metrics`
     options: ClassVar[tuple[str, ...]] = ()  # names of reset options
+    # fields with two rising numbers: their limits, and a hint for an error
+    ranges: ClassVar[dict[str, tuple[Any, ...]]] = {}
     draws: ClassVar[int] = 0  # uniform random numbers per start
     goals: ClassVar[int] = 0  # size of `state.goal`
     memories: ClassVar[int] = 0  # size of `state.memory`
@@ -86,6 +88,8 @@ class Task:
                     f"got {getattr(self, name, None)!r}"
                 )
         object.__setattr__(self, "parcels", parcels_to_draw(self.parcels))
+        for name, limits in self.ranges.items():
+            object.__setattr__(self, name, rising(name, getattr(self, name), *limits))
         checks.number("entry_offset", self.entry_offset)
         checks.angle("entry_turn", self.entry_turn)
         if self.time_limit is not None:

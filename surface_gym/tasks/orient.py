@@ -94,10 +94,6 @@ class Orient(base.Task):
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], info["angle_error"]
         ('running', -0.5)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (1.3, 1.7)  # [m/s] entry speed
@@ -108,19 +104,12 @@ class Orient(base.Task):
     outcomes = OUTCOMES
     metrics = ("angle_error",)
     options = ("speed", "parcel", "angle")
+    ranges = {"speeds": (0.0, 5.0), "angles": (-math.pi, math.pi, checks.DEGREES)}
     draws = 3
     goals = 1
     memories = 1
     leaves_zone = True
     periods = 200
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        set_field = object.__setattr__
-        set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(
-            self, "angles", base.rising("angles", self.angles, -math.pi, math.pi, checks.DEGREES)
-        )
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal angle, all uniform."""

@@ -1,9 +1,9 @@
-"""Paths y(x) on a field."""
+"""Paths y(x) on a field: curves for x from `start` to `end` [m], with a method `y(x)` [m]."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,21 +14,6 @@ from surface_gym.layouts import LINE_Y
 Numbers = NDArray[np.float64]
 
 START, END = 0.4, 5.6  # [m] default start and end of a path
-
-
-class BasePath(Protocol):
-    """A curve y(x) for x in [start, end]."""
-
-    @property
-    def start(self) -> float:
-        """Return x [m] of the first point."""
-
-    @property
-    def end(self) -> float:
-        """Return x [m] of the last point."""
-
-    def y(self, x: Numbers) -> Numbers:
-        """Return y [m] at each x."""
 
 
 def _check_range(start: float, end: float) -> None:
@@ -123,6 +108,9 @@ class Spline(_Through):
         return CubicSpline(along, across, bc_type="natural")(x)
 
 
+BasePath: TypeAlias = Sine | LaneChange | Polyline | Spline
+
+
 def _random_sine(numbers: Numbers) -> Sine:
     side = 1.0 if numbers[0] < 0.5 else -1.0
     return Sine(side * (0.1 + 0.1 * numbers[1]), 1.8 + 1.4 * numbers[2])
@@ -178,15 +166,12 @@ def random_path(kind: str, numbers: Numbers) -> BasePath:
     return _RANDOM[kind](numbers)
 
 
-_CLASSES = (Sine, LaneChange, Polyline, Spline)
-
-
 def path_option(value: Any) -> BasePath:
     """Return the path of an option: a path of this module, or points (n, 2) [m] of a polyline."""
-    if isinstance(value, _CLASSES):
+    if isinstance(value, get_args(BasePath)):
         return value
     try:
         return Polyline(value)
     except ValueError as error:
-        names = ", ".join(kind.__name__ for kind in _CLASSES)
+        names = ", ".join(kind.__name__ for kind in get_args(BasePath))
         raise ValueError(f"path must be a {names} or points (n, 2): {error}") from None

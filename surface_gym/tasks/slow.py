@@ -94,10 +94,6 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], round(info["ratio_error"], 3)
         ('running', 0.498)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.9, 2.7)  # [m/s] entry speed
@@ -108,17 +104,12 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
     outcomes = OUTCOMES
     metrics = ("ratio_error",)
     options = ("speed", "parcel", "ratio")
+    ranges = {"speeds": (0.0, 5.0), "ratios": (0.0, 1.0)}
     draws = 3
     goals = 2
     memories = 1
     leaves_zone = True
     periods = 100
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        set_field = object.__setattr__
-        set_field(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "ratios", base.rising("ratios", self.ratios, 0.0, 1.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal ratio, all uniform.

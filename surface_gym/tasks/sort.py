@@ -14,7 +14,7 @@ from surface_gym.parcel import Parcel
 from surface_gym.physics.types import GRAVITY, THETA, VX, VY, X, Y
 from surface_gym.state import EnvState, ParcelState
 from surface_gym.tasks import base, planning
-from surface_gym.tasks.base import STALL_SPEED, Task, entry, failures, rising
+from surface_gym.tasks.base import STALL_SPEED, Task, entry, failures
 from surface_gym.tasks.benchmark import PARCELS, Benchmark, Numbers, ResultColumn, SpeedGrid
 from surface_gym.tasks.features import Feature, columns, show
 from surface_gym.tasks.start import Draw, Start, between
@@ -113,10 +113,6 @@ distance from the line's middle |
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], info["pose"][:2].round(3).tolist()
         ('running', [0.185, 1.0])
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     slow_share: float = 0.5  # [-] share of starts in the low band, where sorting is hard
@@ -128,6 +124,7 @@ distance from the line's middle |
     outcomes = OUTCOMES
     mirrored = True
     options = ("speed", "parcel", "side")
+    ranges = {"speeds": (0.0, 5.0), "slow_speeds": (0.0, 5.0)}
     draws = 4
     goals = 1
     memories = 1
@@ -136,8 +133,8 @@ distance from the line's middle |
     def __post_init__(self) -> None:
         super().__post_init__()
         checks.within("slow_share", self.slow_share, 0.0, 1.0)
-        for name in ("speeds", "slow_speeds"):
-            low, high = rising(name, getattr(self, name), 0.0, 5.0)
+        for name in self.ranges:
+            low, high = getattr(self, name)
             if low == 0.0:
                 raise ValueError(f"{name} must be two rising positive speeds, got {(low, high)}")
 

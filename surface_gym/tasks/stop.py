@@ -99,10 +99,6 @@ class Stop(base.Task):
         >>> observation, reward, terminated, truncated, info = env.step(15)  # all axes at 90 deg
         >>> info["outcome"], round(info["stop_error"], 3)
         ('running', -0.835)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.5, 2.7)  # [m/s] entry speed
@@ -112,14 +108,11 @@ class Stop(base.Task):
     outcomes = OUTCOMES
     metrics = ("stop_error",)
     options = ("speed", "parcel", "position")
+    ranges = {"speeds": (0.0, 5.0)}
     draws = 3
     goals = 1
     memories = 1
     periods = 150
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "speeds", base.rising("speeds", self.speeds, 0.0, 5.0))
 
     def start(self, draw: Draw) -> Start:
         """Draw entry speed, parcel and goal x, all uniform.

@@ -23,7 +23,7 @@ from surface_gym.state import (
     planar_speed,
 )
 from surface_gym.tasks import paths as shapes
-from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures, rising
+from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
@@ -143,10 +143,6 @@ the path and the asked speed |
         >>> observation, info = env.reset(options=start)
         >>> info["pose"].tolist(), info["velocity"].tolist(), info["rms_error"]
         ([0.5, 1.0, 0.0], [0.8, 0.0, 0.0], 0.0)
-
-    ### Version history
-
-    - `v0`: first version.
     """
 
     speeds: tuple[float, float] = (0.6, 1.0)  # [m/s] asked
@@ -159,6 +155,7 @@ the path and the asked speed |
     outcomes = OUTCOMES
     metrics = ("rms_error", "speed_error", "cross_error")
     options = ("speed", "parcel", "path", "tilt")
+    ranges = {"speeds": (0.0, 5.0), "tilts": (0.0, HIGHEST_TILT, checks.DEGREES)}
     draws = 4 + shapes.DRAWS
     goals = 3
     memories = 3
@@ -167,9 +164,6 @@ the path and the asked speed |
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        set_field = object.__setattr__
-        set_field(self, "speeds", rising("speeds", self.speeds, 0.0, 5.0))
-        set_field(self, "tilts", rising("tilts", self.tilts, 0.0, HIGHEST_TILT, checks.DEGREES))
         if not self.kinds:
             raise ValueError(f"kinds must be at least one, got {self.kinds!r}")
         for kind in self.kinds:

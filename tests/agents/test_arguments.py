@@ -13,10 +13,8 @@ import pytest
 from surface_gym.agents import library
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import find_rules
-from surface_gym.agents.rules.sequencing import PassAndPark
-from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
-from surface_gym.agents.rules.sorting import GradedLayout
-from surface_gym.agents.rules.streams import SortEach, StreamEventRule
+from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
+from surface_gym.agents.rules.sorting import GradedLayout, SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 

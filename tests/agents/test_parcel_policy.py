@@ -16,7 +16,7 @@ from surface_gym.agents.parcel_policy import (
     suited,
     to_halves,
 )
-from surface_gym.agents.rules.singulation import TimeSlots
+from surface_gym.agents.rules.departures import TimeSlots
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import env_id

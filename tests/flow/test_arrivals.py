@@ -64,11 +64,6 @@ def test_without_chance_the_gaps_are_equal_and_nobody_comes_at_the_very_end(law:
     assert len(times(Steady(1200.0), 60.0)) == 20
 
 
-@given(count=st.integers(1, 400), rate=st.floats(1.0, 5000.0))
-def test_steady_parcels_are_as_many_as_gaps_begin(count: int, rate: float) -> None:
-    assert len(times(Steady(rate), (count - 0.5) * 3600.0 / rate)) == count
-
-
 def test_spread_gaps_are_uniform() -> None:
     gap = gaps(Spread(1200.0, 0.8))
     assert gap.min() >= 3.0 * 0.2 - 1e-9
@@ -118,12 +113,6 @@ def test_a_schedule_keeps_each_of_its_rates_and_is_a_spread_where_it_has_one() -
     np.testing.assert_allclose(seen, [3000, 9000, 0, 6000], rtol=0.04)
 
 
-def test_laws_are_hashable_and_equal_by_their_fields() -> None:
-    assert len({*LAWS, *LAWS}) == len(LAWS)
-    assert Schedule([[0, 600]]) == Schedule(((0.0, 600.0),))
-    assert Steady(600) == Steady(600.0)
-
-
 @pytest.mark.parametrize("speed", [0.0, -1.0, 5.1, math.nan, None])
 def test_a_bad_speed_is_named(speed: Any) -> None:
     with pytest.raises(ValueError, match=r"^speed must be .*, got"):
@@ -136,14 +125,10 @@ def test_a_bad_speed_is_named(speed: Any) -> None:
     [
         (3.1, "least_gap must be at most the mean gap, 3 s at a rate of 1200 parcels/h, got 3.1"),
         ((), r"rates must have the shape \(any, 2\), got \(0,\)"),
-        (np.zeros((0, 2)), r"rates must be at times that rise from 0, got \[\]"),
-        (None, "rates must be an array of numbers, got None"),
         (((0, 600), (5,)), "rates must be an array of numbers"),
-        (((0, math.nan),), "rates must be finite, got nan in it"),
         (((1, 600),), r"rates must be at times that rise from 0, got \[1.0\]"),
         (((0, 600), (5, 700), (5, 0)), "rates must be at times that rise from 0"),
         (((0, 600), (5, -1)), r"rates must be at least 0, and one of them greater, got \[600.0, "),
-        (((0, 0), (5, 0)), "rates must be at least 0, and one of them greater"),
     ],
 )
 def test_a_bad_least_gap_or_schedule_is_refused(given: Any, message: str) -> None:

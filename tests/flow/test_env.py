@@ -270,18 +270,6 @@ class TestPool:
             pool.bodies.corners[wide], place_parcel(te.HEPTAGON, flows.SHORT, None).corners
         )
 
-    def test_rows_do_not_run_out_where_all_are_given_back(self, pool: BodyPool) -> None:
-        for _ in range(30):
-            rows = [pool.take(parcel) for parcel in (*sizes(12), te.TRIANGLE, te.HEPTAGON)]
-            pool.give_back(rows)
-        assert len(pool.bodies.body) == 16
-
-    def test_a_parcel_that_does_not_fit_takes_nothing(self) -> None:
-        pool = BodyPool(lambda parcel: place_parcel(parcel, sg.lines.Line(), None), flows.BOX)
-        with pytest.raises(ValueError, match="parcel"):
-            pool.take(sg.Parcel(sg.Rectangle(2.0, 0.3)))
-        assert {pool.take(parcel) for parcel in sizes(16)} == set(range(16))
-
 
 LONG = 10_000  # control periods: a flow ends by itself before that
 EPISODE = {"stream": flows.DENSE, "line": flows.SHORT, "duration": 0.6}  # 15 control periods

@@ -10,8 +10,8 @@ import pytest
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow import module_view as mv, take_away as ta
-from surface_gym.flow.module_parallel_env import ModuleParallelEnv
 from surface_gym.flow.module_view import ModuleView
+from surface_gym.flow.parallel_env import ModuleParallelEnv
 from surface_gym.flow.state import NOBODY
 from surface_gym.flow.take_away import slope_line
 from surface_gym.tasks.features import columns

@@ -189,28 +189,20 @@ def test_an_episode_must_last(stream: Stream, duration: Any) -> None:
 BAD: dict[str, list[tuple[Any, str]]] = {
     "arrivals": [
         (900.0, "arrivals must be Steady, .* or a Trace, got 900.0"),
-        (Steady, "arrivals must be Steady, .* or a Trace, got <class"),
     ],
     "parcels": [
         ((), r"parcels must be at least one of 'S', 'B' or a Parcel .*, got \(\)"),
-        ("SB", "parcels must be at least one of .* in a tuple, got 'SB'"),
-        (BAG, "parcels must be at least one of .* in a tuple, got Parcel"),
         (("S", "C"), "parcel must be 'S', 'B' or a Parcel, got 'C'"),
-        (("S", 2.0), "parcel must be 'S', 'B' or a Parcel, got 2.0"),
         ((("S", 1, 2),), r"parcels must be in pairs with their odds, got \('S', 1, 2"),
         ((("S", 0),), "odds of parcels must be greater than 0, got 0"),
     ],
     "destinations": [
         ({}, r"destinations must be None or the odds of .*, got \(\)"),
-        ("left", "destinations must be None or .*, got 'left'"),
-        (("left",), "destinations must be in pairs with their odds, got 'left'"),
-        ({"left": -1}, "odds of destinations must be greater than 0, got -1"),
         ({1: 1.0}, "destinations must be text without spaces .*, got 1"),
         ((("left", 1), ("left", 2)), "destinations must name each once, got 'left' twice"),
     ],
     "speeds": [
         (5.1, "speeds must be between 0 and 5, got 5.1"),
-        ("fast", "speeds must be a finite number, got 'fast'"),
         ((1.0, math.inf), "speeds must be a finite number, got inf"),
         ((2.0, 1.0), "speeds must be the least and then the greatest, got"),
         ((1.0, 2.0, 3.0), "speeds must be one number or two"),

@@ -1,7 +1,6 @@
 """Tasks whose parcels leave onto a take-away: who has left rightly, gaps, stops and statistics."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,9 @@ from surface_gym import registration
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow import take_away as ta
-from surface_gym.flow.arrivals import Arrival, Schedule, Trace
+from surface_gym.flow.arrivals import Arrival, Trace
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.exits import Exit
-from surface_gym.flow.inlets import Inlet
+from surface_gym.flow.exits import Exit, Inlet
 from surface_gym.flow.state import JAM, ORDER
 from surface_gym.flow.stream import Stream
 from surface_gym.flow.take_away import Stops, TakeAwayTask, bulk, bulk_parcels
@@ -141,12 +139,6 @@ class TestEntering:
                     if j != k:
                         assert distance(bases[int(k)], bases[int(j)]) > -1e-5
         assert abreast > 1
-
-    def test_slugs_come_between_pauses(self) -> None:
-        slugs = replace(bulk(), arrivals=Schedule(((0.0, 20_000.0), (2.0, 0.0), (6.0, 20_000.0))))
-        drawn = slugs.draw(np.random.default_rng(0), 8.0, begun(bulk()).config.exits)
-        assert not ((drawn.time > 2.1) & (drawn.time < 5.9)).any()
-        assert (drawn.time < 2.1).sum() > 5 < (drawn.time > 5.9).sum()
 
 
 def corners(batch: StreamBatch, k: int) -> np.ndarray:

@@ -197,7 +197,8 @@ class TestPlaces:
                 rear = flows.box_of(flows.BOX, truth[:3])[0]
                 straight = rear > 1.95 or truth[X] > 2.0
                 side = 0 if straight else int(math.copysign(1, truth[Y] - flows.SHORT.line_y))
-                wanted = exits.at(side, truth[X])
+                holds = [each.side == side and each.first <= truth[X] < each.last for each in exits]
+                wanted = holds.index(True) if any(holds) else fs.BETWEEN
                 assert streams.taken[0, place] == wanted
                 assert parcels.outcome[place] == (
                     fs.DEPARTED_WRONG if wanted else fs.DEPARTED_CORRECT

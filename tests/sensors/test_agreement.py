@@ -9,7 +9,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.compiler.jit import compiled
 from surface_gym.physics.types import GYRATION
-from surface_gym.sensors import AdaptiveCamera, Camera, Exact, Presence, presence, switches
+from surface_gym.sensors import AdaptiveCamera, Camera, Exact, Presence, presence
 from surface_gym.state import GRAVITY_X, GRAVITY_Y, EnvState, env_state
 from tests.sensors.runs import MINUS_45, all_say, contradicts
 
@@ -18,7 +18,7 @@ TOLERANCE = 0.001  # [m]
 
 @compiled
 def agree(state: Any, tolerance: float) -> None:
-    switches.agree(state, tolerance)
+    presence.agree(state, tolerance)
 
 
 @compiled
@@ -33,7 +33,7 @@ def most_energy(state: Any) -> float:
 
 @compiled
 def between_places(low: float, high: float, count: int) -> tuple[int, int]:
-    return switches.between_places(low, high, count)
+    return presence.between_places(low, high, count)
 
 
 ACTIONS = {"sort": "halves", "track": "window"}

@@ -14,8 +14,8 @@ from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import rising
 from surface_gym.tasks.paths import Sine
 from surface_gym.tasks.start import Draw, check_options, parcel_option
-from tests.environments import ROLL, TRIANGLE, assert_same, bare, terms
-from tests.tasks import draws, nth, play
+from tests.environments import PLUS_45, ROLL, TRIANGLE, assert_same, bare, terms
+from tests.tasks import BRAKE, draws, nth, play
 
 # For each task: options that fix a start, and the goal that they make.
 FIXED: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
@@ -52,6 +52,22 @@ BAD_OPTIONS = {
         "speed": (0.05,),
     },
 }  # fmt: skip
+
+FRONT_HEAVY = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
+AT_THE_EDGE = {"parcel": FRONT_HEAVY, "zone": (20, 26)}
+# Failures before a goal is reached: options and the zone, the choice of every module, the outcome.
+FAILURES: list[tuple[str, dict[str, Any], int, str]] = [
+    ("orient", {"speed": 1.5, "angle": 0.1}, BRAKE, "stalled"),
+    ("orient", {"speed": 1.5, "angle": 0.1}, PLUS_45, "off the line"),
+    ("orient", {"speed": 1.5, "angle": 0.1, **AT_THE_EDGE}, ROLL, "off the surface"),
+    ("slow", {"speed": 1.8, "ratio": 0.5}, BRAKE, "stalled"),
+    ("slow", {"speed": 1.8, "ratio": 0.5}, PLUS_45, "off the line"),
+    ("slow", {"speed": 2.0, "ratio": 0.5, **AT_THE_EDGE}, ROLL, "off the surface"),
+    ("stop", {"speed": 1.5, "position": 1.0}, ROLL, "passed the asked x"),
+    ("stop", {"speed": 2.0, "position": 2.5}, PLUS_45, "off the line"),
+    ("stop", {"speed": 2.0, "position": 3.0}, ROLL, "off the surface"),
+    ("sort", {"speed": 2.0, "side": 1, "zone": (20, 29)}, ROLL, "off the surface"),
+]
 
 every_task = pytest.mark.parametrize("name", TASKS)
 
@@ -135,6 +151,19 @@ class TestEpisodes:
         assert seen <= {"success", *TASKS[name].outcomes}
         assert len(seen) >= 2
 
+    @pytest.mark.parametrize(("name", "options", "choice", "outcome"), FAILURES)
+    def test_failures_before_the_goal(self, name, options, choice, outcome):
+        zone = options.get("zone")
+        start = {key: value for key, value in options.items() if key != "zone"}
+        episode = play(bare(env_id(name), zone=zone), {"parcel": "S", **start}, choice)
+        assert episode.end["outcome"] == outcome
+        assert episode.total("failure") == -1.0
+        assert name == "sort" or episode.total("precision") == 0.0
+        if zone is not None and name != "orient":
+            # Half a step more would take the centre of mass past the edge.
+            edge = 3.0 if name == "sort" else 2.9
+            assert edge - 0.01 < episode.end["pose"][0] <= edge
+
     @every_task
     def test_time_running_out_truncates(self, name):
         env = gym.make(env_id(name), max_episode_steps=2)
@@ -146,7 +175,7 @@ class TestEpisodes:
     @every_task
     def test_the_page_names_every_term_and_metric(self, name):
         page = TASKS[name].__doc__
-        for section in ("Start", "Goal and end", "Reward", "Info", "Version history"):
+        for section in ("Start", "Goal and end", "Reward", "Info"):
             assert f"### {section}\n" in page
         for term in TASKS[name].terms:
             assert f"| `{term}` |" in page

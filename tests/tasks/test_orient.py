@@ -9,7 +9,7 @@ import surface_gym as sg
 from surface_gym.tasks import Orient
 from surface_gym.tasks.start import Start
 from tests.environments import PLUS_45, ROLL, bare
-from tests.tasks import BRAKE, assert_laws, assert_observed, assert_uniform, draws, play
+from tests.tasks import assert_laws, assert_observed, assert_uniform, draws, play
 
 ORIENT = "SmartSurface/Orient-v0"
 BOX = sg.layouts.box("S")
@@ -55,18 +55,6 @@ class TestEnds:
         assert episode.total("failure") == -1.0 * (outcome != "success")
         precision = math.exp(-abs(off) / math.radians(1.0))
         assert episode.total("precision") == pytest.approx(precision, abs=1e-6)
-
-    @pytest.mark.parametrize(("choice", "outcome"), [(BRAKE, "stalled"), (PLUS_45, "off the line")])
-    def test_failures_before_it_leaves(self, choice, outcome):
-        episode = play(bare(ORIENT), {"speed": 1.5, "parcel": "S", "angle": 0.1}, choice)
-        assert episode.end["outcome"] == outcome
-        assert episode.total("precision") == 0.0
-
-    def test_off_the_surface(self):
-        front_heavy = sg.Parcel(sg.Rectangle(0.5, 0.25), com_offset=(0.1, 0.0))
-        options = {"speed": 1.5, "parcel": front_heavy, "angle": 0.1}
-        end = play(bare(ORIENT, zone=(20, 26)), options, ROLL).end
-        assert end["outcome"] == "off the surface"
 
 
 class TestReward:

@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.tasks import Stop
 from surface_gym.tasks.start import Start
-from tests.environments import PLUS_45, ROLL, bare
+from tests.environments import ROLL, bare
 from tests.tasks import BRAKE, ROLL_LOSS, assert_laws, assert_observed, assert_uniform, draws, play
 
 STOP = "SmartSurface/Stop-v0"
@@ -68,19 +68,6 @@ class TestEnds:
             assert episode.end["stop_error"] == pytest.approx(-off, abs=1e-4)
             precision = math.exp(-abs(episode.end["stop_error"]) / 0.002)
             assert episode.total("precision") == pytest.approx(precision)
-
-    @pytest.mark.parametrize(
-        ("speed", "position", "choice", "outcome"),
-        [
-            (1.5, 1.0, ROLL, "passed the asked x"),
-            (2.0, 2.5, PLUS_45, "off the line"),
-            (2.0, 3.0, ROLL, "off the surface"),
-        ],
-    )
-    def test_failures_before_it_rests(self, speed, position, choice, outcome):
-        episode = play(bare(STOP), {"speed": speed, "parcel": "S", "position": position}, choice)
-        assert episode.end["outcome"] == outcome
-        assert episode.total("precision") == 0.0
 
     def test_rolling_out_at_last_misses(self):
         """A slow parcel rolls to rest within the zone: v^2 / (2 mu_min g) on."""

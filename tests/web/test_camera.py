@@ -9,7 +9,7 @@ import pytest
 import surface_gym
 from surface_gym.agents import library
 from surface_gym.agents.export.web import write_agents
-from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.agents.rules.sorting import StreamEventRule
 from surface_gym.compiler.random import EDGE
 from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id

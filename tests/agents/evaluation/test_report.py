@@ -28,7 +28,7 @@ from surface_gym.agents.evaluation.results import FILE, write_results
 from surface_gym.agents.evaluation.scenario import Extent
 from surface_gym.agents.evaluation.tables import Section, write_page
 from surface_gym.agents.library import SHELF
-from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.agents.rules.sorting import StreamEventRule
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
 from surface_gym.config import EnvConfig

@@ -30,7 +30,7 @@ from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.learning.shared import SharedLearner
 from surface_gym.agents.library import WEIGHTS
-from surface_gym.flow.merge import Merge
+from surface_gym.flow.slope_tasks import Merge
 from surface_gym.tasks.sort import TERMS
 from surface_gym.tasks.stop import TERMS as STOP_TERMS
 from tests.agents.rules.runs import gated

@@ -8,8 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.planning.planner import RecedingHorizon
-from surface_gym.agents.rules.sequencing import PassAndPark
-from surface_gym.agents.rules.singulation import TimeSlots
+from surface_gym.agents.rules.departures import PassAndPark, TimeSlots
 from surface_gym.agents.scheduling.scheduler import begin_streams
 from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.flow.batch import StreamBatch

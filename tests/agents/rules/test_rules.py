@@ -70,21 +70,6 @@ def test_what_sets_all_modules_alike_does_so_with_any_kind(task, make, actions) 
 
 
 @every_rule
-def test_it_decides_on_finite_numbers_alone(rule) -> None:
-    controller = rule.make(config_for(rule))
-    for wrong, message in (
-        (None, "be an array of numbers, got None"),
-        ("left", "be an array of numbers, got 'left'"),
-        ([object()], "be an array of numbers, got"),
-        (1.0, "have the shape"),
-        ([math.nan, 0.0], "be finite, got nan in it"),
-        ([[0.0, -math.inf]], "be finite, got -inf in it"),
-    ):
-        with pytest.raises(ValueError, match=f"^observation must {message}"):
-            controller.predict(wrong)
-
-
-@every_rule
 def test_an_environment_alone_is_as_among_many(rule) -> None:
     config, num_envs = config_for(rule), 2
     env = sg.SmartSurfaceVectorEnv(

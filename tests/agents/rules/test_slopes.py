@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
-from surface_gym.agents.rules.sequencing import PassAndPark
-from surface_gym.agents.rules.singulation import HoldAndRelease, TimeSlots
-from surface_gym.agents.rules.slopes import SlopeRule, read_slope
+from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
+from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.inlets import side_by_side
-from surface_gym.flow.merge import lines
-from surface_gym.flow.sequence import shuffled
+from surface_gym.flow.exits import side_by_side
+from surface_gym.flow.slope_tasks import lines, shuffled
 from surface_gym.flow.state import JAM
 from surface_gym.flow.take_away import Stops, TakeAwayStatistics, bulk, slope_line
 from surface_gym.state import RUNNING
@@ -140,11 +138,3 @@ class TestArguments:
             PassAndPark(EnvConfig("merge", actions="parcels"))
         with pytest.raises(ValueError, match="actions must be"):
             TimeSlots(EnvConfig("singulate"))
-        with pytest.raises(ValueError, match="hold must be"):
-            HoldAndRelease(EnvConfig("singulate", actions="parcels"), hold=-1.0)
-
-    def test_the_slope_is_that_of_the_physics(self) -> None:
-        slope = read_slope(EnvConfig("singulate", actions="parcels"))
-        assert slope.rolls == pytest.approx(9.81 * (math.sin(TILT) - 0.01 * math.cos(TILT)))
-        assert slope.length == pytest.approx(5.0)
-        np.testing.assert_allclose(slope.mouths, [[-0.7, 0.7]])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surface_gym.agents import library
-from surface_gym.agents.rules import streams
-from surface_gym.agents.rules.streams import StreamEventRule
+from surface_gym.agents.rules import sorting
+from surface_gym.agents.rules.sorting import StreamEventRule
 from surface_gym.flow.task import COLUMN, FEATURES
 from tests.agents.rules.runs import counts, gated, line
 from tests.environments import begun
@@ -32,11 +32,11 @@ def test_a_gate_is_opened_at_once_and_a_parcel_that_waits_there_has_no_halves() 
     seen = table(3, (0.1, 1.0))
     seen[-1, [*SHOWN, COLUMN.waits.place]] = 1.0, 5.0, 1.0, 1.0
     action, _ = StreamEventRule(config).predict(seen)
-    assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, streams.OPEN]
+    assert action.tolist() == [LEFT, LEFT, ROLL, ROLL, sorting.OPEN]
     assert config.action_space().contains(action)
 
 
-@pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (streams.SortEach, None)])
+@pytest.mark.parametrize(("make", "touches"), [(StreamEventRule, 0), (sorting.SortEach, None)])
 def test_a_thin_stream_is_sorted(make, touches) -> None:
     config = line(line().stream_task.stream.with_rate(900.0))
     found = counts(make(config), config)
@@ -47,7 +47,7 @@ def test_a_thin_stream_is_sorted(make, touches) -> None:
 
 def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
     config = line(trace((0.0, "right"), (0.4, "left"), (0.8, "straight")), max_parcels=4)
-    each, agent = streams.SortEach(config), library.load("sort-ppo", 0)
+    each, agent = sorting.SortEach(config), library.load("sort-ppo", 0)
     batch = begun(config)
     met = set()
     for _ in range(30):
@@ -57,7 +57,7 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
             if row[COLUMN.present.place] == 0.0 or row[COLUMN.side.place] == 0.0:
                 assert halves.tolist() == [ROLL, ROLL]
             else:
-                assert halves.tolist() == list(divmod(int(agent.predict(row[: streams.OWN])[0]), 4))
+                assert halves.tolist() == list(divmod(int(agent.predict(row[: sorting.OWN])[0]), 4))
                 met.add(row[COLUMN.side.place])
         batch.step(config.action_kind.commands(action[np.newaxis], 1))
     assert met == {1.0, -1.0}
@@ -69,7 +69,7 @@ def test_for_each_parcel_the_agent_of_sort_decides_by_its_row() -> None:
         (StreamEventRule, {"actions": "modules"}, "actions must be one of 'parcels', got"),
         (StreamEventRule, {"orientations": "any"}, "orientations must be some on offer, got 'any'"),
         (StreamEventRule, {"orientations": (0.0, math.pi / 2)}, "must hold 45 deg|-45 deg"),
-        (partial(streams.SortEach, name="nobody"), {}, "name must be one of"),
+        (partial(sorting.SortEach, name="nobody"), {}, "name must be one of"),
     ],
 )
 def test_what_they_cannot_act_in_is_refused(make, arguments, message) -> None:

@@ -1,0 +1,325 @@
+"""The tasks on a slope: singulate a bulk of parcels, merge lines, and bring parcels into an order."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from surface_gym import checks
+from surface_gym.compiler.jit import inlined
+from surface_gym.flow import state as fs
+from surface_gym.flow.arrivals import Poisson
+from surface_gym.flow.benchmarks import (
+    merging_benchmark,
+    sequencing_benchmark,
+    singulation_benchmark,
+)
+from surface_gym.flow.exits import MOST_INLETS, side_by_side
+from surface_gym.flow.state import SurfaceView
+from surface_gym.flow.stream import Stream
+from surface_gym.flow.take_away import (
+    FEATURES,
+    NEARLY_STRAIGHT,
+    NEXT,
+    Stops,
+    TakeAwayTask,
+    bulk,
+    bulk_parcels,
+    slope_line,
+)
+from surface_gym.physics.types import Array
+from surface_gym.state import EnvState
+from surface_gym.tasks.features import Feature, columns, show, show_within
+
+MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] required alignment in a mouth, for the comparison
+MERGE_FEATURES = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "that it came by", "", 8.0))
+LINE = columns(MERGE_FEATURES).line
+SEQUENCE_FEATURES = (
+    *FEATURES,
+    Feature("place", -100.0, 100.0, "parcels still to leave before it", "", 8.0),
+)
+PLACE = columns(SEQUENCE_FEATURES).place
+MOST_WINDOW = 64
+_observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
+
+
+@dataclass(frozen=True)
+class Singulate(TakeAwayTask):
+    """Turn a bulk of parcels into a row of single parcels with gaps.
+
+    Every sorter needs this step before it. Parcels arrive on a slope side by side, touching, and at
+    any angle. They must depart by its lower end one at a time, each at least `gap` behind the
+    previous one. No motor drives them. The slope pulls, and the modules under a parcel brake it,
+    hold it, turn it or move it aside. Only the slope restores speed lost by braking. Touching
+    parcels push each other, and may block each other permanently.
+
+    ### The surface
+
+    The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. A rolling parcel
+    accelerates by 1.27 m/s^2, and a braked one decelerates by 3.5 m/s^2; full braking holds up to
+    26 deg. `tilt` and `line` change the surface, e.g. `line=slope_line(4.0, 1.0)` of
+    `surface_gym.flow.take_away`.
+
+    ### Bulk
+
+    `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
+    0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
+    any angle. A due parcel and all later ones wait until its base has a clearance of `entry_gap` to
+    all others. It then enters, with its rear at the upper edge. At most one parcel enters per
+    physics step. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
+
+    ### The end
+
+    A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
+    the speed `take_away`. Until it has this speed, it slides on the belt with a friction
+    coefficient of 0.5. A departure is correct if all of these conditions hold:
+
+    - its whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the surface,
+      "mouth" is 0.6 m wide in the middle, and "mouths" are two side by side;
+    - there is at least `gap` to the base of the previous parcel on the take-away;
+    - its sides are within `alignment` of the line's direction; 45 deg (default) allows any angle;
+    - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
+      parcels must wait on the surface until it runs again.
+
+    ### Actions
+
+    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with
+    `orientations="any"` they are angles.
+
+    | `actions` | space | sets |
+    | --- | --- | --- |
+    | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
+    | "parcels" | MultiDiscrete, 2 per row of the table | two choices per parcel: the modules ahead of its centre and behind it |
+
+    Modules at 0 deg brake a parcel, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45
+    deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels", a module obeys
+    the parcel on it, or else the first parcel that reaches it within `ahead` seconds. Sensed
+    boxes and velocities decide this. If two parcels are on a module, it obeys the parcel with the
+    nearer centre. A module without a parcel keeps its axis.
+
+    ### Observation
+
+    A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
+    it is on the surface; free rows are 0.
+
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 6 | position, angle and velocity |
+    | 7 to 12 | half length and half width, and extents ahead, back, left and right at its angle |
+    | 13, 14 | required motion in y to the nearest mouth, and required turn to be aligned |
+    | 15 | time until departure if it rolls |
+    | 16 | distance from the nearest mouth to the rear of its last departed parcel, minus `gap` |
+    | 17 | 1 if the take-away runs and is not about to stop |
+    | 18 to 20 | time since its entry; 1 for a parcel, 0 for a free row; 1 for a parcel at the gate |
+    | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
+    | 25 to 28 | the next parcel behind |
+
+    ### Reward
+
+    | term | scale | meaning |
+    | --- | --- | --- |
+    | `correct` | 1 | per correct departure |
+    | `wrong` | -1 | per wrong departure |
+    | `touch` | -0.02 | per parcel that begins to touch another |
+    | `progress` | 0.05 per metre | towards the end |
+    | `time` | -0.02 per second | per parcel on the surface |
+    | `waiting` | 0 | per waiting parcel |
+    | `jam` | -10 | once |
+
+    ### End
+
+    An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there are
+    parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
+
+    ### Info
+
+    `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
+    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
+    `waiting` parcels; the terms of the reward, each as `reward_` and its name. The statistics
+    of the episode (0 until it ends): the fields of
+    `surface_gym.flow.take_away.TakeAwayStatistics`, each as `episode_` and its name. These are
+    parcels per hour, share of correct gaps, gaps, touches, the largest impulse and squeeze, and
+    times.
+
+    `reset(options={"stream": ...})` sets the stream of an episode. Sensor errors and randomisation
+    are drawn for each parcel, but friction and stiffness once for the surface. In PettingZoo, each
+    parcel is an agent in `surface_gym.flow.parallel_env.FlowParallelEnv`, and each module in
+    `surface_gym.flow.parallel_env.ModuleParallelEnv`.
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Singulate-v0", actions="parcels", duration=4.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> truncated = False
+        >>> while not truncated:  # every parcel rolls on
+        ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
+        >>> info["entered"], info["correct"], info["wrong"]
+        (10, 2, 4)
+    """
+
+    def training_tasks(self) -> tuple["Singulate", ...]:
+        """Return the task with a mouth and a stream beyond its capacity: 14000 parcels per hour."""
+        mouth = replace(self, stream=bulk(14_000.0), exits="mouth", alignment=MOUTH_ALIGNMENT)
+        return (mouth,)
+
+    def benchmark(self) -> Any:
+        return singulation_benchmark(self, Stops())
+
+
+def lines(rate: float = 6000.0) -> Stream:
+    """Make boxes of mixed sizes on each line, at a total mean rate [parcels/h].
+
+    Boxes arrive at random times, in the middle of their line, almost straight, at 0.8 m/s.
+    """
+    return Stream(Poisson(rate), bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT)
+
+
+@dataclass(frozen=True)
+class Merge(TakeAwayTask):
+    """Merge several lines of parcels into one line with gaps, fairly.
+
+    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
+    must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
+    one. No motor drives them: the slope pulls, and the modules brake, hold, turn and move them
+    aside. A parcel without room waits on its line and blocks it, while the other lines continue.
+
+    Surface, end, actions, reward, episode and infos are as in `Singulate`. The table has one more
+    feature.
+
+    ### Lines
+
+    `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets at the
+    upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets the
+    arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
+    equal odds.
+
+    ### Observation
+
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 28 | features of Singulate |
+    | 29 | line of the parcel / 8 |
+
+    ### Info
+
+    In addition to Singulate, at the end of an episode: `episode_unfairness`, the difference between
+    the largest and the smallest mean wait at the lines' entries [s].
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Merge-v0", actions="parcels", duration=4.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> truncated = False
+        >>> while not truncated:  # every parcel rolls on
+        ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
+        >>> info["entered"], info["correct"], info["wrong"]
+        (9, 2, 4)
+    """
+
+    stream: Stream = lines()
+    inlets: Any = side_by_side(3)
+    exits: Any = "mouth"
+
+    features = MERGE_FEATURES
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.inlets) < 2:
+            raise ValueError(f"inlets must be at least two to merge, got {len(self.inlets)}")
+
+    def training_tasks(self) -> tuple["Merge", ...]:
+        """Return the task with a stream beyond its capacity: 10000 parcels per hour."""
+        return (replace(self, stream=lines(10_000.0)),)
+
+    def benchmark(self) -> Any:
+        return merging_benchmark(self, side_by_side(2))
+
+    @staticmethod
+    @inlined
+    def observe(state: EnvState, waits: bool) -> None:
+        """Write the sensed parcel, and its line."""
+        _observe(state, waits)
+        show(state.observation, LINE, state.goal[fs.INLET])
+
+
+def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
+    """Make boxes of mixed sizes that arrive one by one, out of order, at a mean rate [parcels/h].
+
+    Successive groups of `window` parcels have a random order. Parcels arrive at least 1 s apart, in
+    the middle of the upper edge, almost straight, at 0.8 m/s.
+    """
+    law = Poisson(rate, least_gap=1.0)
+    return Stream(law, bulk_parcels(), speeds=0.8, turned=NEARLY_STRAIGHT, window=window)
+
+
+@dataclass(frozen=True)
+class Sequence(TakeAwayTask):
+    """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
+
+    Each parcel has a place in an order, but arrives out of order within a window of parcels.
+    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. No
+    motor drives them: the slope pulls, and the modules brake, hold, turn and move them aside.
+    Parcels must wait for their turn where others can pass them.
+
+    All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m, and the table has one
+    more feature.
+
+    ### Order
+
+    `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
+    random. A departure is correct only if all parcels with lower numbers have departed. The default
+    stream has 2000 parcels per hour, which arrive one by one in the middle, and a window of 4.
+
+    ### Observation
+
+    | feature | meaning |
+    | --- | --- |
+    | 0 to 28 | features of Singulate |
+    | 29 | number of remaining parcels that must depart before it / 8 |
+
+    ### Example
+
+        >>> import gymnasium as gym, surface_gym
+        >>> env = gym.make("SmartSurface/Sequence-v0", actions="parcels", duration=8.0)
+        >>> observation, info = env.reset(seed=0)
+        >>> truncated = False
+        >>> while not truncated:  # every parcel rolls on
+        ...     observation, reward, terminated, truncated, info = env.step([3] * 64)
+        >>> info["entered"], info["correct"], info["wrong"]
+        (6, 4, 1)
+    """
+
+    stream: Stream = shuffled()
+
+    patience: float = 20.0  # [s] time without motion that counts as a jam; parcels may wait
+
+    in_order = True
+    line = slope_line(3.0)
+    features = SEQUENCE_FEATURES
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        checks.integer("window", self.stream.window, 1, MOST_WINDOW)
+
+    def training_tasks(self) -> tuple["Sequence", ...]:
+        """Return the task with a narrow and with a wide window."""
+        return tuple(replace(self, stream=shuffled(3000.0, window)) for window in (4, 8))
+
+    def benchmark(self) -> Any:
+        return sequencing_benchmark(self)
+
+    @staticmethod
+    @inlined
+    def deliver(surface: SurfaceView, state: EnvState, taken: int, results: Array) -> bool:
+        """Return whether a parcel departed correctly, as in Singulate and in its turn."""
+        is_next = state.goal[fs.ORDER] <= surface.next_place
+        return _deliver(surface, state, taken, results) and is_next
+
+    @staticmethod
+    @inlined
+    def observe(state: EnvState, waits: bool) -> None:
+        """Write the sensed parcel, and its place in the order."""
+        _observe(state, waits)
+        before = state.goal[fs.ORDER] - state.goal[NEXT]
+        show_within(state.observation, PLACE, before)
