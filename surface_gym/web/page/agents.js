@@ -1,47 +1,13 @@
 /** Who acts in a task: the player, layouts that stay, and the agents of `agents.json`, if any. */
 
-import { get, Machine } from "./machine.js";
-import { ModulesPolicy } from "./modules.js";
-import { Obeying } from "./obeying.js";
-import { EachParcel } from "./parcels.js";
-import { Policy } from "./policy.js";
-import { Rule } from "./rule.js";
-import { ParcelPolicy, SlopeRule } from "./slopes.js";
-import { SortingPolicy } from "./sorting.js";
+import { get, Machine, Obeying } from "./machine.js";
+import { EachParcel, ModulesPolicy, ParcelPolicy, Policy, SortingPolicy } from "./policy.js";
+import { Layout, Player, Rule, SlopeRule, Uniform } from "./rule.js";
 
 export const YOU = "you";
 /** Kinds of agents of a task in agents.json, in the order in which they are listed. */
 const KINDS = ["streams", "policies", "rules", "layouts"];
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
-
-/** Keeps what the player sets. */
-export class Player {
-  act() {}
-}
-
-/** Keeps every module at one orientation. */
-class Uniform {
-  constructor(choice) {
-    this.choice = choice;
-  }
-
-  act(run) {
-    run.wanted.fill(this.choice);
-  }
-}
-
-/** Keeps the layout that a rule has chosen for each seed's start. */
-class Layout {
-  constructor(layouts) {
-    this.layouts = layouts;
-  }
-
-  act(run) {
-    const layout = this.layouts[run.scene.seed];
-    let part = 0;
-    for (const [choice, many] of layout) for (let k = 0; k < many; k++) run.wanted[part++] = choice;
-  }
-}
 
 /** Which agents there are of the tasks, by name. */
 export class Agents {

@@ -1,4 +1,4 @@
-/** Rules: compiled functions, from the same source as on the CPU. */
+/** Agents without a network: orientations and layouts that stay, and compiled rules. */
 
 /**
  * @typedef {object} Card of a rule
@@ -7,9 +7,11 @@
  * @property {[number, number]} [window] rows and columns around the parcel that it chooses for; by
  *   default all modules of the zone
  * @property {Object<string, number>} [camera] numbers of its memory that are others with a camera
+ * @property {number[]} [choices] on a slope, that a half's action stands for: roll, brake, to the
+ *   left, to the right
  */
 
-/** A rule that decides by what `parcels.observation` shows. */
+/** A compiled function, from the same source as on the CPU, of what `parcels.observation` shows. */
 export class CompiledRule {
   /** @param {Card} card @param {import("./machine.js").Machine} machine of the rule */
   constructor(card, machine) {
@@ -61,5 +63,53 @@ export class Rule extends CompiledRule {
     const along = (x - about.origin[0]) / about.pitch[0];
     const middle = [Math.floor(up + 0.5 + 1e-9), Math.floor(along + 0.5)];
     return [middle[0] - Math.floor(rows / 2), middle[1] - Math.floor(columns / 2)];
+  }
+}
+
+/** A rule on a slope, which decides for each parcel. */
+export class SlopeRule extends CompiledRule {
+  /** @param {import("./machine.js").Obeying} obeying */
+  constructor(card, machine, obeying) {
+    super(card, machine);
+    this.obeying = obeying;
+  }
+
+  /** Choose for both halves of the parcel in each row, one after the other. */
+  choose(run) {
+    return this.call(run, "tables", "halves")[0].map((half) => this.card.choices[half]);
+  }
+
+  act(run) {
+    this.chosen = this.choose(run);
+    this.obeying.act(run, this.chosen);
+  }
+}
+
+/** Keeps what the player sets. */
+export class Player {
+  act() {}
+}
+
+/** Keeps every module at one orientation. */
+export class Uniform {
+  constructor(choice) {
+    this.choice = choice;
+  }
+
+  act(run) {
+    run.wanted.fill(this.choice);
+  }
+}
+
+/** Keeps the layout that a rule has chosen for each seed's start. */
+export class Layout {
+  constructor(layouts) {
+    this.layouts = layouts;
+  }
+
+  act(run) {
+    const layout = this.layouts[run.scene.seed];
+    let part = 0;
+    for (const [choice, many] of layout) for (let k = 0; k < many; k++) run.wanted[part++] = choice;
   }
 }

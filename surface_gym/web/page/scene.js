@@ -438,7 +438,7 @@ function list(values) {
   return `[${values.join(", ")}]`;
 }
 
-/** Write a run as comma-separated values. @param {import("./tracks.js").Track[]} tracks of its parcels */
+/** Write a run as comma-separated values. @param {import("./draw.js").Track[]} tracks of its parcels */
 export function toCsv(tracks) {
   const rows = ["time [s],parcel,x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s]"];
   for (const { number, times, motion } of tracks) {

@@ -1,9 +1,9 @@
 /** A run of parcels on a table, stepped by a page, drawn and recorded. */
 
+import { thinned } from "./draw.js";
 import { cos, frictionForces, PlainError, sin } from "./machine.js";
 import { MOST_PARCELS, MOST_TIME, packed, unpacked } from "./scene.js";
 import { distance, makeBody, outlineOf, toCentre, toFrame, writeBodies } from "./shapes.js";
-import { thinned } from "./tracks.js";
 
 const GRAVITY = 9.81; // [m/s^2]
 const EIGHTH = 0.25 * Math.PI; // [rad]
@@ -69,7 +69,7 @@ export class TableRun {
     this.stepped = 0;
     this.change = 0; // the next of the scene's
     this.touches = 0;
-    /** @type {import("./tracks.js").Track[]} */
+    /** @type {import("./draw.js").Track[]} */
     this.tracks = [];
     this.left = [];
     this._writeTable();

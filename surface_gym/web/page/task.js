@@ -1,7 +1,7 @@
 /** A run of a task's environment, stepped by a page, drawn and recorded. */
 
+import { thinned } from "./draw.js";
 import { frictionForces, PlainError } from "./machine.js";
-import { thinned } from "./tracks.js";
 
 const CORNERS = 32; // of a parcel, at most
 
@@ -10,7 +10,7 @@ export class TaskRun {
   /**
    * @param {import("./scene.js").TaskScene} scene that is checked; its commands follow the run
    * @param {object} agent with `act(run)`, which writes into `run.wanted`
-   * @param {import("./noise.js").Noise|null} noise that sensors draw
+   * @param {import("./machine.js").Noise|null} noise that sensors draw
    */
   constructor(machine, scene, agent, noise = null) {
     this.machine = machine;
@@ -43,7 +43,7 @@ export class TaskRun {
     scene.commands = [];
     this.period = 0;
     this.rewards = 0;
-    /** @type {import("./tracks.js").Track[]} */
+    /** @type {import("./draw.js").Track[]} */
     this.tracks = [];
     machine.step(); // senses and observes the start
     this.before = this.now = this._motions();
