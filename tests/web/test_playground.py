@@ -222,7 +222,7 @@ def test_forces_and_traces_are_drawn(table):
     assert len(table.evaluate("playground.shown[0].picture.frame.traces[0].points")) > 20
 
 
-def test_one_parcel_s_script_is_simulate(table):
+def test_a_script_gives_one_parcel_s_run(table):
     table.select_option("#layout", "zigzag")
     set_slider(table, "#turned", 25)
     table.mouse.click(*place(table, 0.3, 0.45))
@@ -355,21 +355,6 @@ def test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python(play, task)
     if PERIODS[task] is not None:
         truth = page.evaluate("[...playground.shown[0].run.machine.view('parcels.truth')]")
         assert truth == [float(each) for each in more[-6:]]
-
-
-def test_keys_turn_the_modules_ahead_of_the_parcel_or_behind_it(play):
-    page = open_sort(play)
-    for _ in range(10):
-        page.click("#step")
-    page.select_option("#which", "ahead")
-    page.locator("canvas").focus()
-    page.keyboard.press("3")
-    page.click("#step")
-    x = page.evaluate("playground.shown[0].run.machine.view('parcels.truth')[0]")
-    axes = page.evaluate("[...playground.shown[0].run.frame().axes]")
-    turned = [0.05 + 0.1 * (k % 30) for k, angle in enumerate(axes) if angle < 0]
-    assert len(turned) > 0
-    assert min(turned) > x - 0.1
 
 
 def test_stuck_modules_and_late_axes(play):

@@ -2,7 +2,7 @@
 
 import { get, Machine, Obeying } from "./machine.js";
 import { EachParcel, ModulesPolicy, ParcelPolicy, Policy, SortingPolicy } from "./policy.js";
-import { Layout, Player, Rule, SlopeRule, Uniform } from "./rule.js";
+import { keepAll, keepLayout, PLAYER, Rule, SlopeRule } from "./rule.js";
 
 export const YOU = "you";
 /** Kinds of agents of a task in agents.json, in the order in which they are listed. */
@@ -45,12 +45,12 @@ export class Agents {
   async make(task, name, machine) {
     const there = this.file[task] ?? {};
     const kind = KINDS.find((each) => Object.hasOwn(there[each] ?? {}, name));
-    if (!kind) return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
+    if (!kind) return Object.hasOwn(UNIFORM, name) ? keepAll(UNIFORM[name]) : PLAYER;
     const card = there[kind][name];
     if (kind === "streams") return this._ofStream(card, there.obeying, machine);
     if (kind === "rules")
       return new Rule(card, await Machine.load(card.machine, this.folder, card.code));
-    if (kind === "layouts") return new Layout(card);
+    if (kind === "layouts") return keepLayout(card);
     if (card.kind !== "modules") return new Policy(card, await this._weights(card));
     const own = await Machine.load(card.machine, this.folder, card.code);
     return new SortingPolicy(card, own, await this._weights(card));

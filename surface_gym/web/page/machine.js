@@ -25,6 +25,11 @@ const LATE = 0.1; // [s] of the past that a frame catches up with, at most
 /** An error that is shown to the reader as it is. */
 export class PlainError extends Error {}
 
+/** Tell the reader what is wrong, unless all is well. */
+export function ensure(isWell, text) {
+  if (!isWell) throw new PlainError(text);
+}
+
 /** Write an error for the reader. */
 export function explain(error) {
   const isPlain = error instanceof PlainError;

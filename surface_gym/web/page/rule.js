@@ -86,30 +86,18 @@ export class SlopeRule extends CompiledRule {
 }
 
 /** Keeps what the player sets. */
-export class Player {
-  act() {}
+export const PLAYER = { act() {} };
+
+/** Keep every module at one orientation. */
+export function keepAll(choice) {
+  return { act: (run) => run.wanted.fill(choice) };
 }
 
-/** Keeps every module at one orientation. */
-export class Uniform {
-  constructor(choice) {
-    this.choice = choice;
-  }
-
-  act(run) {
-    run.wanted.fill(this.choice);
-  }
-}
-
-/** Keeps the layout that a rule has chosen for each seed's start. */
-export class Layout {
-  constructor(layouts) {
-    this.layouts = layouts;
-  }
-
-  act(run) {
-    const layout = this.layouts[run.scene.seed];
-    let part = 0;
-    for (const [choice, many] of layout) for (let k = 0; k < many; k++) run.wanted[part++] = choice;
-  }
+/** Keep the layout that a rule has chosen for each seed's start: choices, and how many in a row. */
+export function keepLayout(layouts) {
+  const act = (run) => {
+    const layout = layouts[run.scene.seed];
+    run.wanted.set(layout.flatMap(([choice, many]) => new Array(many).fill(choice)));
+  };
+  return { act };
 }
