@@ -15,8 +15,8 @@ from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
 from surface_gym.state import NOISE_ROWS
-from surface_gym.web.noise import write_state
 from surface_gym.web.scene import TaskScene
+from surface_gym.web.starts import write_state
 from tests.web.conftest import (
     Site,
     end_in_page,

@@ -455,3 +455,8 @@ export function thinned(motion) {
   points.push([motion[motion.length - 6], motion[motion.length - 5]]);
   return points;
 }
+
+/** Name the numbers of a parcel's motion, as a frame has them. */
+export function named([x, y, theta, vx, vy, omega]) {
+  return { x, y, theta, vx, vy, omega };
+}

@@ -201,22 +201,20 @@ export function fillForm(page) {
 /** Let the form's controls do what they say. */
 export function connect(page) {
   const on = (id, kind, does) =>
-    find(id).addEventListener(kind, (event) => page.try(() => does(event)));
+    find(id).addEventListener(kind, (event) => {
+      page.isStale = true; // what is done may be seen
+      page.try(() => does(event));
+    });
   on("start", "click", () => (page.isRunning ? page.pause() : page.start()));
   on("step", "click", () => page.stepOnce());
   on("again", "click", () => page.again());
   on("fit", "click", () => {
     for (const { picture } of page.shown) picture.fit();
-    page.isStale = true;
   });
-  for (const id of ["forces", "traces"])
-    on(id, "change", () => {
-      page.isStale = true;
-    });
+  for (const id of ["forces", "traces"]) on(id, "change", () => {});
   on("theme", "change", ({ target }) => {
     paintPage(document.documentElement, target.value);
     for (const { picture } of page.shown) picture.setTheme(target.value);
-    page.isStale = true;
   });
   on("task", "change", ({ target }) =>
     page.open(target.value === "table" ? emptyTable() : taskScene(target.value)),
@@ -249,13 +247,8 @@ export function connect(page) {
     const { run } = page.shown[0];
     const angles = layoutAngles(target.value, run.rows, run.columns);
     if (angles) run.set({ axis: angles.map((angle, module) => [module, angle]) });
-    page.isStale = true;
   });
-  const set = (id, change) =>
-    on(id, "input", () => {
-      page.shown[0].run.set(change());
-      page.isStale = true;
-    });
+  const set = (id, change) => on(id, "input", () => page.shown[0].run.set(change()));
   set("tilt", () => ({ tilt: radians(number("tilt")) }));
   set("downhill", () => ({ tilt_direction: radians(number("downhill")) }));
   for (const id of ["along", "across"]) {

@@ -136,16 +136,10 @@ class Playground {
   }
 
   _show(run, name) {
-    const figure = document.createElement("figure");
-    const canvas = document.createElement("canvas");
-    const caption = document.createElement("figcaption");
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "application");
-    canvas.setAttribute(
-      "aria-label",
-      `Picture of the surface${name ? `, ${name} acts` : ""}. Arrows move the ring, Enter uses the tool.`,
-    );
-    figure.append(canvas, caption);
+    const figure = find("picture").content.firstElementChild.cloneNode(true);
+    const [canvas, caption] = figure.children;
+    canvas.role = "application";
+    canvas.ariaLabel = `Picture of the surface${name ? `, ${name} acts` : ""}. Arrows move the ring, Enter uses the tool.`;
     find("pictures").append(figure);
     const picture = new Picture(canvas, run.surface(), {
       theme: find("theme").value,
