@@ -10,7 +10,7 @@ import pytest
 from surface_gym.agents.export import home, web
 from surface_gym.flow.arrivals import HOUR
 from tests.docs.reading import DOCS, ROOT
-from tests.web.conftest import NARROW, WIDE, Site, new_page, wait_for
+from tests.web.conftest import NARROW, WIDE, Site, wait_for
 
 PAGE = "home.html"
 STILL: dict[str, Any] = {"reduced_motion": "reduce"}
@@ -228,21 +228,15 @@ def around(built, tmp_path_factory):
 
 
 @pytest.fixture
-def read(browser, around):
-    pages, wrong = [], []
-
+def read(tab, around):
     def opened(size=WIDE, missing="", **options):
-        page = new_page(browser, size, wrong, **options)
-        pages.append(page)
+        page = tab(size, **options)
         if missing:
             page.route(f"**/{missing}", lambda route: route.fulfill(status=404))
         page.goto(f"{around.address}index.html")
         return page
 
-    yield opened
-    for page in pages:
-        page.context.close()
-    assert wrong == []
+    return opened
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
