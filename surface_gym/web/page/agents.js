@@ -47,41 +47,39 @@ export class Agents {
     const kind = KINDS.find((each) => Object.hasOwn(there[each] ?? {}, name));
     if (!kind) return Object.hasOwn(UNIFORM, name) ? keepAll(UNIFORM[name]) : PLAYER;
     const card = there[kind][name];
-    if (kind === "streams") return this._ofStream(card, there.obeying, machine);
-    if (kind === "rules")
-      return new Rule(card, await Machine.load(card.machine, this.folder, card.code));
     if (kind === "layouts") return keepLayout(card);
-    if (card.kind !== "modules") return new Policy(card, await this._weights(card));
-    const own = await Machine.load(card.machine, this.folder, card.code);
-    return new SortingPolicy(card, own, await this._weights(card));
+    if (kind === "streams") return this._ofStream(card, there.obeying, machine);
+    if (kind === "rules") return new Rule(card, { machine: await this._own(card) });
+    if (card.kind !== "modules") return new Policy(card, { weights: await this._weights(card) });
+    return new SortingPolicy(card, await this._parts(card));
   }
 
   async _ofStream(card, obeying, machine) {
-    const { folder } = this;
+    if (card.kind === "modules") return new ModulesPolicy(card, await this._parts(card));
+    const code = await get(`${this.folder}${obeying.code}.wasm`, "arrayBuffer");
+    const follows = { obeying: await Obeying.make(obeying, code, machine) };
     if (card.kind === "each") {
       const { task, name } = card.policy;
-      const policy = new Policy(this.file[task].policies[name], this.weights);
-      return new EachParcel(card, policy, await this._obeying(obeying, machine));
+      const policy = new Policy(this.file[task].policies[name], { weights: this.weights });
+      return new EachParcel(card, { ...follows, policy });
     }
-    const [own, weights, follows] = await Promise.all([
-      Machine.load(card.machine, folder, card.code),
-      this._weights(card),
-      card.kind === "modules" ? null : this._obeying(obeying, machine),
-    ]);
-    if (card.kind === "rule") return new SlopeRule(card, own, follows);
-    return card.kind === "modules"
-      ? new ModulesPolicy(card, own, weights)
-      : new ParcelPolicy(card, own, follows, weights);
+    const kind = card.kind === "rule" ? SlopeRule : ParcelPolicy;
+    return new kind(card, { ...follows, ...(await this._parts(card)) });
+  }
+
+  /** Load the machine of an agent's own function. */
+  _own(card) {
+    return Machine.load(card.machine, this.folder, card.code);
+  }
+
+  async _parts(card) {
+    const [machine, weights] = await Promise.all([this._own(card), this._weights(card)]);
+    return { machine, weights };
   }
 
   /** Load the weights of an agent that has a file of them; others share one. */
   async _weights(card) {
     if (!card.weights) return this.weights;
     return new Float32Array(await get(`${this.folder}${card.weights}`, "arrayBuffer"));
-  }
-
-  async _obeying(card, machine) {
-    const code = await get(`${this.folder}${card.code}.wasm`, "arrayBuffer");
-    return Obeying.make(card, code, machine);
   }
 }

@@ -42,9 +42,8 @@ class LineRun extends TaskRun {
 
   /** Count what has come about, and what waits. */
   count() {
-    const [entered, delivered, wrong, touches] = [...this.machine.view("streams.tally")].map(
-      Number,
-    );
+    const tally = Array.from(this.machine.view("streams.tally"), Number);
+    const [entered, delivered, wrong, touches] = tally;
     const waiting = this.machine.get("streams.due") - entered;
     return { time: this.time, delivered, wrong, touches, waiting };
   }
@@ -83,11 +82,6 @@ class LineRun extends TaskRun {
 
 /** A scheduler of a line: it lets boxes in, and leads those on the line. */
 class Scheduler extends CompiledRule {
-  constructor(card, machine, obeying) {
-    super(card, machine);
-    this.obeying = obeying;
-  }
-
   /** Write what modules and the gate are to do for a control period. */
   act(run) {
     const [actions] = this.call(run, "tables", "actions");
@@ -264,7 +258,7 @@ async function loadLines() {
       const scene = { seed: 0, late: 0, stuck: [], commands: [] };
       const obeying = await Obeying.make(layout.obeying, obeyingCode, machine);
       const own = await Machine.load(card.machine, "", card.code);
-      const run = new LineRun(machine, scene, new Scheduler(card, own, obeying));
+      const run = new LineRun(machine, scene, new Scheduler(card, { machine: own, obeying }));
       return new Line(run, figures[k]);
     }),
   );

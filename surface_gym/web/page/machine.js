@@ -76,8 +76,8 @@ export class Machine {
    * @param {string} [code] name of the module, where several machines share one
    */
   static async load(name, folder = "", code = name) {
-    if (typeof WebAssembly !== "object")
-      throw new PlainError("This browser has no WebAssembly, which the physics runs in.");
+    const hasIt = typeof WebAssembly === "object";
+    ensure(hasIt, "This browser has no WebAssembly, which the physics runs in.");
     const [layout, block, module] = await Promise.all([
       get(`${folder}${name}.json`, "json"),
       get(`${folder}${name}.bin`, "arrayBuffer"),
@@ -89,17 +89,15 @@ export class Machine {
 
   /** Make a machine of the content of its files. */
   static async make(name, layout, block, code, starts = null) {
-    if (block.byteLength !== layout.bytes) {
-      throw new PlainError(
-        `${name}.bin has ${block.byteLength} bytes, and ${name}.json says ${layout.bytes}: they are not of one build.`,
-      );
-    }
+    ensure(
+      block.byteLength === layout.bytes,
+      `${name}.bin has ${block.byteLength} bytes, and ${name}.json says ${layout.bytes}: they are not of one build.`,
+    );
     const module = await WebAssembly.compile(code);
     const env = {};
     for (const { name: asked } of WebAssembly.Module.imports(module)) {
       const found = FUNCTIONS[asked] ?? Math[asked];
-      if (typeof found !== "function")
-        throw new PlainError(`${name} needs the function ${asked}, which a page lacks.`);
+      ensure(found instanceof Function, `${name} needs the function ${asked}, which a page lacks.`);
       env[asked] = found;
     }
     const instance = await WebAssembly.instantiate(module, { env });
@@ -213,8 +211,7 @@ export class Machine {
     } catch (error) {
       throw new PlainError(`The physics of ${this.name} stopped: ${error.message}.`);
     }
-    if (result < 0)
-      throw new PlainError(`The physics of ${this.name} was given a number beyond an array's end.`);
+    ensure(result >= 0, `The physics of ${this.name} was given a number beyond an array's end.`);
     return result;
   }
 
@@ -334,8 +331,8 @@ export class Obeying {
    */
   static async make(card, code, machine) {
     const { name, layout, block } = machine;
-    if (card.signature !== layout.signature || !card.reads)
-      throw new PlainError(`${card.code}.wasm and ${name}.json are not of one build.`);
+    const isOfBuild = card.signature === layout.signature && card.reads;
+    ensure(isOfBuild, `${card.code}.wasm and ${name}.json are not of one build.`);
     return new Obeying(await Machine.make(card.code, layout, block, code), card.reads);
   }
 

@@ -1,6 +1,6 @@
 /** Trained policies: the matrices of a network, from what is observed to orientations. */
 
-import { CompiledRule, SlopeRule } from "./rule.js";
+import { Agent, CompiledRule, SlopeRule } from "./rule.js";
 
 /**
  * @typedef {number[]} Layer inputs, outputs, and where its weights (outputs, inputs) begin
@@ -48,13 +48,7 @@ export function softmax(logits) {
   return found.map((value) => value / sum);
 }
 
-export class Policy {
-  /** @param {Card} card @param {Float32Array} weights of all policies */
-  constructor(card, weights) {
-    this.card = card;
-    this.weights = weights;
-  }
-
+export class Policy extends Agent {
   /** Choose an orientation for each part: halves, or quadrants, ahead first, then left first. */
   choose(observation) {
     const { layers, activation, columns, options, parts, side, mirror } = this.card;
@@ -94,18 +88,7 @@ export class Policy {
  */
 
 /** A policy of single parcels that acts for each parcel of a stream, which its modules obey. */
-export class EachParcel {
-  /**
-   * @param {EachCard} card
-   * @param {Policy} policy
-   * @param {import("./machine.js").Obeying} obeying
-   */
-  constructor(card, policy, obeying) {
-    this.card = card;
-    this.policy = policy;
-    this.obeying = obeying;
-  }
-
+export class EachParcel extends Agent {
   /** Write what is chosen for each module that obeys a parcel. */
   act(run) {
     const { present, waits, side, own, roll } = this.card;
@@ -135,16 +118,6 @@ export class EachParcel {
  * in `agents/module_policy.py`. The asked side lies at y > 0, in a mirror if need be.
  */
 export class SortingPolicy extends CompiledRule {
-  /**
-   * @param {SortingCard} card
-   * @param {import("./machine.js").Machine} machine of the function that finds modules' places
-   * @param {Float32Array} weights of all policies
-   */
-  constructor(card, machine, weights) {
-    super(card, machine);
-    this.weights = weights;
-  }
-
   /** Write what each module chooses. @param {import("./task.js").TaskRun} run */
   act(run) {
     const { layers, shared, mirror, rest, side } = this.card;
@@ -173,21 +146,18 @@ export class SortingPolicy extends CompiledRule {
  * @property {number} prior logit of what the rule proposes
  * @property {number} most of a feature, one way or the other
  * @property {number[]} apart of two parcels, that differ at most
- * @property {number} present column of the table, as are those below
- * @property {number} time
- * @property {number} end
- * @property {number} offset
- * @property {number} forward
+ * Columns of the table: present, time, end, offset and forward
  */
 
 /** A trained policy of parcels, as `agents/parcel_policy.py` follows its probabilities over time. */
 export class ParcelPolicy extends SlopeRule {
-  /** @param {import("./rule.js").Card & ParcelsCard} card @param {Float32Array} weights */
-  constructor(card, machine, obeying, weights) {
-    super(card, machine, obeying);
-    this.weights = weights;
-    this.orientations = card.choices.length;
-    this.options = this.orientations ** 2; // of both halves together
+  get orientations() {
+    return this.card.choices.length;
+  }
+
+  /** How many choices there are for both halves together. */
+  get options() {
+    return this.orientations ** 2;
   }
 
   begin(run) {
@@ -284,18 +254,7 @@ export class ParcelPolicy extends SlopeRule {
  */
 
 /** A trained policy of modules on a slope, each of which decides by what it sees. */
-export class ModulesPolicy {
-  /**
-   * @param {ModulesCard} card
-   * @param {import("./machine.js").Machine} machine of the function that computes what modules see
-   * @param {Float32Array} weights
-   */
-  constructor(card, machine, weights) {
-    this.card = card;
-    this.machine = machine;
-    this.weights = weights;
-  }
-
+export class ModulesPolicy extends Agent {
   /** Write what each module chooses. */
   act(run) {
     const { machine } = this;

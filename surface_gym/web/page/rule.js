@@ -11,14 +11,23 @@
  *   left, to the right
  */
 
-/** A compiled function, from the same source as on the CPU, of what `parcels.observation` shows. */
-export class CompiledRule {
-  /** @param {Card} card @param {import("./machine.js").Machine} machine of the rule */
-  constructor(card, machine) {
+/** An agent: its card, and what it is made of. */
+export class Agent {
+  /**
+   * @param {Card} card
+   * @param {object} parts some of:
+   * @param {import("./machine.js").Machine} [parts.machine] of its own function
+   * @param {import("./machine.js").Obeying} [parts.obeying] which parcel each module obeys
+   * @param {Float32Array} [parts.weights] of its network, and maybe of others
+   */
+  constructor(card, parts) {
     this.card = card;
-    this.machine = machine;
+    Object.assign(this, parts);
   }
+}
 
+/** A compiled function, from the same source as on the CPU, of what `parcels.observation` shows. */
+export class CompiledRule extends Agent {
   /** Forget what was in an episode before. */
   begin(run) {
     this.machine.reset();
@@ -68,12 +77,6 @@ export class Rule extends CompiledRule {
 
 /** A rule on a slope, which decides for each parcel. */
 export class SlopeRule extends CompiledRule {
-  /** @param {import("./machine.js").Obeying} obeying */
-  constructor(card, machine, obeying) {
-    super(card, machine);
-    this.obeying = obeying;
-  }
-
   /** Choose for both halves of the parcel in each row, one after the other. */
   choose(run) {
     return this.call(run, "tables", "halves")[0].map((half) => this.card.choices[half]);
