@@ -135,7 +135,9 @@ class _Handler(SimpleHTTPRequestHandler):
         if len(hosts) != 1 or not _is_here(hosts[0]):
             self.send_error(HTTPStatus.FORBIDDEN, f"Only {' and '.join(NAMES)} are answered")
             return None
-        if self.path != "/":
+        if self.path.partition("?")[0] != "/":
+            # Always the whole file: at the next start another folder may have an older one.
+            del self.headers["If-Modified-Since"]
             return super().send_head()
         self.send_response(HTTPStatus.FOUND)
         self.send_header("Location", f"/{FIRST_PAGE}")

@@ -212,3 +212,22 @@ def run_script(page: Any) -> list[list[str]]:
     with contextlib.redirect_stdout(said):
         exec(compile(script, "script", "exec"), {})
     return [line.split() for line in said.getvalue().splitlines()]
+
+
+def check_script(page: Any) -> list[str]:
+    """Assert that the script gives the reward and the time of the page's run; return the rest."""
+    ((rewards, clock, *rest),) = run_script(page)
+    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
+    assert run == [float(rewards), float(clock)]
+    return rest
+
+
+def check_controls(page: Any) -> None:
+    """Assert that controls have names and are reached by the keyboard; pictures have names."""
+    wrong = page.evaluate(
+        """() => [...document.querySelectorAll("button, select, input, canvas")]
+          .filter((each) => !(each.innerText || each.labels?.[0]?.innerText || each.ariaLabel)
+            || (each.tabIndex < 0 && each.role !== "img"))
+          .map((each) => each.outerHTML)"""
+    )
+    assert wrong == []

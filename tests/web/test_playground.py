@@ -9,7 +9,17 @@ import pytest
 import surface_gym as sg
 from surface_gym.registration import PERIODS
 from surface_gym.web.scene import TableScene, TaskScene, ThrownParcel, pack
-from tests.web.conftest import NARROW, PAGE, WIDE, end_states, open_sort, run_script, wait_for
+from tests.web.conftest import (
+    NARROW,
+    PAGE,
+    WIDE,
+    check_controls,
+    check_script,
+    end_states,
+    open_sort,
+    run_script,
+    wait_for,
+)
 
 
 @pytest.fixture
@@ -67,18 +77,7 @@ def test_it_fits_the_screen_and_moves_by_itself(play, size):
 
 
 def test_all_controls_have_names_and_are_reached_by_the_keyboard(play):
-    page = play()
-    unnamed = page.evaluate(
-        """() => [...document.querySelectorAll("button, select, input, canvas")]
-          .filter((each) => !(each.innerText || each.labels?.[0]?.innerText || each.ariaLabel))
-          .map((each) => each.outerHTML)"""
-    )
-    assert unnamed == []
-    untouchable = page.evaluate(
-        """() => [...document.querySelectorAll("button, select, input, canvas")]
-          .filter((each) => each.tabIndex < 0).map((each) => each.outerHTML)"""
-    )
-    assert untouchable == []
+    check_controls(play())
 
 
 def test_a_parcel_is_thrown_where_and_as_fast_as_the_pointer_drags(table):
@@ -349,9 +348,7 @@ def test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python(play, task)
           playground.isStale = true;
         }"""
     )
-    ((rewards, clock, *more),) = run_script(page)
-    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
-    assert run == [float(rewards), float(clock)]
+    more = check_script(page)
     if PERIODS[task] is not None:
         truth = page.evaluate("[...playground.shown[0].run.machine.view('parcels.truth')]")
         assert truth == [float(each) for each in more[-6:]]
