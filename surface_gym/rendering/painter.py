@@ -4,7 +4,6 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pygame
@@ -205,9 +204,7 @@ Picture = NDArray[np.uint8]  # (height, width, 3)
 WIDTH, WIDE = 960, 1280  # [px] default width of a picture, and with traffic or many scenes
 _NARROWEST = 640  # [px] minimum width for readable text
 _LEAST_CELL = 6  # [px] minimum size of an element for a visible axis
-_LEAST_TILE_CELL = 2  # [px] minimum size of an element in a tile for a visible colour
 _ASPECT = 1.6  # target of width / height with tiles
-_BETWEEN = 14  # [px] between tiles
 _CAPTION = (40, 28, 30)  # [px] height, font size and left margin
 
 
@@ -274,77 +271,6 @@ class Painter:
         return self._canvas
 
 
-class TilePainter:
-    """Painter of several scenes side by side, with titles."""
-
-    def __init__(self, width: int = WIDE) -> None:
-        self.width = _even_width(width)
-        self._strips = Strips(self.width)
-        self._fields: list[_Field] = []
-
-    def draw(self, scenes: Sequence[Scene]) -> Picture:
-        """Draw scenes as one picture (height, width, 3), the first at the upper left.
-
-        The height is even and follows from the number of scenes and the shape of the surface.
-        """
-        plan = self._plan(scenes)
-        self._prepare(scenes, plan)
-        margin = self._strips.margin
-        height = margin + plan.height + self._strips.foot
-        canvas = pygame.Surface((self.width, height + height % 2), depth=32)
-        canvas.fill(ink.PAPER)
-        tiles = pygame.Rect((self.width - plan.width) // 2, margin, plan.width, plan.height)
-        for field, scene in zip(self._fields, scenes, strict=True):
-            area = field.layout.area
-            place = (area.left, area.top - plan.caption // 4)
-            ink.write(canvas, scene.title, plan.caption, room=area.width, bottomleft=place)
-            canvas.set_clip(area)
-            field.draw(canvas, scene)
-            canvas.set_clip(None)
-        self._strips.write_legend(canvas, tiles, scenes, tiles.right)
-        return _pixels(canvas)
-
-    def _plan(self, scenes: Sequence[Scene]) -> "_Plan":
-        if len(scenes) == 0:
-            raise ValueError("scenes must be at least one, got none")
-        if len({scene.traffic is None for scene in scenes}) > 1:
-            raise ValueError("scenes must all have traffic or none of them, got both")
-        grids = {(scene.rows, scene.columns, scene.pitches, scene.origin) for scene in scenes}
-        if len(grids) > 1:
-            raise ValueError(f"scenes must be of surfaces of one size, got {sorted(grids)}")
-        shown = {PixelLayout.of(scene, 1, 0, 0).band[1] for scene in scenes}
-        if len(shown) > 1:
-            raise ValueError(f"scenes must show as many rows as each other, got {sorted(shown)}")
-        plans = [self._plan_across(scenes, across) for across in range(1, len(scenes) + 1)]
-        legible = [plan for plan in plans if plan.cell >= _LEAST_TILE_CELL]
-        if not legible:
-            across = PixelLayout.cells_across(scenes[0])
-            least = 2 * self._strips.margin + _LEAST_TILE_CELL * across
-            raise ValueError(
-                f"width must be at least {least} for {scenes[0].columns} columns, got {self.width}"
-            )
-        return min(legible, key=lambda plan: abs(math.log(self.width / plan.height / _ASPECT)))
-
-    def _plan_across(self, scenes: Sequence[Scene], across: int) -> "_Plan":
-        room = (self.width - 2 * self._strips.margin + _BETWEEN) // across - _BETWEEN
-        cell = room // PixelLayout.cells_across(scenes[0])
-        width, height = PixelLayout.extent(scenes[0], cell)
-        caption = min(max(14, width // 14), self._strips.middle)
-        return _Plan(across, -(-len(scenes) // across), cell, caption, width, height + caption)
-
-    def _prepare(self, scenes: Sequence[Scene], plan: "_Plan") -> None:
-        """Reuse the fields of the last picture with equal layouts."""
-        left, top = (self.width - plan.width) // 2, self._strips.margin + plan.caption
-        corners = [plan.corner(k) for k in range(len(scenes))]
-        layouts = [
-            PixelLayout.of(scene, plan.cell, left + x, top + y)
-            for scene, (x, y) in zip(scenes, corners, strict=True)
-        ]
-        if [field.layout for field in self._fields] != layouts:
-            sprites = marks.ModuleSprites(layouts[0].cell)
-            self._fields = [_Field(layout, sprites) for layout in layouts]
-
-
 def draw(scene: Scene, width: int | None = None) -> Picture:
     """Draw a scene as a picture (height, width, 3). For many scenes, use one `Painter`."""
     return Painter(width).draw(scene)
@@ -358,6 +284,24 @@ def with_caption(picture: Picture, text: str) -> Picture:
     canvas.fill(ink.PAPER)
     ink.write(canvas, text, size, ink.INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
     return np.concatenate([np.swapaxes(pygame.surfarray.array3d(canvas), 0, 1), picture])
+
+
+def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
+    """Tile pictures of one shape (height, width, 3), scaled down, the first at the upper left.
+
+    The whole has about the shape of a screen, and an even height.
+    """
+    high, wide, _ = pictures[0].shape
+    across = max(1, round(math.sqrt(_ASPECT * len(pictures) * high / wide)))
+    tile = (width // across, round(high * (width // across) / wide))
+    height = -(-len(pictures) // across) * tile[1]
+    canvas = pygame.Surface((width, height + height % 2), depth=32)
+    canvas.fill(ink.PAPER)
+    for k, picture in enumerate(pictures):
+        row, column = divmod(k, across)
+        small = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+        canvas.blit(pygame.transform.smoothscale(small, tile), (column * tile[0], row * tile[1]))
+    return _pixels(canvas)
 
 
 class _Field:
@@ -397,33 +341,6 @@ class _Field:
         if self._ground is None or key != self._ground_key:
             self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
         return self._ground
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Division of a picture into tiles."""
-
-    across: int  # tiles in a row
-    down: int  # rows of tiles
-    cell: int  # [px] width of an element
-    caption: int  # [px] font size of a tile's title
-    tile_width: int  # [px] of the surface in a tile
-    tile_height: int  # [px] of caption and surface
-
-    @property
-    def width(self) -> int:
-        """Width [px] of all tiles and the gaps between them."""
-        return self.across * (self.tile_width + _BETWEEN) - _BETWEEN
-
-    @property
-    def height(self) -> int:
-        """Height [px] of all tiles and the gaps between them."""
-        return self.down * (self.tile_height + _BETWEEN) - _BETWEEN
-
-    def corner(self, k: int) -> tuple[int, int]:
-        """Compute the upper left corner [px] of a tile, from the first's."""
-        row, column = divmod(k, self.across)
-        return (column * (self.tile_width + _BETWEEN), row * (self.tile_height + _BETWEEN))
 
 
 def _even_width(width: int) -> int:

@@ -4,7 +4,6 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pygame
@@ -14,11 +13,11 @@ from surface_gym.rendering import (
     Painter,
     Scene,
     SceneParcel,
-    TilePainter,
     Traffic,
     Window,
     draw,
     ink,
+    side_by_side,
 )
 from surface_gym.rendering.ink import (
     GOAL,
@@ -277,70 +276,27 @@ class TestGoal:
         assert np.abs(rows + plate.top + 0.5 - expected).max() < 6.0
 
 
-@pytest.fixture
-def at(empty):
-    def scene(x, waiting=0, **fields):
-        traffic = Traffic(EXITS, (2, 1, 3), waiting=waiting)
-        line = with_parcel(empty, LONG, (x, 1.0, 0.0))
-        return replace(line, **({"traffic": traffic, "title": "a"} | fields))
-
-    return scene
-
-
-def tiles(scenes, width=1280):
-    return TilePainter(width).draw(scenes)
-
-
 class TestTiles:
     @pytest.mark.parametrize("count", [1, 2, 5, 16, 64])
-    def test_any_number_of_scenes_fits_a_picture_of_a_useful_shape(self, sorting, at, count):
-        alone = [sorting.scene(3 * k % 150, title=f"env {k}") for k in range(count)]
-        streams = [at(0.2 * (k % 16)) for k in range(min(count, 16))]
-        for scenes in (alone, streams):
-            height, width, colours = tiles(scenes).shape
+    def test_any_number_fits_a_picture_of_a_useful_shape(self, sorting, busy, count):
+        for picture in (draw(sorting.scene(3)), draw(busy)):
+            height, width, colours = side_by_side([picture] * count).shape
             assert (width, colours) == (1280, 3)
             assert height % 2 == 0
             assert 0.3 < width / height < 4.0
 
-    def test_a_scene_changes_its_own_tile_alone(self, sorting, at):
-        def boxes(scene, other):
-            before = tiles([scene] * 4)
-            for k in range(4):
-                scenes = [scene] * 4
-                scenes[k] = other
-                yield differing(tiles(scenes), before)
-
-        first, second, third, fourth = boxes(sorting.scene(20), sorting.scene(80))
+    def test_a_picture_changes_its_own_tile_alone(self, sorting):
+        picture, other = draw(sorting.scene(20)), draw(sorting.scene(80))
+        before, boxes = side_by_side([picture] * 4), []
+        for k in range(4):
+            pictures = [picture] * 4
+            pictures[k] = other
+            boxes.append(differing(side_by_side(pictures), before))
+        first, second, third, fourth = boxes
         for upper, lower in ((first, third), (second, fourth)):
             assert upper[3] <= lower[2]  # a row of two above a row of two
         for left, right in ((first, second), (third, fourth)):
             assert left[1] <= right[0]
-        streams = boxes(at(1.0), at(5.0, waiting=3, title="another"))
-        assert all(upper[3] <= lower[2] for upper, lower in pairwise(streams))
-
-    def test_a_kept_painter_draws_as_a_fresh_one_and_takes_both_kinds_in_turn(self, sorting, at):
-        painter = TilePainter()
-        alone = [sorting.scene(20 + k, zone=(9, 2, 3 + k, 16)) for k in range(6)]
-        streams = [at(1.0), at(2.0, traffic=Traffic(EXITS, (0, 9, 0))), at(3.0)]
-        for scenes in (alone[:4], alone[:4][::-1], alone, streams, streams[::-1], streams[:2]):
-            np.testing.assert_array_equal(painter.draw(scenes), tiles(scenes))
-
-    def test_what_does_not_fit_is_refused(self, sorting, at):
-        scene, line = sorting.scene(20), at(1.0)
-        wider = line.rotor.copy()
-        wider[6:14] = True
-        long, traffic = Scene(np.zeros((4, 400)), np.ones((4, 400), bool)), Traffic((), ())
-        for scenes, width, message in (
-            ([], 1280, "scenes must be at least one"),
-            ([scene, replace(scene, pitch=0.2)], 1280, "scenes must be of surfaces of one size"),
-            ([line, scene], 1280, "scenes must all have traffic or none of them, got both"),
-            ([line, at(1.0, rotor=wider)], 1280, r"must show as many rows.*got \[14, 18\]"),
-            ([long], 640, "width must be at least 832 for 400 columns, got 640"),
-            ([replace(long, traffic=traffic)], 640, "at least 852 for 400 columns, got 640"),
-            ([scene], 1281, "width must be even"),
-        ):
-            with pytest.raises(ValueError, match=message):
-                tiles(scenes, width)
 
 
 class TestWindow:
