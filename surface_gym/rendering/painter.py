@@ -73,27 +73,20 @@ class Strips:
         if scene.tilt != 0.0:
             place = (end - self.margin, self._middle_below(area))
             end = self._write_tilt(canvas, scene.tilt, scene.tilt_direction, place)
-        self.write_legend(canvas, area, [scene], end - self.margin)
-
-    def write_legend(
-        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
-    ) -> None:
-        """Write the legend of colours below an area, with exits up to `end` [px]."""
-        x = self._write_axes(canvas, area, scenes)
-        if any(scene.goal is not None for scene in scenes):
+        end -= self.margin
+        x = self._write_axes(canvas, area, scene)
+        if scene.goal is not None:
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
-        if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
+        if any(parcel.sensed_pose is not None for parcel in scene.parcels):
             x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
-        widest = max(scenes, key=lambda scene: len(scene.exits))
-        exits = widest.exits
         gap, middle = self._gap, self._middle_below(area)
-        if exits:
+        if scene.exits:
             after = (x + 3 * gap, middle)
             x = ink.write(canvas, "exit", self.small, ink.FAINT_INK, midleft=after).right + gap // 2
-        for index, mark in enumerate(exits):
+        for index, mark in enumerate(scene.exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
-            after, colour = (x + gap // 2, middle), marks.exit_colour(widest, index)
+            after, colour = (x + gap // 2, middle), marks.exit_colour(scene, index)
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
@@ -114,17 +107,11 @@ class Strips:
         starts = [first + sum(slots[:k]) + gap * k for k in range(len(slots))]
         return starts, [max(1, slot) for slot in slots]
 
-    def _write_axes(
-        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene]
-    ) -> int:
+    def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> int:
         """Write the legend of modules and of the zone; return the x of its end."""
-        if all(scene.drive is not None for scene in scenes):
-            x = self._write_drives(canvas, area)
-        else:
-            x = self._write_angles(canvas, area)
-        if any(scene.zone is not None for scene in scenes):
-            x = self._write_zone(canvas, area, x)
-        return x
+        write = self._write_angles if scene.drive is None else self._write_drives
+        x = write(canvas, area)
+        return x if scene.zone is None else self._write_zone(canvas, area, x)
 
     def _write_drives(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
         """Write the legend of driven modules; return the x of its end."""
@@ -238,10 +225,6 @@ class Painter:
         field.draw(canvas, scene)
         marks.label_goal(canvas, layout, scene, strips.small)
         return _pixels(canvas)
-
-    def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
-        """Convert a position [px] in the picture of a scene to (x, y) [m] on its surface."""
-        return self._prepare(scene)[0].layout.metres(pixel)
 
     def _prepare(self, scene: Scene) -> tuple["_Field", Strips]:
         """Return field and strips for a scene; reuse the last ones if they fit."""

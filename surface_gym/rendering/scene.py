@@ -336,12 +336,6 @@ class PixelLayout:
         y = self.top + self.height * (self.rows - steps[..., 1])
         return np.stack([x, y], axis=-1)
 
-    def metres(self, pixel: tuple[float, float]) -> tuple[float, float]:
-        """Convert a position in the picture to metres: the inverse of `pixels`."""
-        right = (pixel[0] - self.left) / self.width - 0.5
-        up = self.rows - (pixel[1] - self.top) / self.height - 0.5
-        return (self.origin[0] + self.pitch[0] * right, self.origin[1] + self.pitch[1] * up)
-
 
 def _element_height(scene: Scene, width: int) -> int:
     """Compute the height [px] of an element that is `width` pixels wide."""
