@@ -45,13 +45,10 @@ def test_numbers_of_any_kind_become_floats(value):
 
 MESSAGES: list[tuple[Callable[..., Any], tuple[Any, ...], str]] = [
     (checks.positive, (0.0,), "be greater than 0, got 0.0"),
-    (checks.positive, (-1, 1.0, 4.0), "be greater than 0, got -1"),
     (checks.positive, (5, 1.0, 4.0), "be between 1 and 4, got 5"),
-    (checks.positive, (0.5, 1.0, 4.0), "be between 1 and 4, got 0.5"),
     (checks.not_negative, (-1e-9,), "be at least 0, got -1e-09"),
     (checks.not_negative, (5, 4.0), "be between 0 and 4, got 5"),
     (checks.within, (2, 0, 1), "be between 0 and 1, got 2"),
-    (checks.within, (-0.1, 0, 1), "be between 0 and 1, got -0.1"),
     (checks.integer, (9, 1, 8), "be a whole number of at most 8, got 9"),
     *(
         (checks.integer, (value, 1), f"be a whole number of at least 1, got {value!r}")
