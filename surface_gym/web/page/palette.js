@@ -45,7 +45,7 @@ export const THEMES = {
 };
 
 /** Of exits and groups: far from the axes' colours and from each other, for dichromats too. */
-export const EXITS = ["#ac70fc", "#fcd818", "#54fcb4", "#a80c84", "#0c2484", "#fcb4fc", "#b4cc6c"];
+const EXITS = ["#ac70fc", "#fcd818", "#54fcb4", "#a80c84", "#0c2484", "#fcb4fc", "#b4cc6c"];
 
 /** Choose a theme's name: "auto" is what the reader's system prefers. */
 export function themeName(theme) {
@@ -71,7 +71,7 @@ export function exitColour(index) {
 }
 
 /** Split "#rrggbb" into numbers from 0 to 255. */
-export function channels(colour) {
+function channels(colour) {
   return [1, 3, 5].map((k) => Number.parseInt(colour.slice(k, k + 2), 16));
 }
 

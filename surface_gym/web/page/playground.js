@@ -350,12 +350,6 @@ function readingOf([what, value]) {
   return made;
 }
 
-/** Let something be done the first time that it is asked for, and keep its answer. */
-function once(does) {
-  let answer;
-  return () => (answer ??= does());
-}
-
 async function begin() {
   paintPage(document.documentElement, "auto");
   const page = new Playground([], new Agents(null, null));
@@ -366,7 +360,8 @@ async function begin() {
     page.modules = site.tasks;
     for (const task of page.tasks) find("task").append(new Option(`task: ${task}`, task));
     connect(page);
-    if (site.agents) page.loadAgents = once(() => Agents.load());
+    let agents; // asked for once, where a task is opened first
+    if (site.agents) page.loadAgents = () => (agents ??= Agents.load());
     if (address.length > 1) await page.try(() => page.openAddress());
     if (!page.scene) {
       const message = find("message").textContent;

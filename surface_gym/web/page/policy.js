@@ -16,10 +16,10 @@ import { Agent, CompiledRule, SlopeRule } from "./rule.js";
  * @property {number[]} [mirror] choices, where that side is right
  */
 
-export const relu = (value) => Math.max(0, value);
+const relu = (value) => Math.max(0, value);
 
 /** Compute the outputs of a layer, each with an activation. */
-export function linear(weights, [inputs, outputs, place], values, activation = (value) => value) {
+function linear(weights, [inputs, outputs, place], values, activation = (value) => value) {
   const found = new Float32Array(outputs);
   const biases = place + inputs * outputs;
   for (let k = 0; k < outputs; k++) {
@@ -32,7 +32,7 @@ export function linear(weights, [inputs, outputs, place], values, activation = (
 }
 
 /** Compute the outputs of layers with an activation between them. */
-export function perceptron(weights, layers, values, activation = relu) {
+function perceptron(weights, layers, values, activation = relu) {
   return layers.reduce(
     (found, layer, k) =>
       linear(weights, layer, found, k < layers.length - 1 ? activation : undefined),
@@ -41,7 +41,7 @@ export function perceptron(weights, layers, values, activation = relu) {
 }
 
 /** Turn logits into probabilities. */
-export function softmax(logits) {
+function softmax(logits) {
   const most = Math.max(...logits);
   const found = Float64Array.from(logits, (logit) => Math.exp(logit - most));
   const sum = found.reduce((a, b) => a + b, 0);

@@ -115,7 +115,7 @@ export function unpacked(name, runs, count, least, most) {
 }
 
 /** Check that a value is a whole number between two bounds. */
-export function checkWhole(name, value, least, most) {
+function checkWhole(name, value, least, most) {
   checkNumber(name, value, least, most);
   ensure(Number.isInteger(value), `${name} must be a whole number, got ${value}.`);
   return value;
@@ -127,7 +127,7 @@ function checkIndices(name, value, many) {
 }
 
 /** Check all of a scene; @param {string[]} tasks that there are. @returns the scene */
-export function checkScene(scene, tasks) {
+function checkScene(scene, tasks) {
   const isObject = typeof scene === "object" && scene !== null && !Array.isArray(scene);
   ensure(isObject, `A scene must be an object, got ${shown(scene)}.`);
   const { version, task } = scene;
