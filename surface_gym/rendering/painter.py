@@ -207,7 +207,10 @@ class Painter:
         self._width = None if width is None else _even_width(width)
         self._text = checks.positive("text", text)
         self._strips: Strips | None = None
-        self._field: _Field | None = None
+        self._layout: PixelLayout | None = None
+        self._sprites = marks.ModuleSprites(_LEAST_CELL)
+        self._ground: pygame.Surface | None = None  # of a surface, as `_ground_key` describes it
+        self._ground_key: tuple[object, ...] = ()
         self._canvas: pygame.Surface | None = None
 
     def draw(self, scene: Scene) -> Picture:
@@ -216,18 +219,18 @@ class Painter:
         The height is even. It follows from the shape of the surface, with traffic also from its
         rotor rows.
         """
-        field, strips = self._prepare(scene)
-        layout, area = field.layout, field.layout.area
+        layout, strips = self._prepare(scene)
+        area = layout.area
         canvas = self._clean_canvas(strips.width, strips.head + area.height + strips.foot)
         strips.write_head(canvas, area, scene)
         strips.write_foot(canvas, layout, scene)
         canvas.set_clip(area.inflate(2 * strips.margin, 0))
-        field.draw(canvas, scene)
+        self._draw_field(canvas, layout, scene)
         marks.label_goal(canvas, layout, scene, strips.small)
         return _pixels(canvas)
 
-    def _prepare(self, scene: Scene) -> tuple["_Field", Strips]:
-        """Return field and strips for a scene; reuse the last ones if they fit."""
+    def _prepare(self, scene: Scene) -> tuple[PixelLayout, Strips]:
+        """Return layout and strips for a scene; reuse what fits of the last ones."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -240,9 +243,39 @@ class Painter:
             )
         left = (width - PixelLayout.extent(scene, cell)[0]) // 2
         layout = PixelLayout.of(scene, cell, left, self._strips.head)
-        if self._field is None or self._field.layout != layout:
-            self._field = _Field(layout, marks.ModuleSprites(layout.cell))
-        return self._field, self._strips
+        if self._layout != layout:
+            self._layout, self._ground = layout, None
+            self._sprites = marks.ModuleSprites(layout.cell)
+        return layout, self._strips
+
+    def _draw_field(self, canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
+        """Draw surface, goal, exits, queue and parcels within the canvas's clip."""
+        clip = canvas.get_clip()
+        canvas.blit(self._painted_ground(layout, scene), layout.area)
+        canvas.set_clip(layout.plate.clip(clip))
+        marks.draw_modules(canvas, layout, self._sprites, scene)
+        canvas.set_clip(clip)
+        marks.draw_counts(canvas, layout, scene)
+        if scene.traffic is not None:
+            canvas.set_clip(layout.passable.clip(clip))
+        marks.draw_goal(canvas, layout, scene)
+        for parcel in scene.parcels:
+            marks.draw_trail(canvas, layout, parcel)
+        for parcel in scene.parcels:
+            marks.draw_parcel(canvas, layout, scene, parcel)
+            marks.draw_sensed(canvas, layout, parcel)
+            if isinstance(scene.goal, Heading):
+                marks.draw_asked_heading(canvas, layout, scene.goal, parcel)
+        for first, second in scene.touching:
+            marks.draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
+        canvas.set_clip(clip)
+
+    def _painted_ground(self, layout: PixelLayout, scene: Scene) -> pygame.Surface:
+        traffic = scene.traffic and (scene.traffic.inlets, scene.traffic.runs)
+        key = (scene.rotor.tobytes(), scene.zone, scene.exits, traffic)
+        if self._ground is None or key != self._ground_key:
+            self._ground, self._ground_key = marks.paint_ground(layout, scene), key
+        return self._ground
 
     def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
         """Return the cleared canvas of the last picture, which is faster than a new one."""
@@ -285,45 +318,6 @@ def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
         small = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
         canvas.blit(pygame.transform.smoothscale(small, tile), (column * tile[0], row * tile[1]))
     return _pixels(canvas)
-
-
-class _Field:
-    """Painter of scenes with one layout, which caches their constant parts."""
-
-    def __init__(self, layout: PixelLayout, sprites: marks.ModuleSprites) -> None:
-        self.layout = layout
-        self._sprites = sprites
-        self._ground: pygame.Surface | None = None
-        self._ground_key: tuple[object, ...] = ()
-
-    def draw(self, canvas: pygame.Surface, scene: Scene) -> None:
-        """Draw surface, goal, exits, queue and parcels within the canvas's clip."""
-        layout, clip = self.layout, canvas.get_clip()
-        canvas.blit(self._painted_ground(scene), layout.area)
-        canvas.set_clip(layout.plate.clip(clip))
-        marks.draw_modules(canvas, layout, self._sprites, scene)
-        canvas.set_clip(clip)
-        marks.draw_counts(canvas, layout, scene)
-        if scene.traffic is not None:
-            canvas.set_clip(layout.passable.clip(clip))
-        marks.draw_goal(canvas, layout, scene)
-        for parcel in scene.parcels:
-            marks.draw_trail(canvas, layout, parcel)
-        for parcel in scene.parcels:
-            marks.draw_parcel(canvas, layout, scene, parcel)
-            marks.draw_sensed(canvas, layout, parcel)
-            if isinstance(scene.goal, Heading):
-                marks.draw_asked_heading(canvas, layout, scene.goal, parcel)
-        for first, second in scene.touching:
-            marks.draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
-        canvas.set_clip(clip)
-
-    def _painted_ground(self, scene: Scene) -> pygame.Surface:
-        traffic = scene.traffic and (scene.traffic.inlets, scene.traffic.runs)
-        key = (scene.rotor.tobytes(), scene.zone, scene.exits, traffic)
-        if self._ground is None or key != self._ground_key:
-            self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
-        return self._ground
 
 
 def _even_width(width: int) -> int:
