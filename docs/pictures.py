@@ -218,38 +218,15 @@ def flow_by_chutes() -> list[Picture]:
     return [painter.draw(scene) for scene in islice(scenes, 163, 301, 2)]
 
 
-def _slope_film(env: SmartSurfaceEnv, rule: Any, begin: float, end: float) -> list[Picture]:
+def slope(task: str, rule: str, begin: float, end: float, **arguments: Any) -> list[Picture]:
     """Film a rule at work on a slope, from a time [s] to another."""
+    from surface_gym.agents.rules import find_rules
+
+    env = SmartSurfaceEnv(task, actions="parcels", **arguments)
+    (made,) = (each.make(env.config) for each in find_rules(task) if each.name == rule)
     painter, first, last = Painter(WIDE), round(begin / PERIOD), round(end / PERIOD)
-    scenes = islice(_episode(env, rule), first, last, SLOPE_EVERY)
+    scenes = islice(_episode(env, made), first, last, SLOPE_EVERY)
     return [painter.draw(scene) for scene in scenes]
-
-
-def singulate() -> list[Picture]:
-    """Film time slots that single out a bulk of 12 000 parcels an hour through a mouth."""
-    from surface_gym.agents.rules.departures import TimeSlots
-
-    env = SmartSurfaceEnv(
-        "singulate", actions="parcels", stream=bulk(12000.0), exits="mouth",
-        alignment=MOUTH_ALIGNMENT,
-    )  # fmt: skip
-    return _slope_film(env, TimeSlots(env.config), 4.0, 12.4)
-
-
-def merge() -> list[Picture]:
-    """Film time slots that merge three lines of 9000 parcels an hour in all."""
-    from surface_gym.agents.rules.departures import TimeSlots
-
-    env = SmartSurfaceEnv("merge", actions="parcels", stream=lines(9000.0))
-    return _slope_film(env, TimeSlots(env.config), 4.0, 13.0)
-
-
-def sequence() -> list[Picture]:
-    """Film a rule that brings 2400 parcels an hour into their order."""
-    from surface_gym.agents.rules.departures import PassAndPark
-
-    env = SmartSurfaceEnv("sequence", actions="parcels", stream=shuffled(2400.0, window=4))
-    return _slope_film(env, PassAndPark(env.config), 0.0, 16.0)
 
 
 def zone_and_modules(begin: float = 9.0, end: float = 13.0) -> list[Picture]:
@@ -278,8 +255,7 @@ def zone_and_modules(begin: float = 9.0, end: float = 13.0) -> list[Picture]:
 
 def sort_still(file: Path) -> None:
     """Draw the S-box at 0.6 m/s on its way off the line."""
-    scene = Film("SmartSurface/Sort-v0", "sort-ppo", ({"speed": 0.6, "parcel": "S", "side": 1},))
-    write_still(scene.pictures()[SORTED_AT], file)
+    write_still(replace(SORT, starts=SORT.starts[:1]).pictures()[SORTED_AT], file)
 
 
 def flow_still(file: Path) -> None:
@@ -330,6 +306,17 @@ def _design(question: str, *flags: str) -> FromCommand:
     return FromCommand(("-m", "surface_gym.design", question, *flags), f"{question}.png")
 
 
+SLOPES: dict[str, Callable[[], list[Picture]]] = {
+    "singulate": partial(  # a bulk through a mouth
+        slope, "singulate", "time slots", 4.0, 12.4, stream=bulk(12000.0), exits="mouth",
+        alignment=MOUTH_ALIGNMENT,
+    ),
+    "merge": partial(slope, "merge", "time slots", 4.0, 13.0, stream=lines(9000.0)),
+    "sequence": partial(
+        slope, "sequence", "pass and park", 0.0, 16.0, stream=shuffled(2400.0, window=4)
+    ),
+}  # fmt: skip
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     "start.webp": partial(_film, zone_and_modules, 0.08, BROAD),
     "sort.webp": partial(_film, SORT.pictures, PERIOD, WIDE),
@@ -338,9 +325,10 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, WIDE),
     "orient.webp": partial(_film, ORIENT.pictures, PERIOD, WIDE),
     "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, BROAD),
-    "singulate.webp": partial(_film, singulate, SLOPE_EVERY * PERIOD, WIDE),
-    "merge.webp": partial(_film, merge, SLOPE_EVERY * PERIOD, WIDE),
-    "sequence.webp": partial(_film, sequence, SLOPE_EVERY * PERIOD, WIDE),
+    **{
+        f"{task}.webp": partial(_film, pictures, SLOPE_EVERY * PERIOD, WIDE)
+        for task, pictures in SLOPES.items()
+    },
     "sort.png": sort_still,
     "flow.png": flow_still,
     "trajectories.png": trajectories,

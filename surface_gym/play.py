@@ -10,13 +10,11 @@ import argparse
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Lock
 
 from surface_gym.cli import typed
 from surface_gym.registration import SHIPPED, TASKS
@@ -60,20 +58,13 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
         port: port of the server; 0: any free port.
         opens: whether to open a browser.
     """
-    from surface_gym.web.build import AGENTS, PAGE, SITE, PackageModules
+    from surface_gym.web.build import AGENTS, PAGE, PackageModules
     from surface_gym.web.server import FIRST_PAGE, Server
 
-    modules, own_run = PackageModules(), OwnRun()
+    modules = PackageModules()
     folder = modules.folder
-
-    def prepare(file: str) -> None:
-        modules.prepare(file)
-        if file == SITE:  # pages read it before their agents
-            own_run.join_once(folder / AGENTS[-1])
-
-    pages = Server((PAGE,), port, prepare)
     with suppress(KeyboardInterrupt), ExitStack() as stack:
-        server = stack.enter_context(pages)
+        server = stack.enter_context(Server((PAGE,), port, modules.prepare))
         page = FIRST_PAGE
         if task is not None or run is not None:
             from surface_gym.web.scene import TaskScene
@@ -93,15 +84,13 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
             if run is not None:
                 from surface_gym.agents.export import web
 
-                own_run.write = partial(web.write_run, run, name, task, beside, folder)
-                name, agent = own_run.write()
+                name, agent = web.write_run(run, name, task, beside, folder)
             assert name is not None  # there is a task or a run
             page = TaskScene(name, agent=agent, tasks=(name,)).url(FIRST_PAGE)
         server.add(folder)
-        if (folder / AGENTS[-1]).is_file():
-            own_run.write = None
-        else:
-            stack.enter_context(writing_agents(folder))
+        if not (folder / AGENTS[-1]).is_file():
+            then = "reload the page" if run is None else "start again"
+            stack.enter_context(writing_agents(folder, then))
         address = server.address + page
         print(f"the playground is at {address}\nCtrl-C ends it", flush=True)
         if opens:
@@ -109,29 +98,18 @@ def serve(task: str | None, run: Path | None, port: int, opens: bool) -> None:
         server.serve_forever()
 
 
-class OwnRun:
-    """The policy of a run, added to the package's agents once they exist."""
-
-    def __init__(self) -> None:
-        self.write: Callable[[], tuple[str, str]] | None = None  # None: no run, or already added
-        self._lock = Lock()
-
-    def join_once(self, agents: Path) -> None:
-        """Add the policy to a file of agents, if the file has appeared meanwhile."""
-        with self._lock:
-            if self.write is not None and agents.is_file():
-                self.write()
-                self.write = None
-
-
 @contextmanager
-def writing_agents(folder: Path) -> Iterator[None]:
-    """Write the agents beside the modules in a separate process, which takes minutes once."""
+def writing_agents(folder: Path, then: str) -> Iterator[None]:
+    """Write the agents beside the modules in a separate process, which takes minutes once.
+
+    Args:
+        then: what shows them to the user.
+    """
     if find_spec("torch") is None:
         print("no agents: torch is missing, pip install 'surface_gym[agents]'")
         yield
         return
-    print("agents are made meanwhile: reload the page in a few minutes to watch them")
+    print(f"agents are made meanwhile: {then} in a few minutes to watch them")
     writing = subprocess.Popen(
         [sys.executable, "-m", "surface_gym.agents.export.web", str(folder)],
         start_new_session=True,  # only the server gets Ctrl-C, and then ends this process

@@ -20,8 +20,8 @@ from surface_gym.rendering import (
     Painter,
     Scene,
     SceneParcel,
-    TilePainter,
     Traffic,
+    side_by_side,
 )
 from surface_gym.state import GRAVITY_COLUMNS, RUNNING, EnvState
 
@@ -32,6 +32,7 @@ GLIDE = 0.5  # [s] time for which a departed parcel is drawn
 FLASH = 0.1  # [s] time for which a touch is drawn
 RATE_OVER = 30.0  # [s] period of the displayed rate
 SOONEST_RATE = 5.0  # [s] minimum period of the displayed rate
+TILE_TEXT = 1.5  # size of texts in a tile, which is scaled down
 APART = 1e-9  # [m, rad] minimum difference of a drawn sensed pose from the true pose
 _DISC = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 
@@ -43,7 +44,7 @@ class Renderer:
         self._batch = batch
         self._histories: dict[int, _ParcelHistory | _StreamHistory] = {}
         self._painter: Painter | None = None
-        self._tile_painter: TilePainter | None = None
+        self._tile_painter: Painter | None = None
 
     def record(self, env_index: int, begins: bool) -> None:
         """Record an environment after its start or a control period."""
@@ -63,12 +64,16 @@ class Renderer:
         return self._painter.draw(self.scene(env_index))
 
     def draw_all(self) -> Picture:
-        """Draw all recorded environments side by side."""
+        """Draw all recorded environments side by side, with their times."""
         if self._tile_painter is None:
-            self._tile_painter = TilePainter()
-        numbered = sorted(self._histories.items())
-        return self._tile_painter.draw(
-            [each.scene(f"env {i}  {each.clock:.2f} s") for i, each in numbered]
+            self._tile_painter = Painter(text=TILE_TEXT)
+        return side_by_side(
+            [
+                self._tile_painter.draw(
+                    replace(each.scene(f"env {i}  {each.clock:.2f} s"), readings=())
+                )
+                for i, each in sorted(self._histories.items())
+            ]
         )
 
 

@@ -17,7 +17,6 @@ FIRST = (
     "tests/agents/evaluation/",
     "tests/docs/test_site.py",
     "tests/cuda/test_kernels.py",
-    "tests/web/test_streams.py",
     "tests/web/test_tasks.py",
     "tests/test_play.py",
     "tests/web/test_home.py",
@@ -48,10 +47,9 @@ SMOKE = (
     "tests/flow/test_env.py::TestEpisodes::test_action_spaces",
     "tests/flow/test_exits.py",
     "tests/flow/test_stream.py",
-    "tests/rendering/test_scene.py",
     "tests/tasks/test_sort.py::TestEnds::test_by_choice",
     "tests/test_parcel.py",
-    "tests/test_config.py",
+    "tests/test_config.py::test_",
     "tests/test_simulation.py",
     "tests/test_surface.py",
     "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
@@ -67,7 +65,7 @@ OF_FLOWS = (
 # Of streams, whose modules take half a minute to compile: by day the home page's line is equal to
 # Python's to the bit.
 OF_STREAMS = (
-    "tests/web/test_streams.py::test_a_stream_is_equal_in_which_parcels_touch_or_leave",
+    "tests/web/test_tasks.py::test_a_stream_is_equal_in_which_parcels_touch_or_leave",
     "tests/web/test_playground.py::"
     "test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python",
 )
@@ -161,7 +159,7 @@ NIGHTLY = (
     ),
     "tests/web/test_agents.py::test_a_rule_on_a_slope_leaves_a_wider_gap_where_a_camera_errs",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'camera'",
-    "tests/web/test_rules.py::test_a_rule_sees_by_a_camera_as_in_python",
+    "tests/web/test_agents.py::test_a_rule_runs_as_in_python[camera",
     OF_STREAMS[0],
     *(
         f"{OF_STREAMS[1]}[{task}"
@@ -220,7 +218,7 @@ NIGHTLY = (
         for actions in ("halves", "window")
     ),
     *(
-        "tests/test_presets.py::TestObserve::"
+        "tests/test_config.py::TestObserve::"
         f"test_the_parcel_and_the_rotors_under_its_base_are_shown[{task}"
         for task in ("slow", "track")
     ),
@@ -244,7 +242,7 @@ NIGHTLY = (
     "tests/web/test_agents.py::test_a_run_on_a_slope_acts_as_in_python",
     "tests/web/test_agents.py::test_without_agents_a_task_on_a_slope_has_the_player_and_layouts",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'stuck'",
-    "tests/web/test_rules.py::test_a_rule_runs_as_in_python[orient",
+    "tests/web/test_agents.py::test_a_rule_runs_as_in_python[exact-orient",
     # An algorithm's run is resumed: PPO's, DQN's and those on streams without sensors by day.
     *(
         "tests/agents/learning/test_runs.py::test_an_interrupted_run_is_resumed_to_the_same_result"

@@ -29,12 +29,6 @@ def ended(*arguments: str) -> int:
     return int(end.value.code or 0)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_that_names_it(name, capsys):
-    assert ended(name, "--help") == 0
-    assert f"usage: surface-gym {name} [" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     "typed",
     [

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 
 import surface_gym as sg
 from surface_gym.modules import (
@@ -18,6 +19,8 @@ from surface_gym.modules import (
     surface_velocities,
 )
 from surface_gym.registration import TASKS
+from tests import environments as te
+from tests.test_vector_env import run_beside
 
 ORIENTATIONS = sg.lines.ORIENTATIONS
 DRIVEN_KINDS = [name for name, module in MODULES.items() if module.drives]
@@ -43,21 +46,9 @@ class TestKinds:
         np.testing.assert_allclose(surface_velocities(modes)[images], mirrored, atol=1e-12)
 
     def test_the_vector_environment_is_the_single_one(self, name):
-        options = {"modules": name, "actions": "halves"}
-        vector = gym.make_vec("SmartSurface/Sort-v0", num_envs=3, **options)
-        singles = [gym.make("SmartSurface/Sort-v0", **options) for _ in range(3)]
-        vector.action_space.seed(0)
-        vector.reset(seed=7)
-        for k, single in enumerate(singles):
-            single.reset(seed=7 + k)
-        for _ in range(8):
-            actions = vector.action_space.sample()
-            observations, rewards, ended, _, _ = vector.step(actions)
-            assert not ended.any()
-            for k, single in enumerate(singles):
-                observation, reward, _, _, _ = single.step(actions[k])
-                np.testing.assert_array_equal(observation, observations[k])
-                assert reward == rewards[k]
+        settings, mode = {"modules": name, "actions": "halves"}, AutoresetMode.NEXT_STEP
+        one = te.native(max_episode_steps=te.LIMIT, **settings)
+        run_beside(one, te.singles(te.SORT, mode, **settings), mode, 8)
 
 
 @pytest.mark.parametrize("name", DRIVEN_KINDS)

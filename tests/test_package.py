@@ -26,20 +26,24 @@ HELP = "from surface_gym.cli import main\ntry: main([{!r}, '--help'])\nexcept Sy
 
 
 @pytest.mark.parametrize(
-    ("program", "most", "needed"),
+    ("program", "said", "most", "needed"),
     [
-        ("import surface_gym", 4, set()),
-        (SIMULATE, 65, set()),
+        ("import surface_gym", "", 4, set()),
+        (SIMULATE, "", 65, set()),
         *(
             # Options of `train` are those of algorithms, which ask tasks.
-            (HELP.format(name), 70 if name == "train" else 16, {"tyro", "rich"})
+            (
+                HELP.format(name), f"usage: surface-gym {name} [", 70 if name == "train" else 16,
+                {"tyro", "rich"},
+            )
             for name in COMMANDS
         ),
     ],
     ids=["import", "simulate", *COMMANDS],
-)
-def test_few_modules_are_loaded_and_none_that_is_not_needed(program, most, needed):
+)  # fmt: skip
+def test_few_modules_are_loaded_and_none_that_is_not_needed(program, said, most, needed):
     printed = run_python("-W", "error", "-c", f"{program}\nimport sys; print(*sys.modules)")
+    assert said in printed
     loaded = printed.splitlines()[-1].split()
     assert set(loaded) & HEAVY <= needed
     compiles = program in (SIMULATE, HELP.format("train"))

@@ -117,7 +117,7 @@ def describe_policy(source: Source, weights: Weights) -> Card:
 
 
 def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> Card:
-    """Return the card of a policy of Sort's modules for `page/sorting.js`.
+    """Return the card of a policy of Sort's modules for `page/policy.js`.
 
     Adds the policy's weights to `weights`, and writes the function that computes the modules'
     observations to the folder.

@@ -4,7 +4,7 @@ import os
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps standard output clean
 
-from surface_gym.rendering.painter import Painter, TilePainter, Window, draw, with_caption
+from surface_gym.rendering.painter import Painter, Window, draw, side_by_side, with_caption
 from surface_gym.rendering.scene import (
     ExitMark,
     ExitSide,
@@ -29,9 +29,9 @@ __all__ = [
     "Scene",
     "SceneParcel",
     "StopLine",
-    "TilePainter",
     "Traffic",
     "Window",
     "draw",
+    "side_by_side",
     "with_caption",
 ]  # fmt: skip

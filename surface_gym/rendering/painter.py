@@ -4,7 +4,6 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pygame
@@ -74,27 +73,20 @@ class Strips:
         if scene.tilt != 0.0:
             place = (end - self.margin, self._middle_below(area))
             end = self._write_tilt(canvas, scene.tilt, scene.tilt_direction, place)
-        self.write_legend(canvas, area, [scene], end - self.margin)
-
-    def write_legend(
-        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene], end: int
-    ) -> None:
-        """Write the legend of colours below an area, with exits up to `end` [px]."""
-        x = self._write_axes(canvas, area, scenes)
-        if any(scene.goal is not None for scene in scenes):
+        end -= self.margin
+        x = self._write_axes(canvas, area, scene)
+        if scene.goal is not None:
             x = self._write_stroke(canvas, area, "goal", ink.GOAL, x)
-        if any(parcel.sensed_pose is not None for scene in scenes for parcel in scene.parcels):
+        if any(parcel.sensed_pose is not None for parcel in scene.parcels):
             x = self._write_stroke(canvas, area, "sensed", ink.SENSED, x)
-        widest = max(scenes, key=lambda scene: len(scene.exits))
-        exits = widest.exits
         gap, middle = self._gap, self._middle_below(area)
-        if exits:
+        if scene.exits:
             after = (x + 3 * gap, middle)
             x = ink.write(canvas, "exit", self.small, ink.FAINT_INK, midleft=after).right + gap // 2
-        for index, mark in enumerate(exits):
+        for index, mark in enumerate(scene.exits):
             if x + gap // 2 + ink.badge_width(mark.name, self.small) > end:
                 break
-            after, colour = (x + gap // 2, middle), marks.exit_colour(widest, index)
+            after, colour = (x + gap // 2, middle), marks.exit_colour(scene, index)
             x = ink.draw_badge(canvas, mark.name, self.small, colour, midleft=after).right
 
     def _fitted_slots(
@@ -115,17 +107,11 @@ class Strips:
         starts = [first + sum(slots[:k]) + gap * k for k in range(len(slots))]
         return starts, [max(1, slot) for slot in slots]
 
-    def _write_axes(
-        self, canvas: pygame.Surface, area: pygame.Rect, scenes: Sequence[Scene]
-    ) -> int:
+    def _write_axes(self, canvas: pygame.Surface, area: pygame.Rect, scene: Scene) -> int:
         """Write the legend of modules and of the zone; return the x of its end."""
-        if all(scene.drive is not None for scene in scenes):
-            x = self._write_drives(canvas, area)
-        else:
-            x = self._write_angles(canvas, area)
-        if any(scene.zone is not None for scene in scenes):
-            x = self._write_zone(canvas, area, x)
-        return x
+        write = self._write_angles if scene.drive is None else self._write_drives
+        x = write(canvas, area)
+        return x if scene.zone is None else self._write_zone(canvas, area, x)
 
     def _write_drives(self, canvas: pygame.Surface, area: pygame.Rect) -> int:
         """Write the legend of driven modules; return the x of its end."""
@@ -205,9 +191,7 @@ Picture = NDArray[np.uint8]  # (height, width, 3)
 WIDTH, WIDE = 960, 1280  # [px] default width of a picture, and with traffic or many scenes
 _NARROWEST = 640  # [px] minimum width for readable text
 _LEAST_CELL = 6  # [px] minimum size of an element for a visible axis
-_LEAST_TILE_CELL = 2  # [px] minimum size of an element in a tile for a visible colour
 _ASPECT = 1.6  # target of width / height with tiles
-_BETWEEN = 14  # [px] between tiles
 _CAPTION = (40, 28, 30)  # [px] height, font size and left margin
 
 
@@ -223,7 +207,10 @@ class Painter:
         self._width = None if width is None else _even_width(width)
         self._text = checks.positive("text", text)
         self._strips: Strips | None = None
-        self._field: _Field | None = None
+        self._layout: PixelLayout | None = None
+        self._sprites = marks.ModuleSprites(_LEAST_CELL)
+        self._ground: pygame.Surface | None = None  # of a surface, as `_ground_key` describes it
+        self._ground_key: tuple[object, ...] = ()
         self._canvas: pygame.Surface | None = None
 
     def draw(self, scene: Scene) -> Picture:
@@ -232,22 +219,18 @@ class Painter:
         The height is even. It follows from the shape of the surface, with traffic also from its
         rotor rows.
         """
-        field, strips = self._prepare(scene)
-        layout, area = field.layout, field.layout.area
+        layout, strips = self._prepare(scene)
+        area = layout.area
         canvas = self._clean_canvas(strips.width, strips.head + area.height + strips.foot)
         strips.write_head(canvas, area, scene)
         strips.write_foot(canvas, layout, scene)
         canvas.set_clip(area.inflate(2 * strips.margin, 0))
-        field.draw(canvas, scene)
+        self._draw_field(canvas, layout, scene)
         marks.label_goal(canvas, layout, scene, strips.small)
         return _pixels(canvas)
 
-    def metres(self, pixel: tuple[float, float], scene: Scene) -> tuple[float, float]:
-        """Convert a position [px] in the picture of a scene to (x, y) [m] on its surface."""
-        return self._prepare(scene)[0].layout.metres(pixel)
-
-    def _prepare(self, scene: Scene) -> tuple["_Field", Strips]:
-        """Return field and strips for a scene; reuse the last ones if they fit."""
+    def _prepare(self, scene: Scene) -> tuple[PixelLayout, Strips]:
+        """Return layout and strips for a scene; reuse what fits of the last ones."""
         width = self._width or (WIDTH if scene.traffic is None else WIDE)
         if self._strips is None or self._strips.width != width:
             self._strips = Strips(width, self._text)
@@ -260,119 +243,15 @@ class Painter:
             )
         left = (width - PixelLayout.extent(scene, cell)[0]) // 2
         layout = PixelLayout.of(scene, cell, left, self._strips.head)
-        if self._field is None or self._field.layout != layout:
-            self._field = _Field(layout, marks.ModuleSprites(layout.cell))
-        return self._field, self._strips
+        if self._layout != layout:
+            self._layout, self._ground = layout, None
+            self._sprites = marks.ModuleSprites(layout.cell)
+        return layout, self._strips
 
-    def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
-        """Return the cleared canvas of the last picture, which is faster than a new one."""
-        size = (width, height + height % 2)
-        if self._canvas is None or self._canvas.get_size() != size:
-            self._canvas = pygame.Surface(size, depth=32)
-        self._canvas.set_clip(None)
-        self._canvas.fill(ink.PAPER)
-        return self._canvas
-
-
-class TilePainter:
-    """Painter of several scenes side by side, with titles."""
-
-    def __init__(self, width: int = WIDE) -> None:
-        self.width = _even_width(width)
-        self._strips = Strips(self.width)
-        self._fields: list[_Field] = []
-
-    def draw(self, scenes: Sequence[Scene]) -> Picture:
-        """Draw scenes as one picture (height, width, 3), the first at the upper left.
-
-        The height is even and follows from the number of scenes and the shape of the surface.
-        """
-        plan = self._plan(scenes)
-        self._prepare(scenes, plan)
-        margin = self._strips.margin
-        height = margin + plan.height + self._strips.foot
-        canvas = pygame.Surface((self.width, height + height % 2), depth=32)
-        canvas.fill(ink.PAPER)
-        tiles = pygame.Rect((self.width - plan.width) // 2, margin, plan.width, plan.height)
-        for field, scene in zip(self._fields, scenes, strict=True):
-            area = field.layout.area
-            place = (area.left, area.top - plan.caption // 4)
-            ink.write(canvas, scene.title, plan.caption, room=area.width, bottomleft=place)
-            canvas.set_clip(area)
-            field.draw(canvas, scene)
-            canvas.set_clip(None)
-        self._strips.write_legend(canvas, tiles, scenes, tiles.right)
-        return _pixels(canvas)
-
-    def _plan(self, scenes: Sequence[Scene]) -> "_Plan":
-        if len(scenes) == 0:
-            raise ValueError("scenes must be at least one, got none")
-        if len({scene.traffic is None for scene in scenes}) > 1:
-            raise ValueError("scenes must all have traffic or none of them, got both")
-        grids = {(scene.rows, scene.columns, scene.pitches, scene.origin) for scene in scenes}
-        if len(grids) > 1:
-            raise ValueError(f"scenes must be of surfaces of one size, got {sorted(grids)}")
-        shown = {PixelLayout.of(scene, 1, 0, 0).band[1] for scene in scenes}
-        if len(shown) > 1:
-            raise ValueError(f"scenes must show as many rows as each other, got {sorted(shown)}")
-        plans = [self._plan_across(scenes, across) for across in range(1, len(scenes) + 1)]
-        legible = [plan for plan in plans if plan.cell >= _LEAST_TILE_CELL]
-        if not legible:
-            across = PixelLayout.cells_across(scenes[0])
-            least = 2 * self._strips.margin + _LEAST_TILE_CELL * across
-            raise ValueError(
-                f"width must be at least {least} for {scenes[0].columns} columns, got {self.width}"
-            )
-        return min(legible, key=lambda plan: abs(math.log(self.width / plan.height / _ASPECT)))
-
-    def _plan_across(self, scenes: Sequence[Scene], across: int) -> "_Plan":
-        room = (self.width - 2 * self._strips.margin + _BETWEEN) // across - _BETWEEN
-        cell = room // PixelLayout.cells_across(scenes[0])
-        width, height = PixelLayout.extent(scenes[0], cell)
-        caption = min(max(14, width // 14), self._strips.middle)
-        return _Plan(across, -(-len(scenes) // across), cell, caption, width, height + caption)
-
-    def _prepare(self, scenes: Sequence[Scene], plan: "_Plan") -> None:
-        """Reuse the fields of the last picture with equal layouts."""
-        left, top = (self.width - plan.width) // 2, self._strips.margin + plan.caption
-        corners = [plan.corner(k) for k in range(len(scenes))]
-        layouts = [
-            PixelLayout.of(scene, plan.cell, left + x, top + y)
-            for scene, (x, y) in zip(scenes, corners, strict=True)
-        ]
-        if [field.layout for field in self._fields] != layouts:
-            sprites = marks.ModuleSprites(layouts[0].cell)
-            self._fields = [_Field(layout, sprites) for layout in layouts]
-
-
-def draw(scene: Scene, width: int | None = None) -> Picture:
-    """Draw a scene as a picture (height, width, 3). For many scenes, use one `Painter`."""
-    return Painter(width).draw(scene)
-
-
-def with_caption(picture: Picture, text: str) -> Picture:
-    """Put a line of text above a picture; long text is cut."""
-    height, size, margin = _CAPTION
-    width = picture.shape[1]
-    canvas = pygame.Surface((width, height))
-    canvas.fill(ink.PAPER)
-    ink.write(canvas, text, size, ink.INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
-    return np.concatenate([np.swapaxes(pygame.surfarray.array3d(canvas), 0, 1), picture])
-
-
-class _Field:
-    """Painter of scenes with one layout, which caches their constant parts."""
-
-    def __init__(self, layout: PixelLayout, sprites: marks.ModuleSprites) -> None:
-        self.layout = layout
-        self._sprites = sprites
-        self._ground: pygame.Surface | None = None
-        self._ground_key: tuple[object, ...] = ()
-
-    def draw(self, canvas: pygame.Surface, scene: Scene) -> None:
+    def _draw_field(self, canvas: pygame.Surface, layout: PixelLayout, scene: Scene) -> None:
         """Draw surface, goal, exits, queue and parcels within the canvas's clip."""
-        layout, clip = self.layout, canvas.get_clip()
-        canvas.blit(self._painted_ground(scene), layout.area)
+        clip = canvas.get_clip()
+        canvas.blit(self._painted_ground(layout, scene), layout.area)
         canvas.set_clip(layout.plate.clip(clip))
         marks.draw_modules(canvas, layout, self._sprites, scene)
         canvas.set_clip(clip)
@@ -391,39 +270,54 @@ class _Field:
             marks.draw_touch(canvas, layout, scene.parcels[first], scene.parcels[second])
         canvas.set_clip(clip)
 
-    def _painted_ground(self, scene: Scene) -> pygame.Surface:
+    def _painted_ground(self, layout: PixelLayout, scene: Scene) -> pygame.Surface:
         traffic = scene.traffic and (scene.traffic.inlets, scene.traffic.runs)
         key = (scene.rotor.tobytes(), scene.zone, scene.exits, traffic)
         if self._ground is None or key != self._ground_key:
-            self._ground, self._ground_key = marks.paint_ground(self.layout, scene), key
+            self._ground, self._ground_key = marks.paint_ground(layout, scene), key
         return self._ground
 
+    def _clean_canvas(self, width: int, height: int) -> pygame.Surface:
+        """Return the cleared canvas of the last picture, which is faster than a new one."""
+        size = (width, height + height % 2)
+        if self._canvas is None or self._canvas.get_size() != size:
+            self._canvas = pygame.Surface(size, depth=32)
+        self._canvas.set_clip(None)
+        self._canvas.fill(ink.PAPER)
+        return self._canvas
 
-@dataclass(frozen=True)
-class _Plan:
-    """Division of a picture into tiles."""
 
-    across: int  # tiles in a row
-    down: int  # rows of tiles
-    cell: int  # [px] width of an element
-    caption: int  # [px] font size of a tile's title
-    tile_width: int  # [px] of the surface in a tile
-    tile_height: int  # [px] of caption and surface
+def draw(scene: Scene, width: int | None = None) -> Picture:
+    """Draw a scene as a picture (height, width, 3). For many scenes, use one `Painter`."""
+    return Painter(width).draw(scene)
 
-    @property
-    def width(self) -> int:
-        """Width [px] of all tiles and the gaps between them."""
-        return self.across * (self.tile_width + _BETWEEN) - _BETWEEN
 
-    @property
-    def height(self) -> int:
-        """Height [px] of all tiles and the gaps between them."""
-        return self.down * (self.tile_height + _BETWEEN) - _BETWEEN
+def with_caption(picture: Picture, text: str) -> Picture:
+    """Put a line of text above a picture; long text is cut."""
+    height, size, margin = _CAPTION
+    width = picture.shape[1]
+    canvas = pygame.Surface((width, height))
+    canvas.fill(ink.PAPER)
+    ink.write(canvas, text, size, ink.INK, width - 2 * margin, midleft=(margin, height // 2 + 4))
+    return np.concatenate([np.swapaxes(pygame.surfarray.array3d(canvas), 0, 1), picture])
 
-    def corner(self, k: int) -> tuple[int, int]:
-        """Compute the upper left corner [px] of a tile, from the first's."""
-        row, column = divmod(k, self.across)
-        return (column * (self.tile_width + _BETWEEN), row * (self.tile_height + _BETWEEN))
+
+def side_by_side(pictures: Sequence[Picture], width: int = WIDE) -> Picture:
+    """Tile pictures of one shape (height, width, 3), scaled down, the first at the upper left.
+
+    The whole has about the shape of a screen, and an even height.
+    """
+    high, wide, _ = pictures[0].shape
+    across = max(1, round(math.sqrt(_ASPECT * len(pictures) * high / wide)))
+    tile = (width // across, round(high * (width // across) / wide))
+    height = -(-len(pictures) // across) * tile[1]
+    canvas = pygame.Surface((width, height + height % 2), depth=32)
+    canvas.fill(ink.PAPER)
+    for k, picture in enumerate(pictures):
+        row, column = divmod(k, across)
+        small = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
+        canvas.blit(pygame.transform.smoothscale(small, tile), (column * tile[0], row * tile[1]))
+    return _pixels(canvas)
 
 
 def _even_width(width: int) -> int:

@@ -1,8 +1,6 @@
 """A scene with parcels, and its layout in a picture."""
 
-import math
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,9 +11,6 @@ from surface_gym import checks
 
 Zone: TypeAlias = tuple[int, int, int, int]  # first row, rows, first column and columns
 Pose: TypeAlias = tuple[float, float, float]  # [m, m, rad]
-
-_ROUNDING = 1e-9  # [m] allowed overlap of a span with the surface's end or a neighbour
-_EVERYWHERE = (-math.inf, math.inf)  # [m]
 
 
 @dataclass(frozen=True)
@@ -88,32 +83,10 @@ class SceneParcel:
     group: int | None = None  # index of its colour; None: the colour of its exit
     wrong: bool = False  # whether it departed by a wrong exit
 
-    def __post_init__(self) -> None:
-        checks.settle(self, outline=(checks.array, (None, 2)))
-        if len(self.outline) < 3:
-            raise ValueError(f"outline must have at least 3 points, got {len(self.outline)}")
-        x, y = self.outline.T
-        if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == 0.0:
-            raise ValueError(f"outline must enclose an area, got {self.outline.tolist()}")
-        checks.settle(self, pose=_checked_pose, exit=(checks.integer, 0))
-        checks.settle(self, trail=(checks.array, (None, 2)), sensed_pose=_checked_pose)
-        if not isinstance(self.label, str):
-            raise ValueError(f"label must be a text, got {self.label!r}")
-        checks.settle(self, group=(checks.integer, 0))
-
     @property
     def colour_index(self) -> int | None:
         """Index of its colour; None: grey."""
         return self.exit if self.group is None else self.group
-
-
-def _check_mark(mark: Any) -> None:
-    """Check and set the name, the side and the ends of a mark."""
-    if not isinstance(mark.name, str):
-        raise ValueError(f"name must be a text, got {mark.name!r}")
-    checks.settle(mark, side=(checks.one_of, (-1, 0, 1)), first=checks.number, last=checks.number)
-    if mark.last <= mark.first:
-        raise ValueError(f"last must be greater than first, {mark.first}, got {mark.last}")
 
 
 @dataclass(frozen=True)
@@ -127,27 +100,6 @@ class ExitMark:
     # [m] smallest and largest y of a mouth straight ahead; None: all rotor rows
     span: tuple[float, float] | None = None
 
-    def __post_init__(self) -> None:
-        _check_mark(self)
-        if self.span is None:
-            return
-        low, high = checks.array("span", self.span, (2,)).tolist()
-        if self.side or high <= low:
-            raise ValueError(
-                f"span must be the least and the greatest y of a mouth straight on, or None, "
-                f"got {self.span!r}"
-            )
-        checks.set_fields(self, span=(low, high))
-
-    def overlaps(self, other: "ExitMark") -> bool:
-        """Return whether another exit of the same side overlaps this one."""
-        (low, high), (least, most) = (each.span or _EVERYWHERE for each in (self, other))
-        return (
-            self.side == other.side
-            and max(self.first, other.first) < min(self.last, other.last) - _ROUNDING
-            and max(low, least) < min(high, most) - _ROUNDING
-        )
-
 
 @dataclass(frozen=True)
 class InletMark:
@@ -157,9 +109,6 @@ class InletMark:
     side: int  # 0: start of the line, span in y; +1: left (y > 0), span in x; -1: right, span in x
     first: float  # [m] start x or y
     last: float  # [m] end x or y
-
-    def __post_init__(self) -> None:
-        _check_mark(self)
 
 
 @dataclass(frozen=True)
@@ -174,34 +123,6 @@ class Traffic:
     queues: tuple[int, ...] = ()  # waiting parcels, by inlet
     # whether the conveyor after the exits runs (exits then have no colours); None: no conveyor
     runs: bool | None = None
-
-    def __post_init__(self) -> None:
-        checks.set_fields(self, exits=tuple(self.exits), inlets=tuple(self.inlets))
-        for mark in self.exits:
-            if not isinstance(mark, ExitMark):
-                raise ValueError(f"exits must be ExitMark, got {mark!r}")
-        for inlet in self.inlets:
-            if not isinstance(inlet, InletMark):
-                raise ValueError(f"inlets must be InletMark, got {inlet!r}")
-        in_order = sorted(self.exits, key=lambda each: (each.side, each.first))
-        for before, mark in combinations(in_order, 2):
-            if before.overlaps(mark):
-                raise ValueError(f"exits of one side must not overlap, got {before!r} and {mark!r}")
-        counts = (checks.integer("delivered", count, least=0) for count in self.delivered)
-        checks.set_fields(self, delivered=tuple(counts))
-        if len(self.delivered) != len(self.exits):
-            raise ValueError(
-                f"delivered must be one count for each of the {len(self.exits)} exits, "
-                f"got {self.delivered!r}"
-            )
-        queues = (checks.integer("queues", count, least=0) for count in self.queues)
-        checks.set_fields(self, queues=tuple(queues))
-        if len(self.queues) != len(self.inlets):
-            raise ValueError(
-                f"queues must be one count for each of the {len(self.inlets)} inlets, "
-                f"got {self.queues!r}"
-            )
-        checks.settle(self, missorted=(checks.integer, 0), waiting=(checks.integer, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,28 +150,12 @@ class Scene:
     drive: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        axis, rotor = checks.array("axis", self.axis, (None, None)), np.array(self.rotor)
-        if axis.size == 0:
-            raise ValueError(f"axis must have at least one row and one column, got {axis.shape}")
-        if rotor.dtype != np.bool_:
-            raise ValueError(f"rotor must be an array of booleans, got one of {rotor.dtype}")
-        if rotor.shape != axis.shape:
-            raise ValueError(f"rotor must have the shape of axis, {axis.shape}, got {rotor.shape}")
-        rotor.setflags(write=False)
-        if self.drive is not None and np.shape(self.drive) != (*axis.shape, 2):
-            wanted = (*axis.shape, 2)
-            raise ValueError(f"drive must have the shape {wanted}, got {np.shape(self.drive)}")
-        checks.set_fields(self, axis=axis, rotor=rotor, pitch=checks.pitch("pitch", self.pitch))
-        checks.set_fields(self, origin=tuple(checks.array("origin", self.origin, (2,)).tolist()))
-        checks.settle(self, tilt=checks.number, tilt_direction=checks.angle)
-        if self.zone is not None:
-            checks.set_fields(self, zone=_checked_zone(self.zone, self.rows, self.columns))
+        checks.set_fields(self, axis=np.array(self.axis), rotor=np.array(self.rotor))
         if self.goal is not None and not isinstance(self.goal, Goal):
             raise ValueError(f"goal must be one of the goals or None, got {self.goal!r}")
-        _check_readings(self.readings)
-        checks.set_fields(self, parcels=tuple(self.parcels))
-        self._check_exits()
-        checks.set_fields(self, touching=tuple(self._checked_pair(pair) for pair in self.touching))
+        texts = [text for pair in self.readings for text in (pair if len(pair) == 2 else (None,))]
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError(f"readings must be pairs of label and text, got {self.readings!r}")
 
     @property
     def rows(self) -> int:
@@ -276,70 +181,6 @@ class Scene:
     @property
     def exits(self) -> tuple[ExitMark, ...]:
         return self.traffic.exits if self.traffic is not None else ()
-
-    def _check_exits(self) -> None:
-        begin = self.origin[0] - 0.5 * self.pitches[0]
-        end = begin + self.columns * self.pitches[0]
-        low = self.origin[1] - 0.5 * self.pitches[1]
-        high = low + self.rows * self.pitches[1]
-        for mark in self.exits:
-            if mark.first < begin - _ROUNDING or mark.last > end + _ROUNDING:
-                raise ValueError(
-                    f"exits must lie within the surface, x from {begin:g} to {end:g} m, "
-                    f"got {mark!r}"
-                )
-            least, most = mark.span or (low, high)
-            if least < low - _ROUNDING or most > high + _ROUNDING:
-                raise ValueError(
-                    f"exits must lie within the surface, y from {low:g} to {high:g} m, got {mark!r}"
-                )
-        for parcel in self.parcels:
-            if not isinstance(parcel, SceneParcel):
-                raise ValueError(f"parcels must be SceneParcel, got {parcel!r}")
-            if parcel.exit is not None and parcel.exit >= len(self.exits):
-                raise ValueError(
-                    f"a parcel's exit must be an index among the {len(self.exits)} exits, "
-                    f"got {parcel.exit}"
-                )
-
-    def _checked_pair(self, pair: tuple[int, int]) -> tuple[int, int]:
-        if not isinstance(pair, tuple) or len(pair) != 2:
-            raise ValueError(f"touching must be pairs of indices, got {pair!r}")
-        first, second = (checks.integer("touching", each, least=0) for each in pair)
-        if first == second:
-            raise ValueError(f"touching must be pairs of two parcels, got {pair!r}")
-        if max(first, second) >= len(self.parcels):
-            raise ValueError(
-                f"touching must be indices among the {len(self.parcels)} parcels, got {pair}"
-            )
-        return (first, second)
-
-
-def _checked_pose(name: str, pose: ArrayLike) -> Pose:
-    x, y, theta = checks.array(name, pose, (3,)).tolist()
-    return (x, y, theta)
-
-
-def _checked_zone(zone: Zone, rows: int, columns: int) -> Zone:
-    if len(zone) != 4:
-        raise ValueError(f"zone must be first row, rows, first column and columns, got {zone!r}")
-    first_row = checks.integer("zone's first row", zone[0], least=0)
-    zone_rows = checks.integer("zone's rows", zone[1], least=1)
-    first_column = checks.integer("zone's first column", zone[2], least=0)
-    zone_columns = checks.integer("zone's columns", zone[3], least=1)
-    if first_row + zone_rows > rows or first_column + zone_columns > columns:
-        raise ValueError(
-            f"zone must lie within the {rows} rows and {columns} columns, got {zone!r}"
-        )
-    return (first_row, zone_rows, first_column, zone_columns)
-
-
-def _check_readings(readings: Any) -> None:
-    if not all(
-        isinstance(pair, tuple) and len(pair) == 2 and all(isinstance(text, str) for text in pair)
-        for pair in readings
-    ):
-        raise ValueError(f"readings must be pairs of label and text, got {readings!r}")
 
 
 _BESIDE = 0.5  # [m] margin beside the rotor rows, with traffic
@@ -494,12 +335,6 @@ class PixelLayout:
         x = self.left + self.width * steps[..., 0]
         y = self.top + self.height * (self.rows - steps[..., 1])
         return np.stack([x, y], axis=-1)
-
-    def metres(self, pixel: tuple[float, float]) -> tuple[float, float]:
-        """Convert a position in the picture to metres: the inverse of `pixels`."""
-        right = (pixel[0] - self.left) / self.width - 0.5
-        up = self.rows - (pixel[1] - self.top) / self.height - 0.5
-        return (self.origin[0] + self.pitch[0] * right, self.origin[1] + self.pitch[1] * up)
 
 
 def _element_height(scene: Scene, width: int) -> int:

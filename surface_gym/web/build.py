@@ -73,8 +73,13 @@ def write_task(task: str, folder: Path, own: Any = None) -> str:
     from surface_gym.compiler.wasm import MATHEMATICS, compile_module
     from surface_gym.compiler.wasm_image import make_image
     from surface_gym.env import make_batch
-    from surface_gym.web.noise import draw_noise, noise_arguments
-    from surface_gym.web.starts import CONTACTS, collect_starts, describe
+    from surface_gym.web.starts import (
+        CONTACTS,
+        collect_starts,
+        describe,
+        draw_noise,
+        noise_arguments,
+    )
     from surface_gym.web.table import step_table, table_arguments
 
     more: dict[str, Any] = {"contacts": CONTACTS}

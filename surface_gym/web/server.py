@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from socket import SHUT_RDWR
 from threading import Lock
@@ -28,7 +28,6 @@ KINDS = {
     ".json": "application/json",
     ".wasm": "application/wasm",
 }
-PLAIN = "application/octet-stream"
 ALWAYS = {
     "Cache-Control": "no-cache",
     "Content-Security-Policy": "script-src 'self' 'wasm-unsafe-eval'; object-src 'none'; "
@@ -121,50 +120,37 @@ class Server(ThreadingHTTPServer):
         return None
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """Handler of requests from a browser."""
+class _Handler(SimpleHTTPRequestHandler):
+    """Handler of requests from a browser, for files alone."""
 
     server: Server
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "surface_gym", ""
+    extensions_map = KINDS
     timeout = IDLE
 
-    def do_GET(self) -> None:
-        """Send a file."""
-        self._answer(with_content=True)
-
-    def do_HEAD(self) -> None:
-        """Send the headers of a file."""
-        self._answer(with_content=False)
-
-    def _answer(self, with_content: bool) -> None:
+    def send_head(self) -> Any:
+        """Answer with the headers of a file, or with an error; return the open file, or None."""
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _is_here(hosts[0]):
             self.send_error(HTTPStatus.FORBIDDEN, f"Only {' and '.join(NAMES)} are answered")
-            return
-        try:
-            path = urlsplit(self.path).path
-        except ValueError:
-            path = ""
-        if path == "/":
-            self._begin(HTTPStatus.FOUND, 0, Location=f"/{FIRST_PAGE}")
-            return
-        file = self.server.find(path)
-        if file is None:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        content = file.read_bytes()
-        kind = KINDS.get(file.suffix, PLAIN)
-        self._begin(HTTPStatus.OK, len(content), **{"Content-Type": kind})
-        if with_content:
-            self.wfile.write(content)
-
-    def _begin(self, status: HTTPStatus, size: int, **headers: str) -> None:
-        self.send_response(status)
-        headers["Content-Length"] = str(size)
-        for name, value in headers.items():
-            self.send_header(name, value)
+            return None
+        if self.path.partition("?")[0] != "/":
+            # Always the whole file: at the next start another folder may have an older one.
+            del self.headers["If-Modified-Since"]
+            return super().send_head()
+        self.send_response(HTTPStatus.FOUND)
+        self.send_header("Location", f"/{FIRST_PAGE}")
+        self.send_header("Content-Length", "0")
         self.end_headers()
+        return None
+
+    def translate_path(self, path: str) -> str:
+        """Return the file of a requested path; without one, a path that cannot be opened."""
+        try:
+            return str(self.server.find(urlsplit(path).path) or "")
+        except ValueError:
+            return ""
 
     def end_headers(self) -> None:
         """End the headers of any answer, errors too."""

@@ -1,17 +1,33 @@
-"""Pictures of one parcel or a stream, side by side and in a window."""
+"""Pictures of one parcel or a stream, side by side and in a window; scenes, and colours."""
 
 import math
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pygame
 import pytest
 
-from surface_gym.rendering import Painter, Scene, SceneParcel, TilePainter, Traffic, Window, draw
-from surface_gym.rendering.ink import GOAL, INK, axis_colour
+from surface_gym.rendering import (
+    Painter,
+    Scene,
+    SceneParcel,
+    Traffic,
+    Window,
+    draw,
+    ink,
+    side_by_side,
+)
+from surface_gym.rendering.ink import (
+    GOAL,
+    INK,
+    PAPER,
+    axis_colour,
+    axis_colours,
+    exit_colour,
+    text_on,
+)
 from surface_gym.rendering.scene import ExitMark, ExitSide, ExitSpeed, Heading, Path, StopLine
 from tests.rendering.conftest import EXITS, LONG, SMALL, Plate, differing, middle
 
@@ -260,70 +276,27 @@ class TestGoal:
         assert np.abs(rows + plate.top + 0.5 - expected).max() < 6.0
 
 
-@pytest.fixture
-def at(empty):
-    def scene(x, waiting=0, **fields):
-        traffic = Traffic(EXITS, (2, 1, 3), waiting=waiting)
-        line = with_parcel(empty, LONG, (x, 1.0, 0.0))
-        return replace(line, **({"traffic": traffic, "title": "a"} | fields))
-
-    return scene
-
-
-def tiles(scenes, width=1280):
-    return TilePainter(width).draw(scenes)
-
-
 class TestTiles:
     @pytest.mark.parametrize("count", [1, 2, 5, 16, 64])
-    def test_any_number_of_scenes_fits_a_picture_of_a_useful_shape(self, sorting, at, count):
-        alone = [sorting.scene(3 * k % 150, title=f"env {k}") for k in range(count)]
-        streams = [at(0.2 * (k % 16)) for k in range(min(count, 16))]
-        for scenes in (alone, streams):
-            height, width, colours = tiles(scenes).shape
+    def test_any_number_fits_a_picture_of_a_useful_shape(self, sorting, busy, count):
+        for picture in (draw(sorting.scene(3)), draw(busy)):
+            height, width, colours = side_by_side([picture] * count).shape
             assert (width, colours) == (1280, 3)
             assert height % 2 == 0
             assert 0.3 < width / height < 4.0
 
-    def test_a_scene_changes_its_own_tile_alone(self, sorting, at):
-        def boxes(scene, other):
-            before = tiles([scene] * 4)
-            for k in range(4):
-                scenes = [scene] * 4
-                scenes[k] = other
-                yield differing(tiles(scenes), before)
-
-        first, second, third, fourth = boxes(sorting.scene(20), sorting.scene(80))
+    def test_a_picture_changes_its_own_tile_alone(self, sorting):
+        picture, other = draw(sorting.scene(20)), draw(sorting.scene(80))
+        before, boxes = side_by_side([picture] * 4), []
+        for k in range(4):
+            pictures = [picture] * 4
+            pictures[k] = other
+            boxes.append(differing(side_by_side(pictures), before))
+        first, second, third, fourth = boxes
         for upper, lower in ((first, third), (second, fourth)):
             assert upper[3] <= lower[2]  # a row of two above a row of two
         for left, right in ((first, second), (third, fourth)):
             assert left[1] <= right[0]
-        streams = boxes(at(1.0), at(5.0, waiting=3, title="another"))
-        assert all(upper[3] <= lower[2] for upper, lower in pairwise(streams))
-
-    def test_a_kept_painter_draws_as_a_fresh_one_and_takes_both_kinds_in_turn(self, sorting, at):
-        painter = TilePainter()
-        alone = [sorting.scene(20 + k, zone=(9, 2, 3 + k, 16)) for k in range(6)]
-        streams = [at(1.0), at(2.0, traffic=Traffic(EXITS, (0, 9, 0))), at(3.0)]
-        for scenes in (alone[:4], alone[:4][::-1], alone, streams, streams[::-1], streams[:2]):
-            np.testing.assert_array_equal(painter.draw(scenes), tiles(scenes))
-
-    def test_what_does_not_fit_is_refused(self, sorting, at):
-        scene, line = sorting.scene(20), at(1.0)
-        wider = line.rotor.copy()
-        wider[6:14] = True
-        long, traffic = Scene(np.zeros((4, 400)), np.ones((4, 400), bool)), Traffic((), ())
-        for scenes, width, message in (
-            ([], 1280, "scenes must be at least one"),
-            ([scene, replace(scene, pitch=0.2)], 1280, "scenes must be of surfaces of one size"),
-            ([line, scene], 1280, "scenes must all have traffic or none of them, got both"),
-            ([line, at(1.0, rotor=wider)], 1280, r"must show as many rows.*got \[14, 18\]"),
-            ([long], 640, "width must be at least 832 for 400 columns, got 640"),
-            ([replace(long, traffic=traffic)], 640, "at least 852 for 400 columns, got 640"),
-            ([scene], 1281, "width must be even"),
-        ):
-            with pytest.raises(ValueError, match=message):
-                tiles(scenes, width)
 
 
 class TestWindow:
@@ -391,3 +364,115 @@ class TestWindow:
         with pytest.warns(UserWarning, match="there is no display: the window is drawn off screen"):
             window.show(picture)
         window.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "message"),
+    [
+        (ExitSide, {"side": 2}, "side must be one of -1, 0, 1"),
+        (StopLine, {"x": np.nan}, "x must be a finite number"),
+        (ExitSpeed, {"ratio": -0.1, "speed": 1.0}, "ratio must be at least 0"),
+        (ExitSpeed, {"ratio": 0.5, "speed": -1.0}, "speed must be at least 0"),
+        (Path, {"points": [[0.0, 1.0]]}, "points must be at least 2"),
+        (Heading, {"angle": "left"}, "angle must be a finite number"),
+    ],
+)
+def test_a_goal_that_cannot_be_is_refused(kind, wrong, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"goal": "sort"}, "goal must be one of the goals or None, got 'sort'"),
+        ({"readings": (("time", 1.0),)}, "readings must be pairs of label and text"),
+        ({"readings": (("time", "1", "s"),)}, "readings must be pairs of label and text"),
+    ],
+)
+def test_what_a_task_gives_a_scene_is_checked(bare, wrong, message):
+    with pytest.raises(ValueError, match=message):
+        replace(bare, **wrong)
+
+
+def test_a_scene_keeps_copies_and_its_zone_obeys(busy, bare):
+    axis = np.zeros((20, 66))
+    kept = replace(busy, axis=axis)
+    axis[:] = 1.0
+    assert not kept.axis.any()
+    zoned = replace(bare, zone=(9, 2, 3, 16))
+    assert zoned.obeys.sum() == 2 * 16
+    assert zoned.obeys[9:11, 3:19].all()
+    assert bare.obeys.all()
+
+
+FOUR = np.radians([0.0, 45.0, -45.0, 90.0])
+
+# What a dichromat sees of linear RGB: Vienot, Brettel and Mollon (1999), Color Res. Appl. 24:243.
+RGB_TO_LMS = np.array(
+    [[17.8824, 43.5161, 4.11935], [3.45565, 27.1554, 3.86714], [0.0299566, 0.184309, 1.46709]]
+)
+SEEN = {
+    "all colours": np.eye(3),
+    "no red": np.array([[0.0, 2.02344, -2.52581], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    "no green": np.array([[1.0, 0.0, 0.0], [0.494207, 0.0, 1.24827], [0.0, 0.0, 1.0]]),
+}
+RGB_TO_XYZ = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
+
+
+def cielab(srgb, cones):
+    """CIELAB of colours as an eye with these cones sees them."""
+    part = np.asarray(srgb) / 255.0
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    seen = linear @ (np.linalg.inv(RGB_TO_LMS) @ cones @ RGB_TO_LMS).T
+    xyz = np.clip(seen, 0.0, 1.0) @ RGB_TO_XYZ.T / RGB_TO_XYZ.sum(axis=1)
+    f = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def test_half_a_turn_is_the_same_colour_they_change_gradually_and_exits_take_them_again():
+    angles = np.linspace(-np.pi, np.pi, 50)
+    np.testing.assert_array_equal(axis_colours(angles), axis_colours(angles + np.pi))
+    colours = axis_colours(np.radians(np.arange(0, 181))).astype(int)
+    assert np.abs(np.diff(colours, axis=0)).max() <= 5
+    assert [exit_colour(k) for k in range(len(ink.EXITS), 2 * len(ink.EXITS))] == list(ink.EXITS)
+
+
+@pytest.mark.parametrize("eye", SEEN)
+def test_the_four_orientations_and_the_exits_differ_clearly_to_every_eye(eye):
+    lab = cielab(np.vstack([axis_colours(FOUR), ink.EXITS]), SEEN[eye])
+    apart = np.linalg.norm(lab[:, np.newaxis] - lab, axis=-1) + 1e3 * np.eye(len(lab))
+    assert apart[:4, :4].min() > 25.0  # 2.3 is a just noticeable difference
+    assert apart.min() > (40.0 if eye == "all colours" else 20.0)
+
+
+@pytest.mark.parametrize("place", range(len(ink.EXITS)))
+def test_a_text_on_an_exit_s_colour_has_contrast(place):
+    """At least 4.5 to 1, by https://www.w3.org/TR/WCAG21/#dfn-contrast-ratio."""
+
+    def luminance(colour):
+        part = np.array(colour) / 255.0
+        linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+        return linear @ [0.2126, 0.7152, 0.0722]
+
+    ground = exit_colour(place)
+    low, high = sorted([luminance(ground), luminance(text_on(ground))])
+    assert text_on(ground) in (INK, PAPER)
+    assert (high + 0.05) / (low + 0.05) >= 4.5
+
+
+@pytest.mark.parametrize("eye", SEEN)
+def test_plots_tell_the_first_controllers_apart(eye):
+    pytest.importorskip("matplotlib", reason="matplotlib, of the extra `agents`, is missing")
+    from matplotlib.colors import to_rgb
+
+    from surface_gym.agents.evaluation.pictures import choose_colours
+
+    chosen = list(choose_colours(map(str, range(11))).values())
+    assert chosen[:10] == list(dict.fromkeys(chosen))
+    lab = cielab(255.0 * np.array([to_rgb(colour) for colour in chosen[:3]]), SEEN[eye])
+    apart = np.linalg.norm(lab[:, np.newaxis] - lab, axis=-1)
+    assert apart[np.triu_indices(3, 1)].min() > 35.0

@@ -8,16 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.rendering import ExitMark, InletMark, SceneParcel, Traffic, draw
-from surface_gym.rendering.ink import (
-    FAINT_INK,
-    GOAL,
-    PLATE,
-    RUNS,
-    STANDS,
-    axis_colour,
-    exit_colour,
-    inset,
-)
+from surface_gym.rendering.ink import FAINT_INK, GOAL, PLATE, RUNS, STANDS, axis_colour, exit_colour
 from surface_gym.rendering.marks import contact_point
 from tests.rendering.conftest import EXITS, HIGHEST, LONG, LOWEST, SMALL, Plate, differing, middle
 
@@ -221,11 +212,6 @@ class TestParcels:
         notched = np.array([[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [0.0, 0.05], [-0.2, 0.2]])
         for outline in (disc, notched):
             assert (drawn(outline) != draw(empty)).any()
-
-    @pytest.mark.parametrize("turn", [1, -1])
-    def test_an_inset_square_is_smaller_all_round(self, turn):
-        square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
-        np.testing.assert_allclose(inset(square[::turn], 2.0), (2.0 + 0.6 * square)[::turn])
 
     def test_a_trail_has_the_exit_s_colour(self, empty, plate):
         trail = np.stack([np.linspace(4.0, 5.0, 40), np.full(40, 0.95)], axis=-1)

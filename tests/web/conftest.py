@@ -102,36 +102,43 @@ def site(modules: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Si
     made.close()
 
 
-def new_page(browser: Any, size: tuple[int, int], wrong: list[str], **options: Any) -> Any:
-    """Open an empty page with settings of its own, whose errors are written into a list."""
-    width, height = size
-    context = browser.new_context(viewport={"width": width, "height": height}, **options)
-    page = context.new_page()
-    page.set_default_timeout(20_000)
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    return page
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open empty pages with settings of their own; in the end none may have had an error.
+
+    What the console says, of `kinds`, is an error too, and so is a request to an address that does
+    not begin as one of `own`.
+    """
+    contexts, wrong = [], []
+
+    def opened(
+        size: tuple[int, int] = WIDE, kinds: str = "", own: tuple[str, ...] = ("",), **options: Any
+    ) -> Any:
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(20_000)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda said: said.type in kinds and wrong.append(said.text))
+        page.on("request", lambda asked: asked.url.startswith(own) or wrong.append(asked.url))
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert wrong == []
 
 
 @pytest.fixture
-def visit(browser: Any, site: Site) -> Iterator[Callable[..., Any]]:
-    """Open a page of the site; in the end there must be no error and no request elsewhere."""
-    pages, wrong = [], []
+def visit(site: Site, tab: Callable[..., Any]) -> Callable[..., Any]:
+    """Open a page of the site, which asks for nothing from elsewhere."""
 
     def look(address: str, size: tuple[int, int] = WIDE, **options: Any) -> Any:
-        page = new_page(browser, size, wrong, **options)
-        pages.append(page)
-        page.on("console", lambda said: said.type == "error" and wrong.append(said.text))
-        page.on("request", lambda asked: is_foreign(asked.url) and wrong.append(asked.url))
+        page = tab(size, "error", (site.address, "data:", "blob:"), **options)
         page.goto(site.address + address)
         return page
 
-    def is_foreign(url: str) -> bool:
-        return not url.startswith((site.address, "data:", "blob:"))
-
-    yield look
-    for page in pages:
-        page.context.close()
-    assert wrong == []
+    return look
 
 
 @pytest.fixture
@@ -205,3 +212,22 @@ def run_script(page: Any) -> list[list[str]]:
     with contextlib.redirect_stdout(said):
         exec(compile(script, "script", "exec"), {})
     return [line.split() for line in said.getvalue().splitlines()]
+
+
+def check_script(page: Any) -> list[str]:
+    """Assert that the script gives the reward and the time of the page's run; return the rest."""
+    ((rewards, clock, *rest),) = run_script(page)
+    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
+    assert run == [float(rewards), float(clock)]
+    return rest
+
+
+def check_controls(page: Any) -> None:
+    """Assert that controls have names and are reached by the keyboard; pictures have names."""
+    wrong = page.evaluate(
+        """() => [...document.querySelectorAll("button, select, input, canvas")]
+          .filter((each) => !(each.innerText || each.labels?.[0]?.innerText || each.ariaLabel)
+            || (each.tabIndex < 0 && each.role !== "img"))
+          .map((each) => each.outerHTML)"""
+    )
+    assert wrong == []

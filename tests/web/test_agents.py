@@ -16,17 +16,24 @@ from surface_gym.agents.export.web import write_agents, write_run
 from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.agents.local_policy import LocalNetwork
 from surface_gym.agents.parcel_policy import ParcelNetwork
+from surface_gym.agents.rules import find_rules
+from surface_gym.agents.rules.base import CompiledRule
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
 from surface_gym.agents.rules.sorting import BestSorting, SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import TASKS, env_id
-from surface_gym.sensors import Camera
+from surface_gym.sensors import Camera, Exact
+from surface_gym.tasks import TASKS as ONE_PARCEL
 from surface_gym.web.scene import TaskScene
 from tests.environments import ON_SLOPES
-from tests.web.conftest import Site, end_in_page, end_in_python, open_sort, run_script, wait_for
+from tests.web.conftest import Site, check_script, end_in_page, end_in_python, open_sort, wait_for
 
 PERIODS = 300
+REACTING = [
+    rule for task in ONE_PARCEL for rule in find_rules(task)
+    if isinstance(rule.make, type) and issubclass(rule.make, CompiledRule)
+]  # fmt: skip
 RULES = [
     ("singulate", "time slots", TimeSlots),
     ("singulate", "hold and release", HoldAndRelease),
@@ -99,6 +106,17 @@ def test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_python(agents,
     env = gym.make(card.env_id, actions=card.actions, observe=card.observe)
     for seed in (0, 3):
         assert end_in_page(page, name, seed) == end_in_python(env, policy, seed)
+
+
+@pytest.mark.parametrize("rule", REACTING, ids=lambda rule: f"{rule.task}: {rule.name}")
+@pytest.mark.parametrize("sensors", [Exact(), Camera()], ids=["exact", "camera"])
+def test_a_rule_runs_as_in_python(agents, rule, sensors):
+    page = agents(TaskScene(rule.task, agent=rule.name, camera=isinstance(sensors, Camera)))
+    wait_for(page, f"playground.shown[0].name === '{rule.name}'")
+    env = gym.make(env_id(rule.task), actions=rule.actions, sensors=sensors)
+    agent = rule.make(EnvConfig(rule.task, actions=rule.actions, sensors=sensors))
+    for seed in (0, 3):
+        assert end_in_page(page, rule.name, seed) == end_in_python(env, agent, seed)
 
 
 def test_agents_act_side_by_side_and_the_keyboard_takes_over(play):
@@ -309,9 +327,7 @@ def test_an_agent_is_loaded_as_it_is_chosen_and_its_script_gives_the_same_run(ag
         }"""
     )
     assert page.evaluate("playground.shown.map(({ name }) => name)") == ["you", f"{task}-drawn"]
-    ((rewards, clock, *_),) = run_script(page)
-    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
-    assert run == [float(rewards), float(clock)]
+    check_script(page)
 
 
 def test_without_agents_a_task_on_a_slope_has_the_player_and_layouts(site, written, play):

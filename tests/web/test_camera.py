@@ -15,15 +15,15 @@ from surface_gym.config import EnvConfig
 from surface_gym.registration import env_id
 from surface_gym.sensors import Camera
 from surface_gym.state import NOISE_ROWS
-from surface_gym.web.noise import write_state
 from surface_gym.web.scene import TaskScene
+from surface_gym.web.starts import write_state
 from tests.web.conftest import (
     Site,
+    check_script,
     end_in_page,
     end_in_python,
     end_states,
     open_sort,
-    run_script,
     wait_for,
 )
 
@@ -143,9 +143,7 @@ def test_the_switch_puts_a_camera_there_and_takes_it_away(play):
     frame = "playground.shown[0].run.frame().parcels[0]"
     (x, y, _), truth = page.evaluate(f"[{frame}.sensed, [{frame}.x, {frame}.y]]")
     assert 0.0 < np.hypot(x - truth[0], y - truth[1]) < 0.02
-    ((rewards, clock, *_),) = run_script(page)
-    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
-    assert run == [float(rewards), float(clock)]
+    check_script(page)
     page.click("#again")
     assert end_states(page) == exact  # the same noise again
     page.uncheck("#camera")

@@ -10,7 +10,7 @@ import pytest
 from surface_gym.agents.export import home, web
 from surface_gym.flow.arrivals import HOUR
 from tests.docs.reading import DOCS, ROOT
-from tests.web.conftest import NARROW, WIDE, Site, new_page, wait_for
+from tests.web.conftest import NARROW, WIDE, Site, check_controls, wait_for
 
 PAGE = "home.html"
 STILL: dict[str, Any] = {"reduced_motion": "reduce"}
@@ -193,12 +193,7 @@ def test_it_waits_for_its_reader_where_motion_is_reduced(show):
 
 def test_all_controls_and_readings_have_names(show):
     page = show()
-    unnamed = page.evaluate(
-        """() => [...document.querySelectorAll("button, select, input, canvas")]
-          .filter((each) => !(each.innerText || each.labels?.[0]?.innerText || each.ariaLabel))
-          .map((each) => each.outerHTML)"""
-    )
-    assert unnamed == []
+    check_controls(page)
     assert page.get_attribute("#rate", "aria-valuetext") == "13\u202f000 boxes an hour"
     assert page.locator("dl > div > dt + dd").count() == page.locator("dd").count() == 10
 
@@ -228,21 +223,15 @@ def around(built, tmp_path_factory):
 
 
 @pytest.fixture
-def read(browser, around):
-    pages, wrong = [], []
-
+def read(tab, around):
     def opened(size=WIDE, missing="", **options):
-        page = new_page(browser, size, wrong, **options)
-        pages.append(page)
+        page = tab(size, **options)
         if missing:
             page.route(f"**/{missing}", lambda route: route.fulfill(status=404))
         page.goto(f"{around.address}index.html")
         return page
 
-    yield opened
-    for page in pages:
-        page.context.close()
-    assert wrong == []
+    return opened
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])

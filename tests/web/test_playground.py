@@ -9,7 +9,17 @@ import pytest
 import surface_gym as sg
 from surface_gym.registration import PERIODS
 from surface_gym.web.scene import TableScene, TaskScene, ThrownParcel, pack
-from tests.web.conftest import NARROW, PAGE, WIDE, end_states, open_sort, run_script, wait_for
+from tests.web.conftest import (
+    NARROW,
+    PAGE,
+    WIDE,
+    check_controls,
+    check_script,
+    end_states,
+    open_sort,
+    run_script,
+    wait_for,
+)
 
 
 @pytest.fixture
@@ -67,18 +77,7 @@ def test_it_fits_the_screen_and_moves_by_itself(play, size):
 
 
 def test_all_controls_have_names_and_are_reached_by_the_keyboard(play):
-    page = play()
-    unnamed = page.evaluate(
-        """() => [...document.querySelectorAll("button, select, input, canvas")]
-          .filter((each) => !(each.innerText || each.labels?.[0]?.innerText || each.ariaLabel))
-          .map((each) => each.outerHTML)"""
-    )
-    assert unnamed == []
-    untouchable = page.evaluate(
-        """() => [...document.querySelectorAll("button, select, input, canvas")]
-          .filter((each) => each.tabIndex < 0).map((each) => each.outerHTML)"""
-    )
-    assert untouchable == []
+    check_controls(play())
 
 
 def test_a_parcel_is_thrown_where_and_as_fast_as_the_pointer_drags(table):
@@ -222,7 +221,7 @@ def test_forces_and_traces_are_drawn(table):
     assert len(table.evaluate("playground.shown[0].picture.frame.traces[0].points")) > 20
 
 
-def test_one_parcel_s_script_is_simulate(table):
+def test_a_script_gives_one_parcel_s_run(table):
     table.select_option("#layout", "zigzag")
     set_slider(table, "#turned", 25)
     table.mouse.click(*place(table, 0.3, 0.45))
@@ -349,27 +348,10 @@ def test_a_task_begins_by_seed_runs_and_gives_the_same_run_in_python(play, task)
           playground.isStale = true;
         }"""
     )
-    ((rewards, clock, *more),) = run_script(page)
-    run = page.evaluate("(({ run }) => [run.rewards, run.time])(playground.shown[0])")
-    assert run == [float(rewards), float(clock)]
+    more = check_script(page)
     if PERIODS[task] is not None:
         truth = page.evaluate("[...playground.shown[0].run.machine.view('parcels.truth')]")
         assert truth == [float(each) for each in more[-6:]]
-
-
-def test_keys_turn_the_modules_ahead_of_the_parcel_or_behind_it(play):
-    page = open_sort(play)
-    for _ in range(10):
-        page.click("#step")
-    page.select_option("#which", "ahead")
-    page.locator("canvas").focus()
-    page.keyboard.press("3")
-    page.click("#step")
-    x = page.evaluate("playground.shown[0].run.machine.view('parcels.truth')[0]")
-    axes = page.evaluate("[...playground.shown[0].run.frame().axes]")
-    turned = [0.05 + 0.1 * (k % 30) for k, angle in enumerate(axes) if angle < 0]
-    assert len(turned) > 0
-    assert min(turned) > x - 0.1
 
 
 def test_stuck_modules_and_late_axes(play):

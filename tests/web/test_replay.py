@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Iterator
 from importlib.resources import files
 
 import gymnasium as gym
@@ -15,7 +14,7 @@ from surface_gym.recorder import record_trajectory
 from surface_gym.recording import Mark, RecordedParcel, Recording
 from surface_gym.rendering import ink
 from tests.docs.reading import DOCS
-from tests.web.conftest import NARROW, WIDE, new_page
+from tests.web.conftest import NARROW, WIDE
 
 PAGE = files("surface_gym.web") / "page"
 
@@ -116,24 +115,30 @@ class Opened:
 
 
 @pytest.fixture
-def show(browser, tmp_path) -> Iterator:
-    """Open a replay; in the end there must be no error, and no request but for the page."""
-    pages, wrong = [], []
+def show(tab, tmp_path):
+    """Open a replay, which says nothing and asks for nothing but its page."""
 
     def opened(made: Replay, size=WIDE, **options) -> Opened:
         made.save(tmp_path / "run.html")
-        page = new_page(browser, size, wrong, **options)
-        pages.append(page)
-        page.on("console", lambda said: wrong.append(said.text))
-        page.on("request", lambda asked: asked.url.startswith("http") and wrong.append(asked.url))
+        page = tab(size, "log debug info warning error", ("file:", "data:", "blob:"), **options)
         page.goto((tmp_path / "run.html").as_uri())
         page.wait_for_selector("canvas")
         return Opened(page, list(made.recordings.values()))
 
-    yield opened
-    for page in pages:
-        page.context.close()
-    assert wrong == []
+    return opened
+
+
+@pytest.fixture
+def put(tab, tmp_path):
+    """Open a page of this text."""
+
+    def opened(text: str, **options):
+        (tmp_path / "page.html").write_text(text)
+        page = tab(**options)
+        page.goto((tmp_path / "page.html").as_uri())
+        return page
+
+    return opened
 
 
 def test_it_plays_pauses_and_plays_again_from_its_end(show):
@@ -393,14 +398,13 @@ def test_the_address_says_light_or_dark(show):
         assert_turns(shown.page, colour)
 
 
-def test_in_a_page_it_follows_the_pages_theme(browser, tmp_path):
+def test_in_a_page_it_follows_the_pages_theme(put):
     script = (DOCS / "assets" / "theme.js").read_text()
-    (tmp_path / "site.html").write_text(
+    page = put(
         f"<!doctype html><body data-md-color-scheme=slate>{replay(stream())._repr_html_()}"
-        f"<script type=module>{script}</script>"
+        f"<script type=module>{script}</script>",
+        color_scheme="light",
     )
-    page = browser.new_page(color_scheme="light")
-    page.goto((tmp_path / "site.html").as_uri())
     frame = page.frame_locator("iframe")
     assert_turns(frame, DARK)
     page.evaluate("document.body.dataset.mdColorScheme = 'default'")
@@ -411,7 +415,6 @@ def test_in_a_page_it_follows_the_pages_theme(browser, tmp_path):
     page.evaluate("document.body.dataset.mdColorScheme = 'default'")
     frame.get_by_role("combobox", name="Theme").select_option("auto")
     assert_turns(frame, LIGHT)
-    page.close()
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW])
@@ -423,34 +426,23 @@ def test_nothing_is_wider_than_the_screen(show, size, trajectory):
         assert 0 <= place["x"] <= size[0] - place["width"]
 
 
-def test_in_a_notebook_it_is_a_frame_of_its_own(browser, tmp_path):
-    (tmp_path / "notebook.html").write_text(
-        f"<!doctype html><script>parent.secret = 1</script>{replay(stream())._repr_html_()}"
-    )
-    page = browser.new_page()
-    page.goto((tmp_path / "notebook.html").as_uri())
+def test_in_a_notebook_it_is_a_frame_of_its_own(put):
+    page = put(f"<!doctype html><script>parent.secret = 1</script>{replay(stream())._repr_html_()}")
     frame = page.frame_locator("iframe")
     frame.get_by_role("button", name="A frame on").click()
     assert frame.locator("output").inner_text().startswith("0.04 /")
-    page.close()
 
 
-def test_a_damaged_page_says_so(browser, tmp_path):
-    text = replay(stream()).html()
-    (tmp_path / "bad.html").write_text(re.sub(r'">eN[\w+/]{40}', '">eN', text))
-    page = browser.new_page()
-    page.goto((tmp_path / "bad.html").as_uri())
+def test_a_damaged_page_says_so(put):
+    page = put(re.sub(r'">eN[\w+/]{40}', '">eN', replay(stream()).html()))
     assert "cannot be shown" in page.get_by_role("alert").inner_text()
-    page.close()
 
 
-def test_the_colours_are_those_of_pictures(browser):
-    page = browser.new_page()
+def test_the_colours_are_those_of_pictures(tab):
     text = (PAGE / "palette.js").read_text().replace("export ", "")
     angles = np.linspace(-np.pi, np.pi, 50)
     script = f"angles => {{ {text}; return [THEMES.light, EXITS, angles.map(axisColour)]; }}"
-    light, exits, axes = page.evaluate(script, angles.tolist())
-    page.close()
+    light, exits, axes = tab().evaluate(script, angles.tolist())
 
     def coded(colour):
         return "#" + "".join(f"{part:02x}" for part in colour)

@@ -30,6 +30,7 @@ def server(tmp_path_factory):
 def ask(server, path, method="GET", host=None):
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
     connection.putrequest(method, path, skip_host=True)
+    connection.putheader("If-Modified-Since", "Fri, 31 Dec 2100 00:00:00 GMT")
     if host != "":
         connection.putheader("Host", host or f"127.0.0.1:{server.server_port}")
     connection.endheaders()

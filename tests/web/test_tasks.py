@@ -1,15 +1,17 @@
-"""Environments in a WebAssembly module equal those on the CPU to the bit, in all their arrays."""
+"""WebAssembly modules of environments equal those on the CPU to the bit, in all their arrays."""
 
 from typing import Any
 
 import pytest
 
 from surface_gym.config import EnvConfig
+from surface_gym.flow.state import CORRECT, TOUCHES
 from surface_gym.tasks import TASKS
+from tests.environments import STREAMS
 
 pytest.importorskip("wasmtime", reason="wasmtime is not installed (extra 'web')")
 
-from benchmarks.web import Twins
+from benchmarks.web import ARGUMENTS as CROWDED, Twins
 
 PERIODS = 120  # in which parcels of Sort have left, and others come
 # One of them with a camera, and axes that take their time.
@@ -40,3 +42,19 @@ def test_episodes_are_equal_from_their_starts_to_their_ends(task, modules):
             assert twins.step(twins.sample()) == 0
         assert twins.differences() == []
     assert episodes > 1 or task != "sort"
+
+
+@pytest.mark.parametrize("task", STREAMS)
+def test_a_stream_is_equal_in_which_parcels_touch_or_leave(task, modules):
+    config = EnvConfig(task, **CROWDED.get(task, {}))
+    twins = Twins(config, 1, file=modules / f"{task}.wasm")
+    twins.begin()
+    assert twins.differences() == []
+    for period in range(120):
+        assert twins.step(twins.sample()) == 0
+        if period % 20 == 19:
+            assert twins.differences() == []
+        if twins.are_over:
+            break
+    assert twins.batch.streams.tally[0, [CORRECT, TOUCHES]].any()
+    assert twins.differences() == []

@@ -1,47 +1,13 @@
 /** Who acts in a task: the player, layouts that stay, and the agents of `agents.json`, if any. */
 
-import { get, Machine } from "./machine.js";
-import { ModulesPolicy } from "./modules.js";
-import { Obeying } from "./obeying.js";
-import { EachParcel } from "./parcels.js";
-import { Policy } from "./policy.js";
-import { Rule } from "./rule.js";
-import { ParcelPolicy, SlopeRule } from "./slopes.js";
-import { SortingPolicy } from "./sorting.js";
+import { get, Machine, Obeying } from "./machine.js";
+import { EachParcel, ModulesPolicy, ParcelPolicy, Policy, SortingPolicy } from "./policy.js";
+import { keepAll, keepLayout, PLAYER, Rule, SlopeRule } from "./rule.js";
 
 export const YOU = "you";
 /** Kinds of agents of a task in agents.json, in the order in which they are listed. */
 const KINDS = ["streams", "policies", "rules", "layouts"];
 const UNIFORM = { "all at 90°": 3, "all at 0°": 0, "all at −45°": 2, "all at 45°": 1 };
-
-/** Keeps what the player sets. */
-export class Player {
-  act() {}
-}
-
-/** Keeps every module at one orientation. */
-class Uniform {
-  constructor(choice) {
-    this.choice = choice;
-  }
-
-  act(run) {
-    run.wanted.fill(this.choice);
-  }
-}
-
-/** Keeps the layout that a rule has chosen for each seed's start. */
-class Layout {
-  constructor(layouts) {
-    this.layouts = layouts;
-  }
-
-  act(run) {
-    const layout = this.layouts[run.scene.seed];
-    let part = 0;
-    for (const [choice, many] of layout) for (let k = 0; k < many; k++) run.wanted[part++] = choice;
-  }
-}
 
 /** Which agents there are of the tasks, by name. */
 export class Agents {
@@ -79,43 +45,41 @@ export class Agents {
   async make(task, name, machine) {
     const there = this.file[task] ?? {};
     const kind = KINDS.find((each) => Object.hasOwn(there[each] ?? {}, name));
-    if (!kind) return Object.hasOwn(UNIFORM, name) ? new Uniform(UNIFORM[name]) : new Player();
+    if (!kind) return Object.hasOwn(UNIFORM, name) ? keepAll(UNIFORM[name]) : PLAYER;
     const card = there[kind][name];
+    if (kind === "layouts") return keepLayout(card);
     if (kind === "streams") return this._ofStream(card, there.obeying, machine);
-    if (kind === "rules")
-      return new Rule(card, await Machine.load(card.machine, this.folder, card.code));
-    if (kind === "layouts") return new Layout(card);
-    if (card.kind !== "modules") return new Policy(card, await this._weights(card));
-    const own = await Machine.load(card.machine, this.folder, card.code);
-    return new SortingPolicy(card, own, await this._weights(card));
+    if (kind === "rules") return new Rule(card, { machine: await this._own(card) });
+    if (card.kind !== "modules") return new Policy(card, { weights: await this._weights(card) });
+    return new SortingPolicy(card, await this._parts(card));
   }
 
   async _ofStream(card, obeying, machine) {
-    const { folder } = this;
+    if (card.kind === "modules") return new ModulesPolicy(card, await this._parts(card));
+    const code = await get(`${this.folder}${obeying.code}.wasm`, "arrayBuffer");
+    const follows = { obeying: await Obeying.make(obeying, code, machine) };
     if (card.kind === "each") {
       const { task, name } = card.policy;
-      const policy = new Policy(this.file[task].policies[name], this.weights);
-      return new EachParcel(card, policy, await this._obeying(obeying, machine));
+      const policy = new Policy(this.file[task].policies[name], { weights: this.weights });
+      return new EachParcel(card, { ...follows, policy });
     }
-    const [own, weights, follows] = await Promise.all([
-      Machine.load(card.machine, folder, card.code),
-      this._weights(card),
-      card.kind === "modules" ? null : this._obeying(obeying, machine),
-    ]);
-    if (card.kind === "rule") return new SlopeRule(card, own, follows);
-    return card.kind === "modules"
-      ? new ModulesPolicy(card, own, weights)
-      : new ParcelPolicy(card, own, follows, weights);
+    const kind = card.kind === "rule" ? SlopeRule : ParcelPolicy;
+    return new kind(card, { ...follows, ...(await this._parts(card)) });
+  }
+
+  /** Load the machine of an agent's own function. */
+  _own(card) {
+    return Machine.load(card.machine, this.folder, card.code);
+  }
+
+  async _parts(card) {
+    const [machine, weights] = await Promise.all([this._own(card), this._weights(card)]);
+    return { machine, weights };
   }
 
   /** Load the weights of an agent that has a file of them; others share one. */
   async _weights(card) {
     if (!card.weights) return this.weights;
     return new Float32Array(await get(`${this.folder}${card.weights}`, "arrayBuffer"));
-  }
-
-  async _obeying(card, machine) {
-    const code = await get(`${this.folder}${card.code}.wasm`, "arrayBuffer");
-    return Obeying.make(card, code, machine);
   }
 }

@@ -1,8 +1,17 @@
 /** Drawing a surface and its parcels on a canvas; x runs to the right and y up, in metres. */
 
-import { traceArrows } from "./arrows.js";
-import { badgeSize, boxAbout, overlap, placeBadge, writeBadge, writeText } from "./labels.js";
-import { axisColour, exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
+import {
+  badgeSize,
+  boxAbout,
+  moduleStep,
+  overlap,
+  paintModule,
+  placeBadge,
+  traceArrows,
+  writeBadge,
+  writeText,
+} from "./marks.js";
+import { exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
 import { View } from "./view.js";
 
 /**
@@ -45,15 +54,16 @@ import { View } from "./view.js";
  * @property {ParcelInFrame[]} parcels the last is drawn above the others
  * @property {(number[][]|{points: number[][], colour?: number|string})[]} [traces] [m] of ways
  * @property {string[]} [counts] written after the labels of the exits, in their order
+ *
+ * @typedef {object} Track of a parcel
+ * @property {number} number 1, 2 ...
+ * @property {number[]} times [s]
+ * @property {number[]} motion x, y, theta, vx, vy, omega of the base at each time, in a row
  */
 
-const ANGLES = 180; // pictures of a module in half a turn
-const DRIVE_HEADINGS = 48; // pictures of a driven module's arrow
-const DRIVE_LENGTHS = 4; // lengths of it, the longest from FASTEST_DRIVE on
-const FASTEST_DRIVE = 2; // [m/s]
-const PALE = 0.62; // share of the plate's colour in a module that does not obey
 const LEAST_FORCE = 2; // [CSS px] of an arrow: a shorter one would be a dot
 const TRACE_STEP = 6; // [device px] between the points of a trace
+const MOST_POINTS = 400; // of a way that are drawn
 
 /** A picture of a surface on a canvas; what stays is kept on layers between frames. */
 export class Picture extends View {
@@ -174,15 +184,12 @@ export class Picture extends View {
   }
 
   _paintSupports(context) {
-    const { columns, origin, rotor } = this.surface;
+    const { rotor } = this.surface;
     const radius = Math.max(0.07 * this._cell, 0.6);
     context.fillStyle = this.colours.support;
     for (let k = 0; k < rotor.length; k++) {
       if (rotor[k]) continue;
-      const [x, y] = this._place(
-        origin[0] + (k % columns) * this.pitch[0],
-        origin[1] + Math.floor(k / columns) * this.pitch[1],
-      );
+      const [x, y] = this._place(...this.placeOf(k));
       if (x < 0 || y < 0 || x > this.ground.width || y > this.ground.height) continue;
       context.beginPath();
       context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -269,7 +276,7 @@ export class Picture extends View {
     const [width, height] = [this.modules.width, this.modules.height];
     for (let k = 0; k < this.drawn.length; k++) {
       if (rotor && !rotor[k]) continue;
-      const step = (drives && driveStep(drives[k])) ?? axisStep(axes[k]);
+      const step = moduleStep(axes[k], drives?.[k]);
       if (step === this.drawn[k]) continue;
       const x = Math.round(left + (k % columns) * across - size / 2);
       const y = Math.round(top - Math.floor(k / columns) * up - size / 2);
@@ -280,36 +287,12 @@ export class Picture extends View {
     }
   }
 
-  /** Return the picture of a module: a disc with a bar along its axis, or with a drive's arrow. */
-  _sprite(step, pale) {
-    const key = pale ? -1 - step : step;
-    const known = this.sprites.get(key);
-    if (known) return known;
-    const sprite = document.createElement("canvas");
-    sprite.width = sprite.height = this._cell;
-    const context = sprite.getContext("2d");
-    const half = this._cell / 2;
-    const angle = (Math.PI * step) / ANGLES;
-    const { plate, bar, driven } = this.colours;
-    const isDriven = step >= ANGLES;
-    const colour = isDriven ? driven : axisColour(angle);
-    context.fillStyle = pale ? mixed(colour, plate, PALE) : colour;
-    context.beginPath();
-    context.arc(half, half, 0.86 * half, 0, 2 * Math.PI);
-    context.fill();
-    context.strokeStyle = pale ? mixed(bar, plate, PALE) : bar;
-    context.lineWidth = Math.max((isDriven ? 0.2 : 0.26) * half, 1);
-    context.translate(half, half);
-    context.beginPath();
-    if (isDriven) traceDrive(context, step - ANGLES, half);
-    else {
-      const [x, y] = [0.6 * half * Math.cos(angle), -0.6 * half * Math.sin(angle)];
-      context.moveTo(-x, -y);
-      context.lineTo(x, y);
-    }
-    context.stroke();
-    this.sprites.set(key, sprite);
-    return sprite;
+  /** Return the picture of a module, which is painted once. */
+  _sprite(step, isPale) {
+    const key = isPale ? -1 - step : step;
+    if (!this.sprites.has(key))
+      this.sprites.set(key, paintModule(step, this._cell, this.colours, isPale));
+    return this.sprites.get(key);
   }
 
   _drawTrace(points, colour) {
@@ -432,49 +415,11 @@ export class Picture extends View {
   }
 
   _drawRing(module) {
-    const { columns, origin } = this.surface;
-    const x = origin[0] + (module % columns) * this.pitch[0];
-    const y = origin[1] + Math.floor(module / columns) * this.pitch[1];
     this.context.beginPath();
-    this.context.arc(...this._place(x, y), 0.5 * this._cell, 0, 2 * Math.PI);
+    this.context.arc(...this._place(...this.placeOf(module)), 0.5 * this._cell, 0, 2 * Math.PI);
     this.context.strokeStyle = this.colours.goal;
     this.context.lineWidth = 1.5 * this._stroke();
     this.context.stroke();
-  }
-}
-
-/** Return which picture shows an axis [rad]. */
-function axisStep(angle) {
-  return ((Math.round((angle * ANGLES) / Math.PI) % ANGLES) + ANGLES) % ANGLES;
-}
-
-/** Return which picture shows a driven module's velocity [m/s]; null: it is idle. */
-function driveStep([vx, vy]) {
-  if (Number.isNaN(vx)) return null;
-  const level = Math.min(
-    DRIVE_LENGTHS,
-    Math.ceil((DRIVE_LENGTHS * Math.hypot(vx, vy)) / FASTEST_DRIVE - 1e-9),
-  );
-  if (level === 0) return ANGLES;
-  const heading = Math.round((Math.atan2(vy, vx) * DRIVE_HEADINGS) / (2 * Math.PI));
-  return ANGLES + level * DRIVE_HEADINGS + ((heading + DRIVE_HEADINGS) % DRIVE_HEADINGS);
-}
-
-/** Trace the arrow of a picture of `driveStep`, round the origin; a ring where the surface stands. */
-function traceDrive(context, step, half) {
-  const level = Math.floor(step / DRIVE_HEADINGS);
-  if (level === 0) {
-    context.arc(0, 0, 0.3 * half, 0, 2 * Math.PI);
-    return;
-  }
-  const angle = (2 * Math.PI * (step % DRIVE_HEADINGS)) / DRIVE_HEADINGS;
-  const tip = 0.65 * half * (0.4 + (0.6 * level) / DRIVE_LENGTHS);
-  const [x, y] = [Math.cos(angle), -Math.sin(angle)];
-  context.moveTo(-tip * x, -tip * y);
-  context.lineTo(tip * x, tip * y);
-  for (const side of [-1, 1]) {
-    context.moveTo(tip * x, tip * y);
-    context.lineTo(tip * x - 0.4 * half * (x - side * y), tip * y - 0.4 * half * (y + side * x));
   }
 }
 
@@ -499,4 +444,19 @@ function isWithin(parcel, x, y) {
     if (y1 > y !== y2 > y && x < x1 + ((y - y1) * (x2 - x1)) / (y2 - y1)) inside = !inside;
   });
   return inside;
+}
+
+/** Choose points of a way to draw, not too many, from its motion. */
+export function thinned(motion) {
+  const count = motion.length / 6;
+  const every = Math.max(1, Math.ceil(count / MOST_POINTS));
+  const points = [];
+  for (let k = 0; k < count; k += every) points.push([motion[6 * k], motion[6 * k + 1]]);
+  points.push([motion[motion.length - 6], motion[motion.length - 5]]);
+  return points;
+}
+
+/** Name the numbers of a parcel's motion, as a frame has them. */
+export function named([x, y, theta, vx, vy, omega]) {
+  return { x, y, theta, vx, vy, omega };
 }

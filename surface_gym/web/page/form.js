@@ -1,63 +1,147 @@
-/** The form of the playground: its controls do what they say. */
+/** The form of the playground: what its controls say, and what they do. */
 
 import { YOU } from "./agents.js";
-import {
-  fill,
-  fillAngles,
-  find,
-  layoutAngles,
-  number,
-  radians,
-  save,
-  showNumber,
-} from "./controls.js";
 import { paintPage } from "./palette.js";
 import { emptyTable, isDriven, packed, readJson, toCsv, toPython, VERSION } from "./scene.js";
 
 const RADIAN = Math.PI / 180;
-const HINTS = {
-  throw:
-    "Press where the parcel is to be, and drag: the longer, the faster. A click takes speed and direction from below.",
-  turn: "Press on modules, or drag over them: they turn to the angle below, or are driven as it says.",
-  stick: "Press on modules: they obey nobody, or do so again. The run begins again.",
-  pan: "Drag the picture. The wheel, two fingers, or + and − zoom.",
-};
+/** Find an element of the page. @returns {any} */
+export const find = (id) => document.getElementById(id);
+
+/** Read a slider's number. */
+export const number = (id) => Number(find(id).value);
+
+/** Show a slider's number behind it. */
+function showNumber({ parentElement, value, dataset }) {
+  const output = parentElement.querySelector("output");
+  if (output) output.value = value + (dataset.unit ?? "");
+}
+
+/** The tool of the pointer: its name, and what it is for. */
+export const chosenTool = () => document.querySelector("input[name=tool]:checked");
+
+function showHint() {
+  find("hint").textContent = chosenTool().dataset.hint;
+}
+
+/** Fill a list of choices. */
+function fill(select, names, chosen = names[0]) {
+  select.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
+}
+
+let idleAngles = null; // the options of idle modules, as in the page
+
+/** Offer angles, of a table also others, or what driven modules do: velocities [m/s] in x and y. */
+function fillAngles(isTable, drives) {
+  const select = find("angle");
+  idleAngles ??= [...select.options];
+  const texts = drives.map(driveText);
+  if (texts.join() !== (select.dataset.drives ?? ""))
+    select.replaceChildren(
+      ...(texts.length ? texts.map((text, k) => new Option(text, k)) : idleAngles),
+    );
+  select.dataset.drives = texts.join();
+  for (const option of idleAngles)
+    option.hidden = option.disabled = !isTable && option.value === "other";
+}
+
+/** Write a driven module's velocity. */
+function driveText([vx, vy]) {
+  const speed = Number(Math.hypot(vx, vy).toFixed(2));
+  const heading = Math.round(Math.atan2(vy, vx) / RADIAN);
+  return speed ? `${speed} m/s, ${String(heading).replace("-", "−")}°` : "stop";
+}
+
+/** Read the angle [rad] that modules are to turn to, or the choice of driven ones. */
+export function chosenAngle() {
+  const chosen = find("angle").value;
+  if (find("angle").dataset.drives) return Number(chosen);
+  return radians(chosen === "other" ? number("other") : Number(chosen));
+}
+
+/** Convert degrees, so that 45 gives pi / 4 to the bit. */
+function radians(degrees) {
+  return degrees % 45 === 0 ? (degrees / 45) * (Math.PI / 4) : degrees * RADIAN;
+}
+
+/** Read the parcel that would be thrown from a place [m], with a velocity or the sliders'. */
+export function chosenParcel([x, y], velocity = null) {
+  const [length, width, corners] = [number("length"), number("width"), number("corners")];
+  const shape = find("shape").value;
+  let base = { rectangle: [length, width] };
+  if (shape === "disc") base = { disc: length / 2 };
+  if (shape === "polygon") base = { polygon: regular(corners, length / 2) };
+  const heading = radians(number("heading"));
+  const speed = number("throw-speed");
+  const [vx, vy] = velocity ?? [speed * Math.cos(heading), speed * Math.sin(heading)];
+  return {
+    base,
+    mass: number("mass"),
+    com_height: 0.1,
+    com_offset: [(number("load") * length) / 2, 0],
+    pose: [x, y, radians(number("turned"))],
+    velocity: [vx, vy, number("spin")],
+  };
+}
+
+/** Corners of a regular polygon. */
+function regular(corners, radius) {
+  return Array.from({ length: corners }, (_, k) => {
+    const angle = (2 * Math.PI * k) / corners;
+    return [radius * Math.cos(angle), radius * Math.sin(angle)];
+  });
+}
+
+/** Axis angles [rad] of a whole table, by a layout's name. */
+function layoutAngles(name, rows, columns) {
+  const angles = [];
+  for (let row = 0; row < rows; row++) {
+    for (let column = 0; column < columns; column++) {
+      const [across, along] = [row - (rows - 1) / 2, column - (columns - 1) / 2];
+      const isLead = column < columns / 4;
+      let degrees = 90;
+      if (name === "sort" && !isLead) degrees = -45;
+      if (name === "zigzag" && !isLead) degrees = row % 2 ? 45 : -45;
+      if (name === "funnel" && !isLead) degrees = Math.abs(across) < 1 ? 90 : across > 0 ? 45 : -45;
+      // Rolls around the middle, 5 deg apart.
+      if (name === "whirl") degrees = 5 * Math.round(Math.atan2(across, along) / RADIAN / 5);
+      angles.push(radians(((degrees + 270) % 180) - 90 || 0));
+    }
+  }
+  return name === "" ? null : angles.map((angle) => (angle === -Math.PI / 2 ? Math.PI / 2 : angle));
+}
+
+/** Modules within a brush around a module. */
+export function brushed(module, rows, columns, reach) {
+  const [row, column] = [Math.floor(module / columns), module % columns];
+  const found = [];
+  for (let r = Math.max(0, row - reach); r <= Math.min(rows - 1, row + reach); r++) {
+    for (let c = Math.max(0, column - reach); c <= Math.min(columns - 1, column + reach); c++)
+      found.push(r * columns + c);
+  }
+  return found;
+}
 
 /** A scene to begin with: parcels that come along and are led aside. */
 export function firstScene() {
   const scene = emptyTable();
   scene.axis = packed(layoutAngles("funnel", scene.rows, scene.columns));
-  const parcel = (base, pose, velocity, step) => ({
-    base,
-    mass: 10,
-    com_height: 0.1,
-    com_offset: [0, 0],
-    pose,
-    velocity,
-    step,
-  });
+  const own = { mass: 10, com_height: 0.1, com_offset: [0, 0], step: 0 };
   scene.parcels = [
-    parcel({ rectangle: [0.3, 0.25] }, [0.25, 0.25, 0], [2.2, 0, 0], 0),
-    parcel({ disc: 0.13 }, [0.25, 0.75, 0], [2, 0, 0], 0),
-    parcel(
-      {
-        polygon: [
-          [0.15, 0],
-          [0.04, 0.14],
-          [-0.12, 0.09],
-          [-0.12, -0.09],
-          [0.04, -0.14],
-        ],
-      },
-      [0.25, 0.5, 0.3],
-      [2.4, 0, 2],
-      80,
-    ),
+    { ...own, base: { rectangle: [0.3, 0.25] }, pose: [0.25, 0.25, 0], velocity: [2.2, 0, 0] },
+    { ...own, base: { disc: 0.13 }, pose: [0.25, 0.75, 0], velocity: [2, 0, 0] },
+    {
+      ...own,
+      base: { polygon: regular(5, 0.15) },
+      pose: [0.25, 0.5, 0.3],
+      velocity: [2.4, 0, 2],
+      step: 80,
+    },
   ];
   return scene;
 }
 
-export function taskScene(task) {
+function taskScene(task) {
   return {
     version: VERSION,
     task,
@@ -82,7 +166,7 @@ export function fillForm(page) {
   for (const tool of tools) tool.disabled = !allowed.includes(tool.value);
   if (!tools.some((tool) => tool.checked && !tool.disabled))
     tools.find((tool) => tool.value === allowed[0]).checked = true;
-  find("hint").textContent = HINTS[document.querySelector("input[name=tool]:checked").value];
+  showHint();
   find("summary").textContent = isTable
     ? "Throw parcels on it, turn its modules, tilt it."
     : page.shown[0].run.about.summary;
@@ -117,34 +201,32 @@ export function fillForm(page) {
 /** Let the form's controls do what they say. */
 export function connect(page) {
   const on = (id, kind, does) =>
-    find(id).addEventListener(kind, (event) => page.try(() => does(event)));
+    find(id).addEventListener(kind, (event) => {
+      page.isStale = true; // what is done may be seen
+      page.try(() => does(event));
+    });
   on("start", "click", () => (page.isRunning ? page.pause() : page.start()));
   on("step", "click", () => page.stepOnce());
   on("again", "click", () => page.again());
   on("fit", "click", () => {
     for (const { picture } of page.shown) picture.fit();
-    page.isStale = true;
   });
-  for (const id of ["forces", "traces"])
-    on(id, "change", () => {
-      page.isStale = true;
-    });
+  for (const id of ["forces", "traces"]) on(id, "change", () => {});
   on("theme", "change", ({ target }) => {
     paintPage(document.documentElement, target.value);
     for (const { picture } of page.shown) picture.setTheme(target.value);
-    page.isStale = true;
   });
   on("task", "change", ({ target }) =>
     page.open(target.value === "table" ? emptyTable() : taskScene(target.value)),
   );
-  on("seed", "change", ({ target }) => page.reopen({ seed: Number(target.value) }));
+  for (const id of ["seed", "late"])
+    on(id, "change", ({ target }) => page.reopen({ [id]: Number(target.value) }));
   on("agent", "change", ({ target }) => page.reopen({ agent: target.value }));
   on("beside", "change", () => page.reopen({}));
   on("afresh", "click", () => page.reopen({}));
   on("kind", "change", ({ target }) =>
     page.reopen({ modules: target.value, agent: YOU, camera: false }),
   );
-  on("late", "change", ({ target }) => page.reopen({ late: Number(target.value) }));
   on("camera", "change", ({ target }) => page.reopen({ camera: target.checked }));
   on("clear", "click", () => {
     page.shown[0].run.clear();
@@ -165,13 +247,8 @@ export function connect(page) {
     const { run } = page.shown[0];
     const angles = layoutAngles(target.value, run.rows, run.columns);
     if (angles) run.set({ axis: angles.map((angle, module) => [module, angle]) });
-    page.isStale = true;
   });
-  const set = (id, change) =>
-    on(id, "input", () => {
-      page.shown[0].run.set(change());
-      page.isStale = true;
-    });
+  const set = (id, change) => on(id, "input", () => page.shown[0].run.set(change()));
   set("tilt", () => ({ tilt: radians(number("tilt")) }));
   set("downhill", () => ({ tilt_direction: radians(number("downhill")) }));
   for (const id of ["along", "across"]) {
@@ -203,11 +280,8 @@ export function connect(page) {
   });
   for (const input of document.querySelectorAll("input[type=range]"))
     input.addEventListener("input", () => showNumber(input));
-  for (const tool of document.querySelectorAll("input[name=tool]")) {
-    tool.addEventListener("change", () => {
-      find("hint").textContent = HINTS[tool.value];
-    });
-  }
+  for (const tool of document.querySelectorAll("input[name=tool]"))
+    tool.addEventListener("change", showHint);
   find("controls").addEventListener("submit", (event) => event.preventDefault());
   document.addEventListener("keydown", (event) => page.try(() => takeKey(page, event)));
   window.addEventListener("hashchange", () => {
@@ -229,4 +303,13 @@ function takeKey(page, event) {
   else if (event.key in angles && !drives.length) page.turnAll(radians(angles[event.key]));
   else return;
   event.preventDefault();
+}
+
+/** Offer a file to be saved. */
+function save(name, text, kind) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: kind }));
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }

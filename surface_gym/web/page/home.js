@@ -3,10 +3,8 @@
  * arranged as a whole for each box; below, every module obeys the box that it bears.
  */
 
-import { find, number } from "./controls.js";
 import { Picture } from "./draw.js";
-import { get, Machine, PlainError } from "./machine.js";
-import { Obeying } from "./obeying.js";
+import { catchUp, explain, get, Machine, Obeying, passedSince } from "./machine.js";
 import { paintPage } from "./palette.js";
 import { CompiledRule } from "./rule.js";
 import { TaskRun } from "./task.js";
@@ -16,10 +14,11 @@ const FULL = 9; // [s] of the stream, with which a show begins: boxes are all al
 const MEAN_OVER = 30; // [s] of deliveries an hour, at most,
 const MEAN_LEAST = 3; // [s] and at least
 const EXACT_TO = 100; // [1/h] to which such a mean is written: a box more makes 120 in 30 s
-const LATE = 0.1; // [s] of the past that a frame catches up with, at most
-const BUDGET = 24; // [ms] of a frame for the physics, at most
 const BEFORE = 1.7; // [m] before the line, where boxes are drawn that wait
 const APART = 0.04; // [m] between two of them
+
+const find = (id) => document.getElementById(id);
+const number = (id) => Number(find(id).value);
 
 /** Write a whole number, its thousands apart; "–" for NaN. */
 const written = (count) =>
@@ -43,9 +42,8 @@ class LineRun extends TaskRun {
 
   /** Count what has come about, and what waits. */
   count() {
-    const [entered, delivered, wrong, touches] = [...this.machine.view("streams.tally")].map(
-      Number,
-    );
+    const tally = Array.from(this.machine.view("streams.tally"), Number);
+    const [entered, delivered, wrong, touches] = tally;
     const waiting = this.machine.get("streams.due") - entered;
     return { time: this.time, delivered, wrong, touches, waiting };
   }
@@ -84,11 +82,6 @@ class LineRun extends TaskRun {
 
 /** A scheduler of a line: it lets boxes in, and leads those on the line. */
 class Scheduler extends CompiledRule {
-  constructor(card, machine, obeying) {
-    super(card, machine);
-    this.obeying = obeying;
-  }
-
   /** Write what modules and the gate are to do for a control period. */
   act(run) {
     const [actions] = this.call(run, "tables", "actions");
@@ -219,16 +212,12 @@ class Home {
     this.asked = 0;
     if (!this.isRunning) return;
     try {
-      const passed = this.last === null ? 0 : Math.min((now - this.last) / 1000, LATE);
+      const passed = passedSince(this.last ?? now, now);
       this.last = now;
-      this.owed += Math.max(0, passed) * number("speed");
-      const before = performance.now();
-      while (this.owed >= this.unit && performance.now() - before < BUDGET) {
-        this.owed -= this.unit;
+      this.owed = catchUp(this.owed, passed * number("speed"), this.unit, () => {
         this.step();
         this.moved ||= performance.now();
-      }
-      this.owed = Math.min(this.owed, LATE);
+      });
       this.draw();
       this.go();
     } catch (error) {
@@ -251,10 +240,7 @@ class Home {
 
 function say(error) {
   find("message").hidden = false;
-  find("message").textContent =
-    error instanceof PlainError
-      ? error.message
-      : `Something went wrong in the page: ${error.message}`;
+  find("message").textContent = explain(error);
 }
 
 /** Load the stream, which both lines have, and the module of Flow, which steps it. */
@@ -272,7 +258,7 @@ async function loadLines() {
       const scene = { seed: 0, late: 0, stuck: [], commands: [] };
       const obeying = await Obeying.make(layout.obeying, obeyingCode, machine);
       const own = await Machine.load(card.machine, "", card.code);
-      const run = new LineRun(machine, scene, new Scheduler(card, own, obeying));
+      const run = new LineRun(machine, scene, new Scheduler(card, { machine: own, obeying }));
       return new Line(run, figures[k]);
     }),
   );

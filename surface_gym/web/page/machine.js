@@ -1,6 +1,7 @@
 /**
  * A compiled environment with its memory: arrays and numbers by the names that they have in Python,
- * starts by seed, and steps. Nothing is written outside of the arrays.
+ * starts by seed, and steps. Nothing is written outside of the arrays. Then what a task's machine
+ * needs beside it: noise of its sensors, which parcel a module obeys, and the pace of its steps.
  */
 
 const KINDS = {
@@ -17,9 +18,42 @@ export let { sin, cos, hypot } = Math;
 const WORD = 8; // [bytes] of an argument
 const PAGE = 65536; // [bytes] by which memory grows
 const MOST = 256 * 1024 * 1024; // [bytes] of memory that a page may take
+const ROUNDING = 1e-5; // [m/s] of a contact below which a rotor holds
+const BUDGET = 24; // [ms] of a frame for the physics, at most
+const LATE = 0.1; // [s] of the past that a frame catches up with, at most
 
 /** An error that is shown to the reader as it is. */
 export class PlainError extends Error {}
+
+/** Tell the reader what is wrong, unless all is well. */
+export function ensure(isWell, text) {
+  if (!isWell) throw new PlainError(text);
+}
+
+/** Write an error for the reader. */
+export function explain(error) {
+  const isPlain = error instanceof PlainError;
+  return isPlain ? error.message : `Something went wrong in the page: ${error.message}`;
+}
+
+/**
+ * Do steps of `unit` [s] for the time `passed` since the last frame and what was owed before, within
+ * a frame's budget, until `step` returns false; return the time [s] that is owed still.
+ */
+export function catchUp(owed, passed, unit, step) {
+  const begun = performance.now();
+  let left = owed + passed;
+  while (left >= unit && performance.now() - begun < BUDGET) {
+    left -= unit;
+    if (step() === false) return 0;
+  }
+  return Math.min(left, LATE);
+}
+
+/** The time [s] from one frame to the next [ms], as far as it is caught up with. */
+export function passedSince(last, now) {
+  return Math.min(Math.max(0, now - last) / 1000, LATE);
+}
 
 /** Fetch a file next to the page, or say in plain words why there is none. */
 export async function get(address, read) {
@@ -42,8 +76,8 @@ export class Machine {
    * @param {string} [code] name of the module, where several machines share one
    */
   static async load(name, folder = "", code = name) {
-    if (typeof WebAssembly !== "object")
-      throw new PlainError("This browser has no WebAssembly, which the physics runs in.");
+    const hasIt = typeof WebAssembly === "object";
+    ensure(hasIt, "This browser has no WebAssembly, which the physics runs in.");
     const [layout, block, module] = await Promise.all([
       get(`${folder}${name}.json`, "json"),
       get(`${folder}${name}.bin`, "arrayBuffer"),
@@ -55,17 +89,15 @@ export class Machine {
 
   /** Make a machine of the content of its files. */
   static async make(name, layout, block, code, starts = null) {
-    if (block.byteLength !== layout.bytes) {
-      throw new PlainError(
-        `${name}.bin has ${block.byteLength} bytes, and ${name}.json says ${layout.bytes}: they are not of one build.`,
-      );
-    }
+    ensure(
+      block.byteLength === layout.bytes,
+      `${name}.bin has ${block.byteLength} bytes, and ${name}.json says ${layout.bytes}: they are not of one build.`,
+    );
     const module = await WebAssembly.compile(code);
     const env = {};
     for (const { name: asked } of WebAssembly.Module.imports(module)) {
       const found = FUNCTIONS[asked] ?? Math[asked];
-      if (typeof found !== "function")
-        throw new PlainError(`${name} needs the function ${asked}, which a page lacks.`);
+      ensure(found instanceof Function, `${name} needs the function ${asked}, which a page lacks.`);
       env[asked] = found;
     }
     const instance = await WebAssembly.instantiate(module, { env });
@@ -179,8 +211,7 @@ export class Machine {
     } catch (error) {
       throw new PlainError(`The physics of ${this.name} stopped: ${error.message}.`);
     }
-    if (result < 0)
-      throw new PlainError(`The physics of ${this.name} was given a number beyond an array's end.`);
+    ensure(result >= 0, `The physics of ${this.name} was given a number beyond an array's end.`);
     return result;
   }
 
@@ -248,4 +279,83 @@ export function frictionForces(machine, row, state, mass) {
   return forces;
 }
 
-const ROUNDING = 1e-5; // [m/s] of a contact below which a rotor holds
+/** The noise of a task's sensors: parcels use it up row by row, and a function draws it as NumPy. */
+export class Noise {
+  /** Load the function for a machine whose sensors draw noise. */
+  static async load(machine, folder = "") {
+    return new Noise(machine, await Machine.load("noise", folder));
+  }
+
+  constructor(machine, generator) {
+    this.machine = machine;
+    this.generator = generator;
+    [, this.rows, this.size] = machine.shape("parcels.noise");
+  }
+
+  /** Draw the noise of a seed's start, which is placed. */
+  place(seed) {
+    const { first, then, drawn } = this.machine.layout.starts.noise.states[seed];
+    this._seed(first);
+    for (let row = 0; row < drawn; row++) this._draw(row);
+    this._seed(then);
+  }
+
+  /** Draw noise for parcels that may use up theirs in the next control period. */
+  drawAhead() {
+    const { used } = this.machine.layout.starts.noise;
+    this.machine.view("parcels.noise_row").forEach((next, row) => {
+      if (Number(next) + used > this.rows) this._draw(row);
+    });
+  }
+
+  /** Set the generator's state, whose words have hexadecimal digits. */
+  _seed(words) {
+    this.generator.view("words").set(words.map((word) => BigInt(`0x${word}`)));
+  }
+
+  _draw(row) {
+    const { generator, machine } = this;
+    generator.step();
+    machine.view("parcels.noise").set(generator.view("noise"), this.rows * this.size * row);
+    machine.view("parcels.noise_row")[row] = 0n;
+  }
+}
+
+/** Which parcel each module obeys: the kernel's own function, compiled into a module by itself. */
+export class Obeying {
+  /**
+   * @param {{code: string, signature: string, reads: string[]}} card with the names of the arrays
+   *   that the function reads and an episode changes
+   * @param {ArrayBuffer} code
+   * @param {Machine} machine of the task, whose arguments the function takes
+   */
+  static async make(card, code, machine) {
+    const { name, layout, block } = machine;
+    const isOfBuild = card.signature === layout.signature && card.reads;
+    ensure(isOfBuild, `${card.code}.wasm and ${name}.json are not of one build.`);
+    return new Obeying(await Machine.make(card.code, layout, block, code), card.reads);
+  }
+
+  constructor(machine, reads) {
+    this.machine = machine;
+    this.reads = reads;
+  }
+
+  /**
+   * Let modules follow the parcels that they will bear; those of none stay as they are.
+   * @param {import("./task.js").TaskRun} run
+   * @param {ArrayLike<number>} halves choices for the modules ahead of the centre of the parcel in
+   *   each row, and for those behind it
+   */
+  act(run, halves) {
+    const { machine } = run;
+    for (const name of this.reads) this.machine.view(name).set(machine.view(name));
+    this.machine.step();
+    const sensed = machine.view("parcels.sensed");
+    this.machine.view("streams.owner").forEach((row, module) => {
+      if (row < 0) return;
+      const behind = run.placeOf(module)[0] < sensed[6 * row] ? 1 : 0;
+      run.want(run.partOf(module), halves[2 * row + behind], false);
+    });
+  }
+}

@@ -1,5 +1,6 @@
 /**
- * Colours of pages: those of the pictures of `surface_gym/rendering/ink.py`, and a dark theme.
+ * Colours of pages: those of the pictures of `surface_gym/rendering/ink.py`, and a dark theme; and
+ * which theme a page is asked to have.
  *
  * A test compares the light theme, the exits' colours and the axes' with the Python.
  */
@@ -44,7 +45,7 @@ export const THEMES = {
 };
 
 /** Of exits and groups: far from the axes' colours and from each other, for dichromats too. */
-export const EXITS = ["#ac70fc", "#fcd818", "#54fcb4", "#a80c84", "#0c2484", "#fcb4fc", "#b4cc6c"];
+const EXITS = ["#ac70fc", "#fcd818", "#54fcb4", "#a80c84", "#0c2484", "#fcb4fc", "#b4cc6c"];
 
 /** Choose a theme's name: "auto" is what the reader's system prefers. */
 export function themeName(theme) {
@@ -70,7 +71,7 @@ export function exitColour(index) {
 }
 
 /** Split "#rrggbb" into numbers from 0 to 255. */
-export function channels(colour) {
+function channels(colour) {
   return [1, 3, 5].map((k) => Number.parseInt(colour.slice(k, k + 2), 16));
 }
 
@@ -107,4 +108,33 @@ export function axisColour(angle) {
   return hex(
     linear.map((x) => 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055)),
   );
+}
+
+/**
+ * What a page is asked to look like, from now on. The page around sends `{ theme: "dark" }`, or
+ * "light"; the address may end in `#dark` or `#light`; otherwise it is "auto", the system's.
+ */
+export class AskedTheme {
+  constructor() {
+    this.name = "auto";
+    this.onChange = () => {};
+    const ask = (name) => {
+      this.name = Object.hasOwn(THEMES, name) ? name : "auto";
+      this.onChange();
+    };
+    const readAddress = () => ask(location.hash.slice(1));
+    addEventListener("hashchange", readAddress);
+    addEventListener("message", ({ source, data }) => {
+      if (source === window.parent && typeof data?.theme === "string") ask(data.theme);
+    });
+    const system = matchMedia("(prefers-color-scheme: dark)");
+    system.addEventListener("change", () => this.onChange());
+    readAddress();
+  }
+
+  /** Call a function now, and whenever another theme is asked for. */
+  follow(onChange) {
+    this.onChange = onChange;
+    onChange();
+  }
 }

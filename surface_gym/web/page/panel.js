@@ -1,23 +1,14 @@
-/** What a player writes below its pictures: what is pointed at, the numbers, and its keys. */
+/** What a player writes below its pictures: what is pointed at, and the numbers. */
 
-const KEYS = [
-  ["Space", "play or pause"],
-  ["← →", "a frame back or on; with Shift ten"],
-  ["Home End", "to the start or the end"],
-  ["< >", "slower, faster"],
-  ["+ − 0", "zoom in, zoom out, all of it"],
-  ["Ctrl + wheel, pinch", "zoom where you point; drag to move"],
-  ["T F", "traces, forces"],
-  ["N", "next parcel"],
-  ["M", "a module; arrows then go to its neighbours, Escape leaves"],
-];
+/** Find an element of the page. @returns {any} */
+export const element = (id) => document.getElementById(id);
 
 /** Make an element with attributes and children. */
 export function make(kind, attributes = {}, ...children) {
-  const element = document.createElement(kind);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  element.append(...children);
-  return element;
+  const made = document.createElement(kind);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
 }
 
 function degrees(angle) {
@@ -39,33 +30,15 @@ function forceText([fx, fy]) {
 
 /** The readings of a player's runs. */
 export class Panel {
-  /**
-   * @param {HTMLElement} root to add them to
-   * @param {import("./player.js").Run[]} runs
-   */
-  constructor(root, runs) {
+  /** @param {import("./player.js").Run[]} runs */
+  constructor(runs) {
     this.runs = runs;
-    this.reading = make("p", { class: "reading", id: "reading", "aria-live": "polite" });
-    this.table = make("table");
-    this.numbers = make(
-      "details",
-      {},
-      make("summary", {}, "Numbers"),
-      make("div", { class: "scroll" }, this.table),
-    );
-    this.numbers.addEventListener("toggle", () => this._fillTable());
-    const keys = make("dl");
-    for (const [key, meaning] of KEYS) keys.append(make("dt", {}, key), make("dd", {}, meaning));
-    root.append(
-      this.reading,
-      this.numbers,
-      make("details", { class: "keys" }, make("summary", {}, "Keys"), keys),
-    );
+    element("numbers").addEventListener("toggle", () => this._fillTable());
   }
 
   /** Let those who hear the page hear what is pointed at, or not while it changes all the time. */
   setLive(isLive) {
-    this.reading.setAttribute("aria-live", isLive ? "polite" : "off");
+    element("reading").setAttribute("aria-live", isLive ? "polite" : "off");
   }
 
   /** Write what is under the pointer or chosen at a time [s], how runs end, and the numbers. */
@@ -90,7 +63,7 @@ export class Panel {
     }
     const text =
       lines.join("\n") || "Point at a parcel or a module, or press N or M, to read its numbers.";
-    if (this.reading.textContent !== text) this.reading.textContent = text;
+    if (element("reading").textContent !== text) element("reading").textContent = text;
     this._fillTable();
   }
 
@@ -120,7 +93,7 @@ export class Panel {
 
   /** Fill the table of numbers, where it is open, but for those that stay zero in all runs. */
   _fillTable() {
-    if (!this.numbers.open) return;
+    if (!element("numbers").open) return;
     const known = this.runs.flatMap((run) => run.recording.metrics);
     const moving = known.filter(([, values]) => values.some(Boolean));
     const names = [...new Set((moving.length ? moving : known).map(([name]) => name))];
@@ -137,6 +110,8 @@ export class Panel {
       });
       return make("tr", {}, make("th", { scope: "row" }, name.replaceAll("_", " ")), ...cells);
     });
-    this.table.replaceChildren(head, ...rows);
+    element("numbers")
+      .querySelector("table")
+      .replaceChildren(head, ...rows);
   }
 }

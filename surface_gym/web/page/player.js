@@ -1,15 +1,18 @@
-/** A player of recordings, one or several in step: pictures and controls. */
+/** A page that plays the recordings it holds, one or several in step. */
 
 import { Picture } from "./draw.js";
-import { listenTo, ZOOM } from "./gestures.js";
-import { paintPage } from "./palette.js";
-import { make, Panel } from "./panel.js";
+import { followPointers } from "./gestures.js";
+import { AskedTheme, paintPage } from "./palette.js";
+import { element, make, Panel } from "./panel.js";
+import { readRecording } from "./recording.js";
 
-const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 const WIDE = 1.9; // width over height of pictures that go below one another
 const REFRESH = 100; // [ms] between readings while it plays
 const LONG_FORCE = 2; // [pitch] the arrow of a large friction
 const LONGEST = 2; // times it, an arrow at most
+const ZOOM = 1.3; // of a key or a button
+const STILL = 5; // [px] that a pointer may move in a tap
+const NOTHING = { parcel: -1, module: -1 };
 
 /**
  * @typedef {object} Run as a player shows it
@@ -18,7 +21,7 @@ const LONGEST = 2; // times it, an arrow at most
  * @property {HTMLCanvasElement} canvas
  * @property {Picture} picture
  * @property {HTMLElement} end where its outcome is written
- * @property {{x: number, y: number}|null} hover [px] where the pointer is over it
+ * @property {number[]|null} hover [px] where the pointer is over it
  * @property {{parcel: number, module: number}} kept what is chosen to be read; -1: none
  * @property {import("./draw.js").Frame} [frame] that is shown
  * @property {number} [under] the module under the pointer; -1: none
@@ -46,38 +49,37 @@ function placeOfKept({ frame, kept, picture }) {
   return parcel ? picture.toCanvas(parcel.x, parcel.y) : [];
 }
 
-export class Player {
+class Player {
   /**
-   * @param {HTMLElement} root to fill
    * @param {{name: string, recording: import("./recording.js").Recording}[]} runs
-   * @param {import("./theme.js").AskedTheme} asked
+   * @param {AskedTheme} asked
    */
-  constructor(root, runs, asked) {
-    this.root = root;
+  constructor(runs, asked) {
     this.time = 0;
-    this.speed = 1;
     this.playing = false;
-    this.duration = Math.max(...runs.map((run) => run.recording.duration));
-    const longest = runs.find((run) => run.recording.duration === this.duration);
-    this.frames = longest.recording.time;
-    this.hasForces = runs.some((run) => run.recording.hasForces);
+    this.longest = runs
+      .map(({ recording }) => recording)
+      .reduce((one, other) => (other.duration > one.duration ? other : one));
+    this.duration = this.longest.duration;
+    this.frames = this.longest.time;
     this.traces = true;
     this.forces = false;
-    this.read = 0;
+    this.read = 0; // [ms] when readings were written
     this.theme = "auto";
     this.asked = asked;
     paintPage(document.documentElement, asked.name);
-    root.replaceChildren();
-    this.room = make("div", { class: "runs" });
-    root.append(this.room);
     shareView(runs.map((run) => run.recording.surface));
     this.runs = runs.map((run) => this._addRun(run));
-    this.room.classList.toggle("several", runs.length > 1);
-    this._addControls();
-    this.panel = new Panel(root, this.runs);
-    listenTo(this);
+    element("runs").classList.toggle("several", runs.length > 1);
+    this.panel = new Panel(this.runs);
+    this._connect();
+    this._labelPlay();
     this.setTime(0);
     asked.follow(() => this.setTheme(this.theme));
+  }
+
+  get speed() {
+    return Number(element("speed").value);
   }
 
   /** Play from here, or from the start where it has ended. */
@@ -103,6 +105,12 @@ export class Player {
     this.show(true);
   }
 
+  /** Play or pause. */
+  turn() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
   /** Show a time [s]. */
   setTime(time) {
     this.time = Math.min(Math.max(time, 0), this.duration);
@@ -112,31 +120,28 @@ export class Player {
   /** Go on by frames of the longest run, back where negative. */
   stepFrames(count) {
     this.pause();
-    const { recording } = this.runs.find((run) => run.recording.time === this.frames);
-    let index = recording.indexAt(this.time);
+    let index = this.longest.indexAt(this.time);
     if (count < 0 && this.time > this.frames[index] + 1e-9) index += 1;
     this.setTime(this.frames[Math.min(Math.max(index + count, 0), this.frames.length - 1)]);
   }
 
-  setSpeed(speed) {
-    this.speed = speed;
-    this.controls.speed.value = String(speed);
-  }
-
   /** Go on by that many speeds to choose from, to slower ones where negative. */
   stepSpeed(count) {
-    const index = SPEEDS.indexOf(this.speed) + count;
-    this.setSpeed(SPEEDS[Math.min(Math.max(index, 0), SPEEDS.length - 1)]);
+    const { options, selectedIndex } = element("speed");
+    element("speed").selectedIndex = Math.min(
+      Math.max(selectedIndex + count, 0),
+      options.length - 1,
+    );
   }
 
   /**
    * Zoom all runs by a factor, each about the parcel chosen in it or else its middle, or one about a
    * place [px] of it; 0: show all of them.
    */
-  zoom(factor, run = null, x = undefined, y = undefined) {
+  zoom(factor, run = null, place = null) {
     for (const each of run ? [run] : this.runs) {
       if (factor === 0) each.picture.fit();
-      else each.picture.zoom(factor, ...(x === undefined ? placeOfKept(each) : [x, y]));
+      else each.picture.zoom(factor, ...(place ?? placeOfKept(each)));
       each.canvas.style.touchAction = each.picture.fitted ? "pan-y" : "none";
     }
     this.show();
@@ -151,11 +156,62 @@ export class Player {
     this.show();
   }
 
+  /** Show traces or forces, or no longer. */
+  toggle(name, isOn) {
+    this[name] = isOn;
+    element(name).checked = isOn;
+    this.show();
+  }
+
+  /** Choose a parcel, by its number, or a module of a run, to be read until another is. */
+  keep(run, parcel, module = -1) {
+    run.kept = { parcel, module };
+    this.show(true);
+  }
+
+  /** Choose what is at a place of a run. */
+  keepAt(run, place) {
+    const parcel = run.picture.parcelAt(...place);
+    if (parcel < 0) this.keep(run, -1, run.picture.moduleAt(...place));
+    else this.keep(run, run.frame.parcels[parcel].number);
+  }
+
+  keepNextParcel(run) {
+    const { parcels } = run.frame;
+    const at = parcels.findIndex((each) => each.number === run.kept.parcel);
+    if (parcels.length) this.keep(run, parcels[(at + 1) % parcels.length].number);
+  }
+
+  /** Go to the next module up and to the right; the first is the nearest to the middle. */
+  keepModule(run, up, right) {
+    const { rows, columns, rotor } = run.recording.surface;
+    let found = -1;
+    if (run.kept.module >= 0 && (up || right)) {
+      let row = Math.floor(run.kept.module / columns) + up;
+      let column = (run.kept.module % columns) + right;
+      const isThere = () => row >= 0 && row < rows && column >= 0 && column < columns;
+      while (isThere() && !rotor[row * columns + column]) {
+        row += up;
+        column += right;
+      }
+      if (isThere()) found = row * columns + column;
+    } else {
+      const [middleRow, middleColumn] = [Math.floor(rows / 2), Math.floor(columns / 2)];
+      let least = Infinity;
+      rotor.forEach((isRotor, k) => {
+        const away = Math.hypot(Math.floor(k / columns) - middleRow, (k % columns) - middleColumn);
+        if (isRotor && away < least) [least, found] = [away, k];
+      });
+    }
+    if (found >= 0) this.keep(run, -1, found);
+    else this.show(true);
+  }
+
   _addRun({ name, recording }) {
     const canvas = make("canvas", { tabindex: "0", role: "img", "aria-describedby": "reading" });
     const end = make("span", { class: "end" });
     const caption = make("figcaption", {}, make("strong", {}, name), end);
-    this.room.append(make("figure", {}, caption, canvas));
+    element("runs").append(make("figure", {}, caption, canvas));
     const large = recording.findLargeFriction();
     const long = LONG_FORCE * recording.surface.pitch[0];
     const picture = new Picture(canvas, recording.surface, {
@@ -163,153 +219,171 @@ export class Player {
       longestForce: LONGEST * long,
     });
     canvas.style.aspectRatio = String(picture.aspect);
-    this.room.classList.toggle("wide", picture.aspect > WIDE);
-    return { name, recording, canvas, picture, end, hover: null, kept: { parcel: -1, module: -1 } };
+    element("runs").classList.toggle("wide", picture.aspect > WIDE);
+    return { name, recording, canvas, picture, end, hover: null, kept: NOTHING };
   }
 
-  _addControls() {
-    const button = (label, text, action, kind = "") => {
-      const made = make(
-        "button",
-        { type: "button", "aria-label": label, title: label, class: kind },
-        text,
-      );
-      made.addEventListener("click", action);
-      return made;
-    };
-    const toggle = (label, isOn, action) => {
-      const box = make("input", { type: "checkbox" });
-      box.checked = isOn;
-      box.addEventListener("change", () => action(box.checked));
-      return make("label", {}, box, label);
-    };
-    const choice = (label, options, value, action) => {
-      const made = make("select", { "aria-label": label });
-      for (const [key, text] of options) made.append(make("option", { value: key }, text));
-      made.value = value;
-      made.addEventListener("change", () => action(made.value));
-      return made;
-    };
-    const scrub = make("input", {
-      type: "range",
-      min: "0",
-      max: String(this.frames.length - 1),
-      step: "any",
-      value: "0",
-      "aria-label": "Time",
-    });
-    scrub.addEventListener("input", () => {
-      this.playing = false;
-      this._labelPlay();
-      const index = Math.floor(Number(scrub.value));
-      const [from, to] = [
-        this.frames[index],
-        this.frames[Math.min(index + 1, this.frames.length - 1)],
-      ];
-      this.setTime(from + (Number(scrub.value) - index) * (to - from));
-    });
-    this.controls = {
-      play: button("Play", "Play", () => (this.playing ? this.pause() : this.play()), "main"),
-      scrub,
-      clock: make("output", { "aria-label": "Time shown" }),
-      speed: choice(
-        "Speed",
-        SPEEDS.map((each) => [each, `${each}×`]),
-        "1",
-        (value) => this.setSpeed(Number(value)),
-      ),
-      traces: toggle("Traces", this.traces, (isOn) => this.toggle("traces", isOn)),
-      forces: toggle("Forces", this.forces, (isOn) => this.toggle("forces", isOn)),
-    };
-    const { play, clock, speed, traces, forces } = this.controls;
+  /** Let controls, keys and pointers do what they say. */
+  _connect() {
+    const on = (id, does, kind = "click") =>
+      element(id).addEventListener(kind, ({ target }) => does(target));
+    on("play", () => this.turn());
+    on("back", () => this.stepFrames(-1));
+    on("on", () => this.stepFrames(1));
+    on("out", () => this.zoom(1 / ZOOM));
+    on("in", () => this.zoom(ZOOM));
+    on("fit", () => this.zoom(0));
+    on("traces", ({ checked }) => this.toggle("traces", checked), "change");
+    on("forces", ({ checked }) => this.toggle("forces", checked), "change");
+    on("theme", ({ value }) => this.setTheme(value), "change");
+    on("time", ({ value }) => this._scrub(Number(value)), "input");
+    element("time").max = String(this.frames.length - 1);
+    this.hasForces = this.runs.some((run) => run.recording.hasForces);
     if (!this.hasForces) {
-      forces.firstChild.disabled = true;
-      forces.className = "off";
-      forces.title = "Forces are not known of this run";
+      element("forces").disabled = true;
+      element("forces").parentElement.className = "off";
+      element("forces").parentElement.title = "Forces are not known of this run";
     }
-    this.root.append(
-      make(
-        "div",
-        { class: "controls", role: "group", "aria-label": "Playback" },
-        play,
-        button("A frame back", "‹", () => this.stepFrames(-1)),
-        button("A frame on", "›", () => this.stepFrames(1)),
-        scrub,
-        clock,
-        speed,
-        make(
-          "span",
-          { class: "group" },
-          button("Zoom out", "−", () => this.zoom(1 / ZOOM)),
-          button("Zoom in", "+", () => this.zoom(ZOOM)),
-          button("Show all", "Fit", () => this.zoom(0)),
-        ),
-        traces,
-        forces,
-        choice(
-          "Theme",
-          [
-            ["auto", "Auto"],
-            ["light", "Light"],
-            ["dark", "Dark"],
-          ],
-          "auto",
-          (theme) => this.setTheme(theme),
-        ),
-      ),
-    );
+    for (const run of this.runs) this._followPointers(run);
+    document.addEventListener("keydown", (event) => this._takeKey(event));
   }
 
-  /** Show traces or forces, or no longer. */
-  toggle(name, isOn) {
-    this[name] = isOn;
-    this.controls[name].firstChild.checked = isOn;
-    this.show();
+  /** Hover to read, tap to choose, drag to move, pinch or wheel to zoom. */
+  _followPointers(run) {
+    const { canvas, picture } = run;
+    let moved = 0;
+    followPointers(canvas, {
+      press: () => {
+        moved = 0;
+      },
+      move: (place, before, { pointerType }) => {
+        run.hover = pointerType === "touch" ? null : place;
+        if (before) {
+          const [dx, dy] = [place[0] - before[0], place[1] - before[1]];
+          moved += Math.hypot(dx, dy);
+          if (!picture.fitted) picture.pan(dx, dy);
+        }
+        this.show(true);
+      },
+      release: (place) => {
+        if (place && moved < STILL) this.keepAt(run, place);
+      },
+      zoom: (factor, place) => {
+        moved = Infinity;
+        this.zoom(factor, run, place);
+      },
+      takesWheel: () => document.activeElement === canvas, // otherwise the page scrolls
+    });
+    canvas.addEventListener("pointerleave", () => {
+      run.hover = null;
+      this.show(true);
+    });
+    canvas.addEventListener("focus", () => {
+      this.focused = run;
+    });
+  }
+
+  _takeKey(event) {
+    const { target, key } = event;
+    if (event.altKey || event.ctrlKey || event.metaKey) return;
+    const isControl = target.closest("button, select, input, summary");
+    if (isControl && (/^( |Enter|Home|End)$/.test(key) || key.startsWith("Arrow"))) return;
+    const run = this.focused ?? this.runs[0];
+    const many = event.shiftKey ? 10 : 1;
+    const actions = {
+      " ": () => this.turn(),
+      ArrowLeft: () => this.stepFrames(-many),
+      ArrowRight: () => this.stepFrames(many),
+      Home: () => this.setTime(0),
+      End: () => this.setTime(this.duration),
+      "<": () => this.stepSpeed(-1),
+      ">": () => this.stepSpeed(1),
+      "+": () => this.zoom(ZOOM),
+      "=": () => this.zoom(ZOOM),
+      "-": () => this.zoom(1 / ZOOM),
+      0: () => this.zoom(0),
+      t: () => this.toggle("traces", !this.traces),
+      f: () => this.hasForces && this.toggle("forces", !this.forces),
+      n: () => this.keepNextParcel(run),
+      m: () => this.keepModule(run, 0, 0),
+      Escape: () => {
+        for (const each of this.runs) each.kept = NOTHING;
+        this.show(true);
+      },
+    };
+    if (run.kept.module >= 0) {
+      actions.ArrowLeft = () => this.keepModule(run, 0, -1);
+      actions.ArrowRight = () => this.keepModule(run, 0, 1);
+      actions.ArrowUp = () => this.keepModule(run, 1, 0);
+      actions.ArrowDown = () => this.keepModule(run, -1, 0);
+    }
+    const action = actions[key.length === 1 ? key.toLowerCase() : key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  /** Show the time at a place between frames. */
+  _scrub(place) {
+    this.playing = false;
+    this._labelPlay();
+    const index = Math.floor(place);
+    const [from, to] = [0, 1].map((k) => this.frames[Math.min(index + k, this.frames.length - 1)]);
+    this.setTime(from + (place - index) * (to - from));
   }
 
   _labelPlay() {
     const label = this.playing ? "Pause" : "Play";
-    const { play } = this.controls;
-    play.textContent = label;
-    play.setAttribute("aria-label", label);
-    play.title = `${label} (Space)`;
+    const button = element("play");
+    button.textContent = label;
+    button.setAttribute("aria-label", label);
+    button.title = `${label} (Space)`;
     this.panel.setLive(!this.playing);
   }
 
   /** Draw the time that is shown; readings follow now and then, or at once where `isRead`. */
   show(isRead = !this.playing) {
     for (const run of this.runs) {
-      const frame = run.recording.frameAt(Math.min(this.time, run.recording.duration), this);
-      run.frame = frame;
-      const point = run.hover && [run.hover.x, run.hover.y];
-      run.picture.frame = frame;
-      const parcel = point ? run.picture.parcelAt(...point) : -1;
-      const module = point ? run.picture.moduleAt(...point) : -1;
-      const kept = frame.parcels.findIndex((each) => each.number === run.kept.parcel);
-      run.picture.chosen = {
+      const { picture } = run;
+      run.frame = run.recording.frameAt(Math.min(this.time, run.recording.duration), this);
+      picture.frame = run.frame;
+      const parcel = run.hover ? picture.parcelAt(...run.hover) : -1;
+      run.under = run.hover ? picture.moduleAt(...run.hover) : -1;
+      const kept = run.frame.parcels.findIndex((each) => each.number === run.kept.parcel);
+      picture.chosen = {
         parcel: parcel < 0 ? kept : parcel,
-        module: module < 0 || parcel >= 0 ? run.kept.module : module,
+        module: run.under < 0 || parcel >= 0 ? run.kept.module : run.under,
       };
-      run.under = module;
-      run.picture.draw(frame);
+      picture.draw(run.frame);
     }
-    const { scrub, clock } = this.controls;
-    const { recording } = this.runs.find((run) => run.recording.time === this.frames);
-    const index = recording.indexAt(this.time);
+    const index = this.longest.indexAt(this.time);
+    const from = this.frames[index];
     const next = this.frames[Math.min(index + 1, this.frames.length - 1)];
-    const share =
-      next > this.frames[index]
-        ? (this.time - this.frames[index]) / (next - this.frames[index])
-        : 0;
-    scrub.value = String(index + share);
+    element("time").value = String(index + (next > from ? (this.time - from) / (next - from) : 0));
     const now = performance.now();
     if (!isRead && now - this.read < REFRESH) return;
     this.read = now;
-    clock.textContent = `${this.time.toFixed(2)} / ${this.duration.toFixed(2)} s`;
-    scrub.setAttribute(
-      "aria-valuetext",
-      `${this.time.toFixed(2)} of ${this.duration.toFixed(2)} seconds`,
-    );
+    const [time, duration] = [this.time, this.duration].map((each) => each.toFixed(2));
+    element("clock").textContent = `${time} / ${duration} s`;
+    element("time").setAttribute("aria-valuetext", `${time} of ${duration} seconds`);
     this.panel.write(this.time);
   }
+}
+
+const page = element("replay");
+try {
+  const asked = new AskedTheme(); // the page around may ask before recordings are read
+  const held = [...document.querySelectorAll("script.recording")];
+  const runs = await Promise.all(
+    held.map(async ({ dataset, textContent }) => ({
+      name: dataset.name,
+      recording: await readRecording(textContent),
+    })),
+  );
+  page.hidden = false;
+  new Player(runs, asked);
+} catch (error) {
+  page.hidden = false;
+  page.setAttribute("role", "alert");
+  page.textContent = `This replay cannot be shown: ${error.message}. It needs a browser of 2023 or later.`;
 }

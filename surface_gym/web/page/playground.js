@@ -1,22 +1,28 @@
 /** The playground: a scene on the page, run, drawn, changed by the reader, and shared. */
 
-import { Agents, Player, YOU } from "./agents.js";
-import { brushed, chosenAngle, chosenParcel, find, number } from "./controls.js";
+import { Agents, YOU } from "./agents.js";
 import { Picture } from "./draw.js";
-import { connect, fillForm, firstScene } from "./form.js";
-import { get, Machine, PlainError } from "./machine.js";
-import { Noise } from "./noise.js";
+import {
+  brushed,
+  chosenAngle,
+  chosenParcel,
+  chosenTool,
+  connect,
+  fillForm,
+  find,
+  firstScene,
+  number,
+} from "./form.js";
+import { catchUp, ensure, explain, get, Machine, Noise, passedSince } from "./machine.js";
 import { paintPage } from "./palette.js";
 import { drawAim, listen } from "./pointer.js";
+import { PLAYER } from "./rule.js";
 import { fromFragment, isDriven, toFragment } from "./scene.js";
 import { TableRun } from "./table.js";
 import { TaskRun } from "./task.js";
 
 const FORCE = 0.012; // [m/N] of an arrow
 const DRAG_SPEED = 2; // [m/s] a metre dragged
-const BUDGET = 24; // [ms] of a frame for the physics, at most
-const LATE = 0.1; // [s] of the past that a frame catches up with, at most
-const SHARE_OVER = 0.05; // weight of a frame in the mean share
 const WRITE_EVERY = 700; // [ms] between addresses, at least
 const CAMERA = "-camera"; // ends the name of a task whose parcels a camera senses
 const SLOW = 600; // [ms] of waiting, after which the page says for what
@@ -31,8 +37,6 @@ class Playground {
     this.shown = []; // a run, its picture and its caption each
     this.isRunning = false;
     this.owed = 0; // [s] of the run that are to be stepped
-    this.share = 0; // of a frame's time for physics, a mean
-    this.frames = 0; // drawn
     this.moved = 0; // [ms] after the page was asked for, when it first drew what has moved
     this.isStale = true;
     this.aim = null;
@@ -60,10 +64,10 @@ class Playground {
   async open(scene) {
     const opening = ++this.opening;
     const isTable = scene.task === "table";
-    if (scene.camera && !this.hasCamera(scene.task))
-      throw new PlainError(`The page has no camera for the task ${scene.task}.`);
-    if (isDriven(scene) && (scene.camera || !this.kinds(scene.task).includes(scene.modules)))
-      throw new PlainError(`The page has no such task with ${scene.modules} modules.`);
+    const { task, camera, modules } = scene;
+    ensure(!camera || this.hasCamera(task), `The page has no camera for the task ${task}.`);
+    const hasKind = !isDriven(scene) || (!camera && this.kinds(task).includes(modules));
+    ensure(hasKind, `The page has no such task with ${modules} modules.`);
     const names = isTable
       ? [null]
       : [
@@ -81,7 +85,11 @@ class Playground {
       isTable ? [] : names.map((name, k) => agents.make(scene.task, name, loaded[k].machine)),
     );
     if (opening !== this.opening) return; // another was opened meanwhile
-    this._checkSeed(scene, loaded[0].machine);
+    const { seeds } = loaded[0].machine;
+    ensure(
+      isTable || scene.seed < seeds,
+      `The page has starts of the seeds 0 to ${seeds - 1}, and the scene asks for ${scene.seed}.`,
+    );
     const runs = loaded.map(({ machine, noise }, k) => {
       if (isTable) return new TableRun(machine, scene);
       const own = k === 0 ? scene : { ...structuredClone(scene), agent: names[k], commands: [] };
@@ -127,25 +135,11 @@ class Playground {
     }
   }
 
-  _checkSeed({ task, seed }, machine) {
-    if (task !== "table" && seed >= machine.seeds) {
-      throw new PlainError(
-        `The page has starts of the seeds 0 to ${machine.seeds - 1}, and the scene asks for ${seed}.`,
-      );
-    }
-  }
-
   _show(run, name) {
-    const figure = document.createElement("figure");
-    const canvas = document.createElement("canvas");
-    const caption = document.createElement("figcaption");
-    canvas.tabIndex = 0;
-    canvas.setAttribute("role", "application");
-    canvas.setAttribute(
-      "aria-label",
-      `Picture of the surface${name ? `, ${name} acts` : ""}. Arrows move the ring, Enter uses the tool.`,
-    );
-    figure.append(canvas, caption);
+    const figure = find("picture").content.firstElementChild.cloneNode(true);
+    const [canvas, caption] = figure.children;
+    canvas.role = "application";
+    canvas.ariaLabel = `Picture of the surface${name ? `, ${name} acts` : ""}. Arrows move the ring, Enter uses the tool.`;
     find("pictures").append(figure);
     const picture = new Picture(canvas, run.surface(), {
       theme: find("theme").value,
@@ -155,7 +149,7 @@ class Playground {
     picture.resize();
     picture.fit();
     listen(picture, {
-      tool: () => document.querySelector("input[name=tool]:checked").value,
+      tool: () => chosenTool().value,
       paint: (module, begins) => this.try(() => this.paint(run, module, begins)),
       throw: (from, to) => this.try(() => this.throw(run, from, to)),
       aim: (from, to) => {
@@ -173,8 +167,7 @@ class Playground {
   try(does, stops = false) {
     const fail = (error) => {
       if (stops) this.pause();
-      const isPlain = error instanceof PlainError;
-      this.say(isPlain ? error.message : `Something went wrong in the page: ${error.message}`);
+      this.say(explain(error));
     };
     try {
       const done = does();
@@ -222,37 +215,24 @@ class Playground {
     this._tell();
   }
 
-  /** Advance the runs by a time [s] of their own, within the budget; return what is left of it. */
-  advance(time) {
-    const unit = Math.max(...this.shown.map(({ run }) => run.unit));
-    const before = performance.now();
-    let left = time;
-    while (left >= unit && performance.now() - before < BUDGET) {
-      let moved = false;
-      for (const { run } of this.shown) moved = run.advance() || moved;
-      left -= unit;
-      if (!moved) {
-        this.pause();
-        return 0;
-      }
-    }
-    return Math.min(left, LATE);
+  /** Advance all runs by a step; pause, and return false, where none moves on. */
+  advance() {
+    let moved = false;
+    for (const { run } of this.shown) moved = run.advance() || moved;
+    if (!moved) this.pause();
+    return moved;
   }
 
   /** Draw a frame; `passed` [s] since the last. */
   frame(passed) {
     if (this.isRunning) {
-      const before = performance.now();
-      this.owed = this.advance(this.owed + Math.min(passed, LATE) * Number(find("speed").value));
-      if (passed > 0) {
-        const share = (performance.now() - before) / (1000 * passed);
-        this.share += SHARE_OVER * (share - this.share);
-      }
+      const unit = Math.max(...this.shown.map(({ run }) => run.unit));
+      const due = passed * number("speed");
+      this.owed = catchUp(this.owed, due, unit, () => this.advance());
       this.isStale = true;
     }
     if (!this.isStale) return;
     this.isStale = false;
-    this.frames += 1;
     const view = { forces: find("forces").checked, traces: find("traces").checked };
     for (const { run, picture, caption, name } of this.shown) {
       const share = this.isRunning && !run.over ? Math.min(1, this.owed / run.unit) : 1;
@@ -261,15 +241,7 @@ class Playground {
       const text = readings.map((pair) => pair.join(" ")).join("|");
       if (caption.dataset.text !== text) {
         caption.dataset.text = text;
-        caption.replaceChildren(
-          ...readings.map(([what, value]) => {
-            const span = document.createElement("span");
-            const strong = document.createElement("b");
-            strong.textContent = value;
-            span.append(what && `${what} `, strong);
-            return span;
-          }),
-        );
+        caption.replaceChildren(...readings.map(readingOf));
       }
     }
     if (!this.moved && this.shown[0]?.run.time > 0) this.moved = performance.now();
@@ -290,8 +262,7 @@ class Playground {
 
   /** Use the tool on a module. */
   paint(run, module, begins) {
-    const tool = document.querySelector("input[name=tool]:checked").value;
-    if (tool === "stick") {
+    if (chosenTool().value === "stick") {
       if (begins) this._stick([module]);
       return;
     }
@@ -320,26 +291,18 @@ class Playground {
   _takeOver(run) {
     if (run.scene.agent === YOU) return;
     run.scene.agent = YOU;
-    run.agent = new Player();
+    run.agent = PLAYER;
     const shown = this.shown.find((each) => each.run === run);
     shown.name = YOU;
     if (run === this.shown[0].run) find("agent").value = YOU;
   }
 
-  /** Turn all modules that the keys are for. */
+  /** Turn all modules that obey. */
   turnAll(angle = chosenAngle()) {
     const { run } = this.shown[0];
-    const modules =
-      run instanceof TableRun ? [...run.rotor.keys()].filter((k) => run.rotor[k]) : run.modules();
-    const which = find("which").value;
-    const isOne = run instanceof TaskRun && !run.about.stream && which !== "all";
-    const x = isOne ? run.machine.view("parcels.truth")[0] : 0;
-    const isBehind = (module) => run.placeOf(module)[0] < x;
-    this.turn(
-      run,
-      isOne ? modules.filter((module) => isBehind(module) === (which === "behind")) : modules,
-      angle,
-    );
+    const isTable = run instanceof TableRun;
+    const modules = isTable ? [...run.rotor.keys()].filter((k) => run.rotor[k]) : run.modules();
+    this.turn(run, modules, angle);
   }
 
   /** Let modules stick that obey, and mend those that stick; the episode begins again. */
@@ -379,10 +342,12 @@ class Playground {
   }
 }
 
-/** Let something be done the first time that it is asked for, and keep its answer. */
-function once(does) {
-  let answer;
-  return () => (answer ??= does());
+/** Make what is written of a reading. */
+function readingOf([what, value]) {
+  const [made, strong] = [document.createElement("span"), document.createElement("b")];
+  strong.textContent = value;
+  made.append(what && `${what} `, strong);
+  return made;
 }
 
 async function begin() {
@@ -395,7 +360,8 @@ async function begin() {
     page.modules = site.tasks;
     for (const task of page.tasks) find("task").append(new Option(`task: ${task}`, task));
     connect(page);
-    if (site.agents) page.loadAgents = once(() => Agents.load());
+    let agents; // asked for once, where a task is opened first
+    if (site.agents) page.loadAgents = () => (agents ??= Agents.load());
     if (address.length > 1) await page.try(() => page.openAddress());
     if (!page.scene) {
       const message = find("message").textContent;
@@ -406,7 +372,7 @@ async function begin() {
   });
   let last = performance.now();
   const draw = (now) => {
-    page.try(() => page.frame(Math.max(0, now - last) / 1000), true);
+    page.try(() => page.frame(passedSince(last, now)), true);
     last = now;
     requestAnimationFrame(draw);
   };

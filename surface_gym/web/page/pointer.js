@@ -1,6 +1,8 @@
 /** What pointer and keys do on a picture: a tool used at places, a drag, zoom by wheel and pinch. */
 
-const WHEEL = 1.0015; // zoom for each pixel of the wheel
+import { followPointers } from "./gestures.js";
+
+const STILL = 6; // [px] that a pointer may move in a click
 const STEP = 1.25; // zoom of a key
 const ARROWS = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowDown: [-1, 0] };
 
@@ -16,47 +18,20 @@ const ARROWS = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 0], ArrowD
  */
 export function listen(picture, does) {
   const { canvas } = picture;
-  const pointers = new Map();
   let from = null;
   let painted = -1;
 
-  const at = (event) => {
-    const box = canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
-
-  canvas.addEventListener("pointerdown", (event) => {
-    if (event.button > 0) return;
-    canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, at(event));
-    if (pointers.size > 1) {
-      from = null;
-      does.aim(null);
-      return;
-    }
-    from = at(event);
-    const tool = does.tool();
-    if (tool === "turn" || tool === "stick") {
-      painted = picture.moduleAt(...from);
-      if (painted >= 0) does.paint(painted, true);
-    }
-  });
-
-  canvas.addEventListener("pointermove", (event) => {
-    const place = at(event);
-    const before = pointers.get(event.pointerId);
-    if (!before) return;
-    if (pointers.size === 2) {
-      const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
-      const length = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]);
-      picture.zoom(
-        length(place) / Math.max(1, length(before)),
-        (place[0] + other[0]) / 2,
-        (place[1] + other[1]) / 2,
-      );
-      picture.pan((place[0] - before[0]) / 2, (place[1] - before[1]) / 2);
-      does.changed();
-    } else if (from) {
+  followPointers(canvas, {
+    press: (place, isSecond) => {
+      from = isSecond ? null : place;
+      if (isSecond) does.aim(null);
+      else if (["turn", "stick"].includes(does.tool())) {
+        painted = picture.moduleAt(...place);
+        if (painted >= 0) does.paint(painted, true);
+      }
+    },
+    move: (place, before) => {
+      if (!before || !from) return;
       const tool = does.tool();
       if (tool === "pan") {
         picture.pan(place[0] - before[0], place[1] - before[1]);
@@ -68,32 +43,21 @@ export function listen(picture, does) {
         if (module >= 0 && module !== painted) does.paint(module, false);
         painted = module;
       }
-    }
-    pointers.set(event.pointerId, place);
-  });
-
-  const end = (event, isWhole) => {
-    if (!pointers.delete(event.pointerId)) return;
-    does.aim(null);
-    if (isWhole && from && does.tool() === "throw") {
-      const to = at(event);
-      const isDrag = Math.hypot(to[0] - from[0], to[1] - from[1]) > 6;
-      does.throw(picture.toSurface(...from), isDrag ? picture.toSurface(...to) : null);
-    }
-    if (pointers.size === 0) from = null;
-  };
-  canvas.addEventListener("pointerup", (event) => end(event, true));
-  canvas.addEventListener("pointercancel", (event) => end(event, false));
-
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      event.preventDefault();
-      picture.zoom(WHEEL ** -event.deltaY, ...at(event));
+    },
+    release: (to, isLast) => {
+      does.aim(null);
+      if (to && from && does.tool() === "throw") {
+        const isDrag = Math.hypot(to[0] - from[0], to[1] - from[1]) > STILL;
+        does.throw(picture.toSurface(...from), isDrag ? picture.toSurface(...to) : null);
+      }
+      if (isLast) from = null;
+    },
+    zoom: (factor, place, shift) => {
+      picture.zoom(factor, ...place);
+      picture.pan(...shift);
       does.changed();
     },
-    { passive: false },
-  );
+  });
 
   canvas.addEventListener("keydown", (event) => {
     const { rows, columns } = picture.surface;
@@ -109,16 +73,8 @@ export function listen(picture, does) {
         clamp(row + arrow[0], rows) * columns + clamp(column + arrow[1], columns);
     } else if (event.key === "Enter" && picture.chosen.module >= 0) {
       const ring = picture.chosen.module;
-      const { origin, pitch } = picture.surface;
       const tool = does.tool();
-      if (tool === "throw")
-        does.throw(
-          [
-            origin[0] + pitch[0] * (ring % columns),
-            origin[1] + pitch[1] * Math.floor(ring / columns),
-          ],
-          null,
-        );
+      if (tool === "throw") does.throw(picture.placeOf(ring), null);
       else if (tool !== "pan") does.paint(ring, true);
     } else if (event.key === "+" || event.key === "-") {
       picture.zoom(event.key === "+" ? STEP : 1 / STEP);

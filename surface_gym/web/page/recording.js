@@ -121,7 +121,8 @@ export class Recording {
     if (forces) {
       for (const parcel of frame.parcels) parcel.forces = [];
       const room = new Map(frame.parcels.map((parcel) => [parcel.number, parcel.forces]));
-      for (const [number, ...force] of this.forcesAt(index)) room.get(number)?.push(force);
+      for (const [number, ...force] of [...this.contactsAt(index), ...this.pushesAt(index)])
+        room.get(number)?.push(force);
     }
     if (this.delivered.length) frame.counts = this.delivered.map((column) => String(column[index]));
     return frame;
@@ -134,16 +135,22 @@ export class Recording {
     return sorted[Math.floor(LARGE * sorted.length)] ?? 0;
   }
 
-  /** Collect the forces of a frame: the parcel it acts on, x, y [m], and the force [N]. */
-  forcesAt(index) {
-    const [elements, , fx, fy] = this.contacts;
+  /** Collect contacts in a frame: the parcel, x, y [m], the friction [N] and the normal force [N]. */
+  contactsAt(index) {
+    const [elements, normal, fx, fy] = this.contacts;
     const { columns, pitch, origin } = this.surface;
     const found = [];
     for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
       const [row, column] = [Math.floor(elements[k] / columns), elements[k] % columns];
       const [x, y] = [origin[0] + column * pitch[0], origin[1] + row * pitch[1]];
-      found.push([this.bearer[k], x, y, fx[k], fy[k]]);
+      found.push([this.bearer[k], x, y, fx[k], fy[k], normal[k]]);
     }
+    return found;
+  }
+
+  /** Collect pushes in a frame: the parcel that is pushed, x, y [m] and the force [N]. */
+  pushesAt(index) {
+    const found = [];
     for (let k = this.firstPush[index]; k < this.firstPush[index + 1]; k++) {
       const [first, second, x, y, px, py] = this.pushes.map((column) => column[k]);
       found.push([first, x, y, -px, -py], [second, x, y, px, py]);
@@ -153,19 +160,14 @@ export class Recording {
 
   /** Sum the normal forces [N], and the friction and the pushes (x, y) on a parcel in a frame. */
   loadAt(index, number) {
-    const load = { normal: 0, friction: [0, 0], push: [0, 0] };
-    const [, normal, fx, fy] = this.contacts;
-    for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
-      if (this.bearer[k] !== number) continue;
-      load.normal += normal[k];
-      load.friction = [load.friction[0] + fx[k], load.friction[1] + fy[k]];
-    }
-    const [first, second, , , px, py] = this.pushes;
-    for (let k = this.firstPush[index]; k < this.firstPush[index + 1]; k++) {
-      const sign = (second[k] === number) - (first[k] === number);
-      load.push = [load.push[0] + sign * px[k], load.push[1] + sign * py[k]];
-    }
-    return load;
+    const total = (rows, column) =>
+      sum(rows.filter(([each]) => each === number).map((row) => row[column]));
+    const [contacts, pushes] = [this.contactsAt(index), this.pushesAt(index)];
+    return {
+      normal: total(contacts, 5),
+      friction: [total(contacts, 3), total(contacts, 4)],
+      push: [total(pushes, 3), total(pushes, 4)],
+    };
   }
 
   _parcelAt(parcel, row, share, time) {

@@ -1,4 +1,4 @@
-/** Rules: compiled functions, from the same source as on the CPU. */
+/** Agents without a network: orientations and layouts that stay, and compiled rules. */
 
 /**
  * @typedef {object} Card of a rule
@@ -7,16 +7,27 @@
  * @property {[number, number]} [window] rows and columns around the parcel that it chooses for; by
  *   default all modules of the zone
  * @property {Object<string, number>} [camera] numbers of its memory that are others with a camera
+ * @property {number[]} [choices] on a slope, that a half's action stands for: roll, brake, to the
+ *   left, to the right
  */
 
-/** A rule that decides by what `parcels.observation` shows. */
-export class CompiledRule {
-  /** @param {Card} card @param {import("./machine.js").Machine} machine of the rule */
-  constructor(card, machine) {
+/** An agent: its card, and what it is made of. */
+export class Agent {
+  /**
+   * @param {Card} card
+   * @param {object} parts some of:
+   * @param {import("./machine.js").Machine} [parts.machine] of its own function
+   * @param {import("./machine.js").Obeying} [parts.obeying] which parcel each module obeys
+   * @param {Float32Array} [parts.weights] of its network, and maybe of others
+   */
+  constructor(card, parts) {
     this.card = card;
-    this.machine = machine;
+    Object.assign(this, parts);
   }
+}
 
+/** A compiled function, from the same source as on the CPU, of what `parcels.observation` shows. */
+export class CompiledRule extends Agent {
   /** Forget what was in an episode before. */
   begin(run) {
     this.machine.reset();
@@ -62,4 +73,34 @@ export class Rule extends CompiledRule {
     const middle = [Math.floor(up + 0.5 + 1e-9), Math.floor(along + 0.5)];
     return [middle[0] - Math.floor(rows / 2), middle[1] - Math.floor(columns / 2)];
   }
+}
+
+/** A rule on a slope, which decides for each parcel. */
+export class SlopeRule extends CompiledRule {
+  /** Choose for both halves of the parcel in each row, one after the other. */
+  choose(run) {
+    return this.call(run, "tables", "halves")[0].map((half) => this.card.choices[half]);
+  }
+
+  act(run) {
+    this.chosen = this.choose(run);
+    this.obeying.act(run, this.chosen);
+  }
+}
+
+/** Keeps what the player sets. */
+export const PLAYER = { act() {} };
+
+/** Keep every module at one orientation. */
+export function keepAll(choice) {
+  return { act: (run) => run.wanted.fill(choice) };
+}
+
+/** Keep the layout that a rule has chosen for each seed's start: choices, and how many in a row. */
+export function keepLayout(layouts) {
+  const act = (run) => {
+    const layout = layouts[run.scene.seed];
+    run.wanted.set(layout.flatMap(([choice, many]) => new Array(many).fill(choice)));
+  };
+  return { act };
 }

@@ -3,8 +3,8 @@
  * page, after "#", and comes out as JSON and as a Python script.
  */
 
-import { PlainError } from "./machine.js";
-import { checkArray, checkNumber, makeBody, shown } from "./shapes.js";
+import { ensure, PlainError } from "./machine.js";
+import { checkArray, checkNumber, checkNumbers, makeBody, shown } from "./shapes.js";
 
 export const VERSION = 1;
 export const MOST_PARCELS = 24;
@@ -103,52 +103,52 @@ export function packed(values) {
 
 /** Read what `packed` wrote, for so many values. */
 export function unpacked(name, runs, count, least, most) {
-  checkArray(name, runs, 1, count);
   const values = [];
-  for (const run of runs) {
+  for (const run of checkArray(name, runs, 1, count)) {
     const [value, many] = checkArray(name, run, 2);
     checkNumber(name, value, least, most);
     checkWhole(`${name}, how many`, many, 1, count - values.length);
     for (let k = 0; k < many; k++) values.push(value);
   }
-  if (values.length !== count)
-    throw new PlainError(`${name} must be of ${count} modules, got ${values.length}.`);
+  ensure(values.length === count, `${name} must be of ${count} modules, got ${values.length}.`);
   return values;
 }
 
 /** Check that a value is a whole number between two bounds. */
-export function checkWhole(name, value, least, most) {
+function checkWhole(name, value, least, most) {
   checkNumber(name, value, least, most);
-  if (!Number.isInteger(value))
-    throw new PlainError(`${name} must be a whole number, got ${value}.`);
+  ensure(Number.isInteger(value), `${name} must be a whole number, got ${value}.`);
   return value;
 }
 
+/** Check that a value is an array of so many whole numbers of modules or choices. */
+function checkIndices(name, value, many) {
+  for (const each of checkArray(name, value, many)) checkWhole(name, each, 0, MOST_MODULES);
+}
+
 /** Check all of a scene; @param {string[]} tasks that there are. @returns the scene */
-export function checkScene(scene, tasks) {
-  if (typeof scene !== "object" || scene === null || Array.isArray(scene)) {
-    throw new PlainError(`A scene must be an object, got ${shown(scene)}.`);
-  }
-  if (scene.version !== VERSION)
-    throw new PlainError(`The scene's version must be ${VERSION}, got ${shown(scene.version)}.`);
-  if (scene.task === "table") return checkTable(scene);
-  if (!tasks.includes(scene.task)) {
-    throw new PlainError(
-      `The scene's task must be one of table, ${tasks.join(", ")}, got ${shown(scene.task)}.`,
-    );
-  }
-  return checkTask(scene);
+function checkScene(scene, tasks) {
+  const isObject = typeof scene === "object" && scene !== null && !Array.isArray(scene);
+  ensure(isObject, `A scene must be an object, got ${shown(scene)}.`);
+  const { version, task } = scene;
+  ensure(version === VERSION, `The scene's version must be ${VERSION}, got ${shown(version)}.`);
+  const known = ["table", ...tasks];
+  ensure(
+    known.includes(task),
+    `The scene's task must be one of ${known.join(", ")}, got ${shown(task)}.`,
+  );
+  if (task === "table") checkTable(scene);
+  else checkTask(scene);
+  return scene;
 }
 
 function checkTable(scene) {
   checkWhole("rows", scene.rows, 1, MOST_MODULES);
   checkWhole("columns", scene.columns, 1, MOST_MODULES);
   const modules = scene.rows * scene.columns;
-  if (modules > MOST_MODULES)
-    throw new PlainError(`A table has at most ${MOST_MODULES} modules, got ${modules}.`);
-  for (const each of checkArray("pitch", scene.pitch, 2)) checkNumber("pitch", each, 0.01, 10);
-  for (const each of checkArray("origin", scene.origin, 2))
-    checkNumber("origin", each, -HERE, HERE);
+  ensure(modules <= MOST_MODULES, `A table has at most ${MOST_MODULES} modules, got ${modules}.`);
+  checkNumbers("pitch", scene.pitch, 2, 0.01, 10);
+  checkNumbers("origin", scene.origin, 2, -HERE, HERE);
   unpacked("axis", scene.axis, modules, -7, 7);
   unpacked("rotor", scene.rotor, modules, 0, 1);
   checkFriction(scene.friction);
@@ -159,50 +159,43 @@ function checkTable(scene) {
   checkNumber("dt", scene.dt, 0.0005, 0.01);
   checkNumber("duration", scene.duration, scene.dt, MOST_TIME);
   const steps = Math.round(scene.duration / scene.dt);
-  if (!Array.isArray(scene.parcels))
-    throw new PlainError(`parcels must be an array, got ${shown(scene.parcels)}.`);
-  if (scene.parcels.length > MOST_PARCELS) {
-    throw new PlainError(
-      `A table holds at most ${MOST_PARCELS} parcels, and the scene has ${scene.parcels.length}.`,
-    );
-  }
-  for (const [k, parcel] of scene.parcels.entries()) checkThrown(parcel, `parcel ${k + 1}`, steps);
-  checkArray("changes", scene.changes, 0, MOST_CHANGES);
+  const { parcels } = scene;
+  ensure(Array.isArray(parcels), `parcels must be an array, got ${shown(parcels)}.`);
+  ensure(
+    parcels.length <= MOST_PARCELS,
+    `A table holds at most ${MOST_PARCELS} parcels, and the scene has ${parcels.length}.`,
+  );
+  for (const [k, parcel] of parcels.entries()) checkThrown(parcel, `parcel ${k + 1}`, steps);
   let last = 0;
-  for (const change of scene.changes) {
+  for (const change of checkArray("changes", scene.changes, 0, MOST_CHANGES)) {
     last = checkWhole("step of a change", change?.step, last, steps);
-    if (change.axis !== undefined) {
-      for (const turn of checkArray("axis of a change", change.axis, 0, modules)) {
-        const [module, angle] = checkArray("axis of a change", turn, 2);
-        checkWhole("module of a change", module, 0, modules - 1);
-        checkNumber("angle of a change", angle, -7, 7);
-      }
+    for (const turn of checkArray("axis of a change", change.axis ?? [], 0, modules)) {
+      const [module, angle] = checkArray("axis of a change", turn, 2);
+      checkWhole("module of a change", module, 0, modules - 1);
+      checkNumber("angle of a change", angle, -7, 7);
     }
-    if (change.friction !== undefined) checkFriction(change.friction);
+    checkFriction(change.friction ?? scene.friction);
     checkTilt({ tilt: 0, tilt_direction: 0, ...change });
   }
-  return scene;
 }
 
 function checkThrown(parcel, name, steps) {
-  if (typeof parcel !== "object" || parcel === null)
-    throw new PlainError(`${name} must be an object, got ${shown(parcel)}.`);
+  const isObject = typeof parcel === "object" && parcel !== null;
+  ensure(isObject, `${name} must be an object, got ${shown(parcel)}.`);
   makeBody(parcel, name);
   const [x, y, theta] = checkArray(`${name}.pose`, parcel.pose, 3);
-  for (const each of [x, y]) checkNumber(`${name}.pose`, each, -HERE, HERE);
+  checkNumbers(`${name}.pose`, [x, y], 2, -HERE, HERE);
   checkNumber(`${name}.pose`, theta, -1000, 1000);
-  for (const each of checkArray(`${name}.velocity`, parcel.velocity, 3))
-    checkNumber(`${name}.velocity`, each, -FAST, FAST);
+  checkNumbers(`${name}.velocity`, parcel.velocity, 3, -FAST, FAST);
   checkWhole(`${name}.step`, parcel.step ?? 0, 0, steps);
 }
 
 function checkFriction(friction) {
-  const [along, across] = checkArray("friction", friction, 3);
-  for (const each of friction) checkNumber("friction", each, 0, 10);
-  if (across > along)
-    throw new PlainError(
-      `friction along an axis must not be less than across it, got ${shown(friction)}.`,
-    );
+  const [along, across] = checkNumbers("friction", friction, 3, 0, 10);
+  ensure(
+    across <= along,
+    `friction along an axis must not be less than across it, got ${shown(friction)}.`,
+  );
 }
 
 function checkTilt({ tilt, tilt_direction }) {
@@ -210,34 +203,31 @@ function checkTilt({ tilt, tilt_direction }) {
   checkNumber("tilt_direction", tilt_direction, -7, 7);
 }
 
-function checkTask(scene) {
-  checkWhole("seed", scene.seed, 0, 1e6);
-  if (typeof scene.agent !== "string" || scene.agent.length > 60)
-    throw new PlainError(`agent must be a name, got ${shown(scene.agent)}.`);
-  for (const module of checkArray("stuck", scene.stuck, 0, MOST_MODULES)) {
-    for (const each of checkArray("stuck", module, 2)) checkWhole("stuck", each, 0, MOST_MODULES);
-  }
-  checkWhole("late", scene.late, 0, 10);
-  if (![true, false, undefined].includes(scene.camera))
-    throw new PlainError(`camera must be true or false, got ${shown(scene.camera)}.`);
-  if (!/^[a-z]{1,20}$/.test(scene.modules ?? "idle"))
-    throw new PlainError(`modules must be the name of a kind, got ${shown(scene.modules)}.`);
+function checkTask({ seed, agent, stuck, late, camera = false, modules = "idle", commands }) {
+  checkWhole("seed", seed, 0, 1e6);
+  const isName = typeof agent === "string" && agent.length <= 60;
+  ensure(isName, `agent must be a name, got ${shown(agent)}.`);
+  for (const module of checkArray("stuck", stuck, 0, MOST_MODULES))
+    checkIndices("stuck", module, 2);
+  checkWhole("late", late, 0, 10);
+  ensure(typeof camera === "boolean", `camera must be true or false, got ${shown(camera)}.`);
+  const isKind = /^[a-z]{1,20}$/.test(modules);
+  ensure(isKind, `modules must be the name of a kind, got ${shown(modules)}.`);
   let last = 0;
-  for (const command of checkArray("commands", scene.commands, 0, MOST_CHANGES)) {
+  for (const command of checkArray("commands", commands, 0, MOST_CHANGES)) {
     const [period, turns] = checkArray("commands", command, 2);
     last = checkWhole("period of a command", period, last, 1e5);
-    for (const turn of checkArray("commands", turns, 0, MOST_MODULES)) {
-      for (const each of checkArray("commands", turn, 2))
-        checkWhole("commands", each, 0, MOST_MODULES);
-    }
+    for (const turn of checkArray("commands", turns, 0, MOST_MODULES))
+      checkIndices("commands", turn, 2);
   }
-  return scene;
 }
 
 /** Read a scene from text in JSON. */
 export function readJson(text, tasks) {
-  if (text.length > MOST_BYTES)
-    throw new PlainError(`A scene has at most ${MOST_BYTES} letters, got ${text.length}.`);
+  ensure(
+    text.length <= MOST_BYTES,
+    `A scene has at most ${MOST_BYTES} letters, got ${text.length}.`,
+  );
   let found;
   try {
     found = JSON.parse(text);
@@ -261,8 +251,7 @@ export async function toFragment(scene) {
 /** Read the scene of an address, or say what is wrong with it. */
 export async function fromFragment(fragment, tasks) {
   const text = fragment.replace(/^#/, "");
-  if (!text.startsWith(MARK))
-    throw new PlainError(`The address holds no scene: after "#" it must begin with ${MARK}`);
+  ensure(text.startsWith(MARK), `The address holds no scene: after "#" it must begin with ${MARK}`);
   let bytes;
   try {
     const plain = atob(text.slice(MARK.length).replaceAll("-", "+").replaceAll("_", "/"));
@@ -309,136 +298,64 @@ export function toPython(scene, periods = 0, { file = "", rolling = 3 } = {}) {
 }
 
 function tableScript(scene) {
-  const isPlain = scene.changes.length === 0 && scene.parcels.every(({ step }) => !step);
-  if (!isPlain || scene.parcels.length === 0) return sceneScript(scene);
-  const { parcels } = scene;
-  const one = parcels.length === 1;
-  const grid = (runs, kind) =>
-    `np.repeat(${list(runs.map(([value]) => (kind ? (value ? "True" : "False") : value)))}, ${list(runs.map(([, many]) => many))})`;
-  const shape = `.reshape(${scene.rows}, ${scene.columns})`;
-  const lines = [
-    '"""A run of the playground: the same parcels on the same surface."""',
-    "",
-    "import numpy as np",
-    "",
-    "import surface_gym as sg",
-    "",
-    "surface = sg.Surface(",
-    `    axis=${grid(scene.axis)}${shape},`,
-    `    rotor=${grid(scene.rotor, true)}${shape},`,
-    `    pitch=${tuple(scene.pitch)},`,
-    `    origin=${tuple(scene.origin)},`,
-    ...["mu_max", "mu_min", "mu_support"].map((name, k) => `    ${name}=${scene.friction[k]},`),
-    `    tilt=${scene.tilt},`,
-    `    tilt_direction=${scene.tilt_direction},`,
-    ")",
-    "parcels = [",
-    ...parcels.map((parcel) => `    ${parcelCode(parcel)},`),
-    "]",
-    `poses = ${list(parcels.map(({ pose }) => tuple(pose)))}`,
-    `velocities = ${list(parcels.map(({ velocity }) => tuple(velocity)))}`,
-  ];
-  const time = `duration=${scene.duration}, dt=${scene.dt}`;
-  if (one) {
-    lines.push(
-      `trajectory = sg.simulate(surface, parcels[0], poses[0], velocities[0], ${time})`,
-      "trajectories = [trajectory]",
-    );
-  } else {
-    lines.push(
-      `sides = {"restitution": ${scene.sides[0]}, "side_friction": ${scene.sides[1]}}`,
-      `encounter = sg.simulate_together(surface, parcels, poses, velocities, ${time}, **sides)`,
-      "trajectories = encounter.trajectories",
-    );
-  }
-  lines.push(
-    "for trajectory in trajectories:",
-    "    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)",
-    "",
-  );
-  return lines.join("\n");
+  return `"""A run of the playground: the same parcels on the same surface."""
+
+from surface_gym.web.scene import TableScene
+
+scene = TableScene.from_json(r"""${JSON.stringify(scene)}""")
+for trajectory in scene.run().trajectories:
+    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)
+`;
 }
 
-/** A script of a scene that changes as it runs. */
-function sceneScript(scene) {
-  return [
-    '"""A run of the playground: parcels come in, or the table changes, on the way."""',
-    "",
-    "from surface_gym.web.scene import TableScene",
-    "",
-    `scene = TableScene.from_json(r"""${JSON.stringify(scene)}""")`,
-    "trajectories = scene.run().trajectories",
-    "for trajectory in trajectories:",
-    "    print(trajectory.time[-1], *trajectory.pose[-1], *trajectory.velocity[-1], trajectory.end)",
-    "",
-  ].join("\n");
-}
-
-function taskScript(scene, periods, file, rolling) {
-  const stuck = scene.stuck.map(tuple);
-  const id = `SmartSurface/${scene.task[0].toUpperCase()}${scene.task.slice(1)}-v0`;
+function taskScript({ task, seed, camera, modules, ...scene }, periods, file, rolling) {
+  const stuck = scene.stuck.map((module) => `(${module.join(", ")})`);
+  const id = `SmartSurface/${task[0].toUpperCase()}${task.slice(1)}-v0`;
   const made = file
-    ? `SmartSurfaceEnv(find_task(${JSON.stringify(`${file}:${scene.task}`)})`
+    ? `SmartSurfaceEnv(find_task(${JSON.stringify(`${file}:${task}`)})`
     : `gym.make("${id}"`;
   const faults = [
     ...(stuck.length ? [`actuators=Actuators(stuck=(${stuck.join(", ")},))`] : []),
-    ...(scene.camera ? ["sensors=Camera()"] : []),
-    ...(isDriven(scene) ? [`modules="${scene.modules}"`] : []),
+    ...(camera ? ["sensors=Camera()"] : []),
+    ...(isDriven({ modules }) ? [`modules="${modules}"`] : []),
   ];
   const commands = scene.commands.map(
     ([period, turns]) =>
       `    ${period}: {${turns.map(([k, choice]) => `${k}: ${choice}`).join(", ")}},`,
   );
-  return [
-    '"""A run of the playground: the same start, and the same commands in the same periods."""',
-    "",
+  const own =
+    "from surface_gym.agents.library import find_task\nfrom surface_gym.env import SmartSurfaceEnv";
+  const imports = [
     ...(file ? [] : ["import gymnasium as gym"]),
     "import numpy as np",
     "",
-    ...(file
-      ? [
-          "from surface_gym.agents.library import find_task",
-          "from surface_gym.env import SmartSurfaceEnv",
-        ]
-      : ["import surface_gym"]),
+    file ? own : "import surface_gym",
     ...(stuck.length ? ["from surface_gym.randomisation import Actuators"] : []),
-    ...(scene.camera ? ["from surface_gym.sensors import Camera"] : []),
-    "",
-    `env = ${[made, ...faults].join(", ")})`,
-    `observation, info = env.reset(seed=${scene.seed})`,
-    "commands = {  # by the control period: modules and their choices",
-    ...commands,
-    "}",
-    `action = np.full(env.action_space.shape, ${rolling})  # parcels roll on`,
-    "rewards = 0.0",
-    `for period in range(${periods}):`,
-    "    for module, choice in commands.get(period, {}).items():",
-    "        action[module] = choice",
-    "    observation, reward, terminated, truncated, info = env.step(action)",
-    "    rewards += reward",
-    "    if terminated or truncated:",
-    "        break",
-    'print(rewards, info["time"], info.get("outcome"), *info.get("pose", ()), *info.get("velocity", ()))',
-    "",
-  ].join("\n");
+    ...(camera ? ["from surface_gym.sensors import Camera"] : []),
+  ];
+  return `"""A run of the playground: the same start, and the same commands in the same periods."""
+
+${imports.join("\n")}
+
+env = ${[made, ...faults].join(", ")})
+observation, info = env.reset(seed=${seed})
+commands = {  # by the control period: modules and their choices
+${commands.join("\n")}
+}
+action = np.full(env.action_space.shape, ${rolling})  # parcels roll on
+rewards = 0.0
+for period in range(${periods}):
+    for module, choice in commands.get(period, {}).items():
+        action[module] = choice
+    observation, reward, terminated, truncated, info = env.step(action)
+    rewards += reward
+    if terminated or truncated:
+        break
+print(rewards, info["time"], info.get("outcome"), *info.get("pose", ()), *info.get("velocity", ()))
+`;
 }
 
-function parcelCode({ base, mass, com_height: height, com_offset: offset }) {
-  let code = `sg.Disc(${base.disc})`;
-  if (base.rectangle) code = `sg.Rectangle(${base.rectangle.join(", ")})`;
-  if (base.polygon) code = `sg.Polygon(${list(base.polygon.map(tuple))})`;
-  return `sg.Parcel(${code}, mass=${mass}, com_height=${height}, com_offset=${tuple(offset)})`;
-}
-
-function tuple(values) {
-  return `(${values.join(", ")})`;
-}
-
-function list(values) {
-  return `[${values.join(", ")}]`;
-}
-
-/** Write a run as comma-separated values. @param {import("./tracks.js").Track[]} tracks of its parcels */
+/** Write a run as comma-separated values. @param {import("./draw.js").Track[]} tracks of its parcels */
 export function toCsv(tracks) {
   const rows = ["time [s],parcel,x [m],y [m],theta [rad],vx [m/s],vy [m/s],omega [rad/s]"];
   for (const { number, times, motion } of tracks) {

@@ -1,6 +1,6 @@
 /** Parcels as the physics reads them: numbers, edges and corners of their bases; and overlaps. */
 
-import { cos, hypot, PlainError, sin } from "./machine.js";
+import { cos, ensure, hypot, sin } from "./machine.js";
 
 const NO_EDGE = [0, 1, 1e9]; // that no point lies beyond
 const MOST_CORNERS = 32;
@@ -29,22 +29,25 @@ const MASS = [0.001, 10000]; // [kg]
  */
 
 /** Check that a value is a finite number between two bounds. */
-export function checkNumber(name, value, least = -Infinity, most = Infinity) {
-  if (typeof value !== "number" || !Number.isFinite(value)) {
-    throw new PlainError(`${name} must be a finite number, got ${shown(value)}.`);
-  }
-  if (value < least || value > most)
-    throw new PlainError(`${name} must be from ${least} to ${most}, got ${value}.`);
+export function checkNumber(name, value, least, most) {
+  ensure(Number.isFinite(value), `${name} must be a finite number, got ${shown(value)}.`);
+  const isWithin = value >= least && value <= most;
+  ensure(isWithin, `${name} must be from ${least} to ${most}, got ${value}.`);
   return value;
 }
 
 /** Check that a value is an array of so many elements. */
 export function checkArray(name, value, least, most = least) {
-  if (!Array.isArray(value)) throw new PlainError(`${name} must be an array, got ${shown(value)}.`);
-  if (value.length < least || value.length > most) {
-    const wanted = least === most ? least : `${least} to ${most}`;
-    throw new PlainError(`${name} must hold ${wanted} values, got ${value.length}.`);
-  }
+  ensure(Array.isArray(value), `${name} must be an array, got ${shown(value)}.`);
+  const wanted = least === most ? least : `${least} to ${most}`;
+  const isWithin = value.length >= least && value.length <= most;
+  ensure(isWithin, `${name} must hold ${wanted} values, got ${value.length}.`);
+  return value;
+}
+
+/** Check that a value is an array of so many numbers between two bounds. */
+export function checkNumbers(name, value, many, least, most) {
+  for (const each of checkArray(name, value, many)) checkNumber(name, each, least, most);
   return value;
 }
 
@@ -59,22 +62,13 @@ export function makeBody(parcel, name = "parcel") {
   const { base, mass, com_height: height = 0.1, com_offset: offset = [0, 0] } = parcel;
   checkNumber(`${name}.mass`, mass, ...MASS);
   checkNumber(`${name}.com_height`, height, 0, 10);
-  for (const each of checkArray(`${name}.com_offset`, offset, 2))
-    checkNumber(`${name}.com_offset`, each, -SIZE[1], SIZE[1]);
-  if (typeof base !== "object" || base === null)
-    throw new PlainError(
-      `${name}.base must be a rectangle, a disc or a polygon, got ${shown(base)}.`,
-    );
-  const shape = readBase(base, name);
-  const { corners, edges, radius, gyration, centroid } = shape;
+  checkNumbers(`${name}.com_offset`, offset, 2, -SIZE[1], SIZE[1]);
+  const { corners, edges, radius, gyration, centroid } = readBase(base ?? {}, name);
   const rear = edges.length ? -Math.min(...corners.map(([x]) => x)) : radius;
   const isOver = edges.length
     ? edges.every(([nx, ny, d]) => nx * offset[0] + ny * offset[1] <= d)
     : hypot(...offset) <= radius;
-  if (!isOver)
-    throw new PlainError(
-      `${name}.com_offset must keep the load over the base, got ${shown(offset)}.`,
-    );
+  ensure(isOver, `${name}.com_offset must keep the load over the base, got ${shown(offset)}.`);
   const row = [radius, offset[0], offset[1], height, gyration, rear, mass];
   return {
     row,
@@ -88,8 +82,7 @@ export function makeBody(parcel, name = "parcel") {
 
 function readBase(base, name) {
   if (base.rectangle !== undefined) {
-    const [length, width] = checkArray(`${name}.rectangle`, base.rectangle, 2);
-    for (const each of [length, width]) checkNumber(`${name}.rectangle`, each, ...SIZE);
+    const [length, width] = checkNumbers(`${name}.rectangle`, base.rectangle, 2, ...SIZE);
     const [b, h] = [length / 2, width / 2];
     return {
       corners: [
@@ -119,18 +112,16 @@ function readBase(base, name) {
       centroid: [0, 0],
     };
   }
-  if (base.polygon === undefined)
-    throw new PlainError(
-      `${name}.base must be a rectangle, a disc or a polygon, got ${shown(base)}.`,
-    );
+  ensure(
+    base.polygon !== undefined,
+    `${name}.base must be a rectangle, a disc or a polygon, got ${shown(base)}.`,
+  );
   return readPolygon(base.polygon, `${name}.polygon`);
 }
 
 function readPolygon(vertices, name) {
   checkArray(name, vertices, 3, MOST_CORNERS);
-  for (const vertex of vertices) {
-    for (const each of checkArray(name, vertex, 2)) checkNumber(name, each, -SIZE[1], SIZE[1]);
-  }
+  for (const vertex of vertices) checkNumbers(name, vertex, 2, -SIZE[1], SIZE[1]);
   const next = (list, k) => list[(k + 1) % list.length];
   const signed = vertices.reduce(
     (sum, [x, y], k) => sum + x * next(vertices, k)[1] - y * next(vertices, k)[0],
@@ -147,16 +138,12 @@ function readPolygon(vertices, name) {
       beyond[1] - after[1],
     ];
     const turn = Math.atan2(ax * by - ay * bx, ax * bx + ay * by);
-    if (!(turn > -1e-9) || hypot(ax, ay) === 0)
-      throw new PlainError(`${name} must be convex, its corners in order.`);
-    turned += turn;
+    turned += turn > -1e-9 && hypot(ax, ay) > 0 ? turn : Number.NaN;
   }
-  if (Math.abs(turned - 2 * Math.PI) > 1e-6)
-    throw new PlainError(`${name} must be convex, its corners in order.`);
-  if (Math.abs(signed) < 2 * SIZE[0] * SIZE[0])
-    throw new PlainError(
-      `${name} must be larger: it has ${Math.abs(signed / 2).toPrecision(2)} m².`,
-    );
+  const isConvex = Math.abs(turned - 2 * Math.PI) <= 1e-6;
+  ensure(isConvex, `${name} must be convex, its corners in order.`);
+  const size = Math.abs(signed / 2);
+  ensure(size >= SIZE[0] ** 2, `${name} must be larger: it has ${size.toPrecision(2)} m².`);
   const [x0, y0] = outline[0];
   const start = outline.map(([x, y]) => [x - x0, y - y0]);
   let [area, sumX, sumY, squares] = [0, 0, 0, 0];

@@ -1,9 +1,9 @@
 /** A run of parcels on a table, stepped by a page, drawn and recorded. */
 
-import { cos, frictionForces, PlainError, sin } from "./machine.js";
+import { named, thinned } from "./draw.js";
+import { cos, ensure, frictionForces, sin } from "./machine.js";
 import { MOST_PARCELS, MOST_TIME, packed, unpacked } from "./scene.js";
 import { distance, makeBody, outlineOf, toCentre, toFrame, writeBodies } from "./shapes.js";
-import { thinned } from "./tracks.js";
 
 const GRAVITY = 9.81; // [m/s^2]
 const EIGHTH = 0.25 * Math.PI; // [rad]
@@ -69,7 +69,7 @@ export class TableRun {
     this.stepped = 0;
     this.change = 0; // the next of the scene's
     this.touches = 0;
-    /** @type {import("./tracks.js").Track[]} */
+    /** @type {import("./draw.js").Track[]} */
     this.tracks = [];
     this.left = [];
     this._writeTable();
@@ -107,13 +107,8 @@ export class TableRun {
   /** Let come in and change what the scene says of this step; once. */
   takeEvents() {
     const { scene, machine } = this;
-    for (
-      ;
-      this.change < scene.changes.length && scene.changes[this.change].step <= this.stepped;
-      this.change++
-    ) {
-      this._apply(scene.changes[this.change]);
-    }
+    while ((scene.changes[this.change]?.step ?? Infinity) <= this.stepped)
+      this._apply(scene.changes[this.change++]);
     const present = machine.view("world.present");
     scene.parcels.forEach((parcel, k) => {
       if (this.tracks[k] || (parcel.step ?? 0) > this.stepped) return;
@@ -130,18 +125,15 @@ export class TableRun {
   throw(parcel) {
     const body = makeBody(parcel);
     this._cut();
-    if (this.scene.parcels.length >= MOST_PARCELS) {
-      throw new PlainError(
-        `A table holds at most ${MOST_PARCELS} parcels: clear it to throw more.`,
-      );
-    }
+    const hasRoom = this.scene.parcels.length < MOST_PARCELS;
+    ensure(hasRoom, `A table holds at most ${MOST_PARCELS} parcels: clear it to throw more.`);
     const [x, y] = toCentre(body, parcel.pose, parcel.velocity);
-    if (!this._isOver(x, y)) throw new PlainError("A parcel must come in over the table.");
+    ensure(this._isOver(x, y), "A parcel must come in over the table.");
     const present = this.machine.view("world.present");
     const meets = this.bodies.some(
       (other, k) => present[k] && distance(body, parcel.pose, other, this._motion(k)) < -TOUCHING,
     );
-    if (meets) throw new PlainError("There is a parcel already: throw it in where there is room.");
+    ensure(!meets, "There is a parcel already: throw it in where there is room.");
     this.scene.parcels.push({ ...parcel, step: this.stepped });
     this.bodies.push(body);
     this._writeBodies();
@@ -188,18 +180,9 @@ export class TableRun {
       if (traces) ways.push({ points: thinned(track.motion) });
       if (!present[k]) return;
       const body = this.bodies[k];
-      const [x, y, theta, vx, vy, omega] = this._motion(k);
       const outline = outlineOf(body);
-      const parcel = {
-        x,
-        y,
-        theta,
-        vx,
-        vy,
-        omega,
-        label: String(k + 1),
-        ...(outline ? { outline } : { radius: body.radius }),
-      };
+      const look = outline ? { outline } : { radius: body.radius };
+      const parcel = { ...named(this._motion(k)), ...look, label: String(k + 1) };
       if (forces && this.stepped > track.times[0] / this.scene.dt) {
         const state = machine.view("world.state").subarray(8 * k, 8 * k + 6);
         parcel.forces = frictionForces(machine, k, state, body.mass);
@@ -236,17 +219,15 @@ export class TableRun {
   /** Forget what was to come, and let the run go on for longer: the player does something else. */
   _cut() {
     const { scene } = this;
-    if (this.stepped >= this._steps(MOST_TIME)) {
-      throw new PlainError(`A run has at most ${MOST_TIME} s: begin it again, or clear the table.`);
-    }
+    const hasTime = this.stepped < this._steps(MOST_TIME);
+    ensure(hasTime, `A run has at most ${MOST_TIME} s: begin it again, or clear the table.`);
     const end = this._steps(Math.min(MOST_TIME, this.time + LONGER));
     if (end > this._steps(scene.duration)) scene.duration = end * scene.dt;
     scene.changes = scene.changes.filter(({ step }) => step <= this.stepped);
-    const keeps = scene.parcels.filter((_, k) => this.tracks[k]).length;
-    if (keeps === scene.parcels.length) return;
     const kept = scene.parcels.map((_, k) => Boolean(this.tracks[k]));
-    if (kept.lastIndexOf(true) + 1 !== keeps)
-      throw new PlainError("Parcels are to come still: go on until they are there.");
+    const keeps = kept.filter(Boolean).length;
+    const areInOrder = kept.lastIndexOf(true) + 1 === keeps;
+    ensure(areInOrder, "Parcels are to come still: go on until they are there.");
     scene.parcels.length = keeps;
     this.bodies.length = keeps;
   }
@@ -276,13 +257,10 @@ export class TableRun {
 
   _writeBodies() {
     const { machine } = this;
-    const [state, present] = [
-      machine.view("world.state").slice(),
-      machine.view("world.present").slice(),
-    ];
+    const names = ["world.state", "world.present"];
+    const kept = names.map((name) => machine.view(name).slice());
     writeBodies(machine, "world.bodies.", this.bodies, MOST_PARCELS);
-    machine.view("world.state").set(state);
-    machine.view("world.present").set(present);
+    for (const [k, name] of names.entries()) machine.view(name).set(kept[k]);
     machine.set("turned", 1);
   }
 

@@ -1,7 +1,7 @@
 /** A run of a task's environment, stepped by a page, drawn and recorded. */
 
-import { frictionForces, PlainError } from "./machine.js";
-import { thinned } from "./tracks.js";
+import { named, thinned } from "./draw.js";
+import { ensure, frictionForces } from "./machine.js";
 
 const CORNERS = 32; // of a parcel, at most
 
@@ -10,7 +10,7 @@ export class TaskRun {
   /**
    * @param {import("./scene.js").TaskScene} scene that is checked; its commands follow the run
    * @param {object} agent with `act(run)`, which writes into `run.wanted`
-   * @param {import("./noise.js").Noise|null} noise that sensors draw
+   * @param {import("./machine.js").Noise|null} noise that sensors draw
    */
   constructor(machine, scene, agent, noise = null) {
     this.machine = machine;
@@ -43,7 +43,7 @@ export class TaskRun {
     scene.commands = [];
     this.period = 0;
     this.rewards = 0;
-    /** @type {import("./tracks.js").Track[]} */
+    /** @type {import("./draw.js").Track[]} */
     this.tracks = [];
     machine.step(); // senses and observes the start
     this.before = this.now = this._motions();
@@ -52,13 +52,11 @@ export class TaskRun {
   }
 
   get time() {
-    return this.about.stream
-      ? this.machine.get("streams.clock")
-      : this.machine.get("parcels.clock");
+    return this._counted("clock");
   }
 
   get outcome() {
-    return this.machine.get(this.about.stream ? "streams.outcome" : "parcels.outcome");
+    return this._counted("outcome");
   }
 
   get over() {
@@ -103,10 +101,9 @@ export class TaskRun {
     if (turns.length) scene.commands.push([this.period, turns]);
     this.commanded = command;
     this.noise?.drawAhead();
-    if (machine.step() > 0)
-      throw new PlainError(`The task ${machine.name} made a number that is not finite.`);
+    ensure(machine.step() === 0, `The task ${machine.name} made a number that is not finite.`);
     this.period += 1;
-    this.rewards += machine.get(this.about.stream ? "streams.reward" : "parcels.reward");
+    this.rewards += this._counted("reward");
     this.before = this.now;
     this.now = this._motions();
     this._record();
@@ -146,8 +143,7 @@ export class TaskRun {
     for (const [number, now] of this.now) {
       const before = this.before.get(number) ?? now;
       const between = (was, is) => is.map((value, k) => was[k] + share * (value - was[k]));
-      const [x, y, theta, vx, vy, omega] = between(before.motion, now.motion);
-      const parcel = { x, y, theta, vx, vy, omega, ...now.look };
+      const parcel = { ...named(between(before.motion, now.motion)), ...now.look };
       if (forces) parcel.forces = this._forces(now.row);
       if (now.sensed) parcel.sensed = between(before.sensed, now.sensed);
       parcels.push(parcel);
@@ -180,6 +176,11 @@ export class TaskRun {
     return found;
   }
 
+  /** Read a number of the episode, which the stream has or the only parcel. */
+  _counted(name) {
+    return this.machine.get(`${this.about.stream ? "streams" : "parcels"}.${name}`);
+  }
+
   _stick() {
     const { machine } = this;
     const modules = this.rows * this.columns;
@@ -187,20 +188,17 @@ export class TaskRun {
       if (!machine.fields.has(name)) continue;
       const obeys = machine.view(name);
       for (const [row, column] of this.scene.stuck) {
-        if (row >= this.rows || column >= this.columns)
-          throw new PlainError(
-            `stuck must be modules of ${this.rows} rows and ${this.columns} columns, got ${row}, ${column}.`,
-          );
+        ensure(
+          row < this.rows && column < this.columns,
+          `stuck must be modules of ${this.rows} rows and ${this.columns} columns, got ${row}, ${column}.`,
+        );
         for (let k = row * this.columns + column; k < obeys.length; k += modules) obeys[k] = 0;
       }
     }
   }
 
   _axes() {
-    const [axis, way] = [
-      this.machine.view("surfaces.axis"),
-      this.machine.view("surfaces.direction"),
-    ];
+    const [axis, way] = ["axis", "direction"].map((each) => this.machine.view(`surfaces.${each}`));
     return Float32Array.from(axis, (place) => Math.atan2(way[2 * place + 1], way[2 * place]));
   }
 

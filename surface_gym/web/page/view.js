@@ -124,6 +124,13 @@ export class View {
     return rotor && !rotor[index] ? -1 : index;
   }
 
+  /** Where a module is, x and y [m]. */
+  placeOf(module) {
+    const { columns, origin } = this.surface;
+    const [row, column] = [Math.floor(module / columns), module % columns];
+    return [origin[0] + column * this.pitch[0], origin[1] + row * this.pitch[1]];
+  }
+
   /** Convert x, y [m] to device pixels. */
   _place(x, y) {
     return [
