@@ -26,6 +26,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
+from surface_gym.compiler import linking
 from surface_gym.compiler.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
 
 if sys.platform != "win32":
@@ -211,7 +212,8 @@ class _DigestCache(FunctionCache):
     def _key(self, sig: Any, target: str) -> str:
         # Include the fields of the arguments' types, which Numba ignores.
         kinds = [_fields(kind) for kind in sig]
-        return compute_digest(self._dispatcher, str(sig), target, kinds, self._impl_class.__name__)
+        how = self._impl_class.__name__, _compiler()
+        return compute_digest(self._dispatcher, str(sig), target, kinds, *how)
 
     def _open(self, sig: Any) -> None:
         """Open the cache file of a version."""
@@ -311,6 +313,12 @@ def _warn(why: str) -> None:
         RuntimeWarning,
         stacklevel=2,
     )
+
+
+@lru_cache
+def _compiler() -> str:
+    """Return the source of the compiler, on which code in the cache and its form depend."""
+    return Path(linking.__file__).read_text()
 
 
 def _fields(kind: Any) -> Any:
