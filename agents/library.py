@@ -234,6 +234,7 @@ class TrainedPolicy(BatchController, ABC):
 
     def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
         self.card = card
+        self._config = config
         self.env_id = card.env_id
         own = {"task": config.task} if card.env_id.startswith(OWN) else {}
         self.env_kwargs = {**own, **card.env_kwargs}

@@ -33,15 +33,14 @@ from surface_gym.registration import DEFAULT_STREAM, TASKS
 from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, SITE, make_config
 
-from .. import library, local_policy, module_policy, parcel_policy
-from ..base import SIDE, Singles
+from .. import library, module_policy, slope_policy
+from ..base import SIDE, Singles, find_rest
 from ..evaluation.method import policy_folders
-from ..local_policy import LocalPolicy
 from ..module_places import find_places
 from ..module_policy import ModulePolicy
-from ..parcel_policy import ParcelPolicy
 from ..rules import find_prior, find_rules
 from ..rules.streams import OWN, SortEach
+from ..slope_policy import LocalPolicy, ParcelPolicy
 from .home import write_home
 from .policy import Source, network_decision, of_run, shipped
 from .rules import Card, configure, find_layouts, write, write_machine, write_rule, write_rules
@@ -135,7 +134,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
         ],
         "shared": module_policy.SHARED,
         "mirror": config.images.tolist(),
-        "rest": local_policy.find_rest(config), "side": SIDE,
+        "rest": find_rest(config), "side": SIDE,
     }  # fmt: skip
 
 
@@ -290,8 +289,8 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
         "kind": "parcels",
         **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
         **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
-        "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
-        "most": parcel_policy.MOST, "present": ta.COLUMN.present.place,
+        "heads": library.HEADS, "prior": slope_policy.PRIOR, "apart": slope_policy.PAIR_RANGE,
+        "most": slope_policy.MOST, "present": ta.COLUMN.present.place,
         "time": ta.COLUMN.time.place, "end": ta.COLUMN.to_the_end.place,
         "offset": ta.COLUMN.offset.place, "forward": ta.COLUMN.forward_speed.place,
     }  # fmt: skip
@@ -305,9 +304,9 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
     return {
         "kind": "modules",
         "actor": weights.add_layers(tensors, "actor"),
-        "numbers": [weights.add(local_policy.find_numbers()), local_policy.NUMBERS],
-        "hold": local_policy.HOLD, "apart": local_policy.APART, "most": local_policy.MOST,
-        "period": config.control_period, "rest": local_policy.find_rest(config),
+        "numbers": [weights.add(slope_policy.find_numbers()), slope_policy.NUMBERS],
+        "hold": slope_policy.HOLD, "apart": slope_policy.ROW_OFFSET, "most": slope_policy.MOST,
+        "period": config.control_period, "rest": find_rest(config),
         "time": ta.COLUMN.time.place,
     }  # fmt: skip
 

@@ -62,6 +62,7 @@ CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods between rows of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
 RECENT_EPISODES = 1000
+EPISODES = "episodes"  # number of episodes in an entry of sums; an entry without it is one episode
 
 Restored = TypeVar("Restored")
 # Called with finished control periods and the success rate of the latest episodes.
@@ -287,6 +288,17 @@ class Curve:
                 }
             )
 
+    def add_totals(self, totals: dict[str, float], least: int) -> None:
+        """Add a rollout's number of episodes and sums over them.
+
+        Means are then over the fewest latest rollouts with at least `least` episodes.
+        """
+        if totals[EPISODES] == 0.0:
+            return
+        self.recent.append(totals)
+        while self._count() - self.recent[0][EPISODES] >= least:
+            self.recent.popleft()
+
     @property
     def success(self) -> float:
         """[-] success rate of the latest episodes; NaN before the first."""
@@ -307,9 +319,12 @@ class Curve:
         with (file or self._file).open("a", newline="") as text:
             csv.writer(text).writerow(f"{row[name]:.8g}" for name in self._columns)
 
+    def _count(self) -> float:
+        return sum(each.get(EPISODES, 1.0) for each in self.recent)
+
     def _mean(self, name: str) -> float:
-        values = [episode[name] for episode in self.recent]
-        return float(np.mean(values)) if values else float("nan")
+        values = [each[name] for each in self.recent]
+        return float(np.sum(values)) / self._count() if values else float("nan")
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:

@@ -28,7 +28,7 @@ from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
 from . import runs
 from .algorithms import DQNConfig, PPOConfig
 from .config import ParcelConfig, make_card
-from .ppo import CLIP_RANGE
+from .learner import CLIP_RANGE
 
 # For the lab: other parcels than in its evaluation, from a slightly wider distribution.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.local_policy import HOLD, LocalNetwork, LocalPolicy, see_modules
-from surface_gym.agents.parcel_policy import suited
+from surface_gym.agents.slope_policy import HOLD, LocalNetwork, LocalPolicy, see_modules, suited
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.flow.module_view import OWN, ModuleView

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.parcel_policy import (
+from surface_gym.agents.rules.singulation import TimeSlots
+from surface_gym.agents.slope_policy import (
     ParcelNetwork,
     ParcelPolicy,
     ParcelValues,
@@ -16,7 +17,6 @@ from surface_gym.agents.parcel_policy import (
     suited,
     to_halves,
 )
-from surface_gym.agents.rules.singulation import TimeSlots
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import env_id

@@ -22,7 +22,7 @@ from surface_gym.actions import KINDS
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
-from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
+from surface_gym.agents.module_policy import ModulePolicy, make_actor
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.flow.task import COLUMN
 from surface_gym.tasks import Sort
@@ -53,9 +53,7 @@ def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
     torch.manual_seed(0)
     config, is_modules = card.env_config(), card.algo == "modules"
     network: Any = (
-        SharedNetwork(4, card.hidden, card.observe)
-        if is_modules
-        else policies.make_network(card, config)
+        make_actor(config, card.hidden) if is_modules else policies.make_network(card, config)
     )
     with torch.no_grad():
         for weights in network.parameters():

@@ -4,7 +4,7 @@ import { perceptron } from "./policy.js";
 import { softmax } from "./slopes.js";
 
 /**
- * @typedef {object} Card of a policy of modules, as in `agents/local_policy.py`
+ * @typedef {object} Card of a policy of modules, as in `agents/slope_policy.py`
  * @property {import("./policy.js").Layer[]} actor
  * @property {number[]} numbers where those that modules look up begin among the weights, and how many
  * @property {number} hold control periods for which the number of a parcel's modules stays

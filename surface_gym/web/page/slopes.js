@@ -50,7 +50,7 @@ export class SlopeRule extends CompiledRule {
  * @property {number} forward
  */
 
-/** A trained policy of parcels, as `agents/parcel_policy.py` follows its probabilities over time. */
+/** A trained policy of parcels, as `agents/slope_policy.py` follows its probabilities over time. */
 export class ParcelPolicy extends SlopeRule {
   /** @param {RuleCard & ParcelsCard} card @param {Float32Array} weights */
   constructor(card, machine, obeying, weights) {

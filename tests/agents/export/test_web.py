@@ -15,7 +15,7 @@ from surface_gym.agents.export import rules, web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.library import save_policy
-from surface_gym.agents.module_policy import SharedNetwork
+from surface_gym.agents.module_policy import make_actor
 from surface_gym.agents.policy import make_network
 from surface_gym.agents.rules.sorting import BestSorting
 from surface_gym.compiler.wasm import Module
@@ -178,7 +178,7 @@ def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task
 
 def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
     card = replace(library.load("sort-modules").card, observe=("parcel",), hidden=(8,))
-    save_policy(SharedNetwork(4, card.hidden, card.observe).state_dict(), card, tmp_path / "run")
+    save_policy(make_actor(card.env_config(), card.hidden).state_dict(), card, tmp_path / "run")
     with pytest.raises(ValueError, match=r"run must hold .*, got modules, modules, \['parcel'\]"):
         web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 

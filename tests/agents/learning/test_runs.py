@@ -18,14 +18,7 @@ from rich.console import Console
 from safetensors.torch import load_file
 
 from surface_gym import agents
-from surface_gym.agents.learning import (
-    algorithms,
-    config as configs,
-    local,
-    runs,
-    schedules,
-    slopes,
-)
+from surface_gym.agents.learning import algorithms, config as configs, runs, schedules, slopes
 from surface_gym.agents.learning.cuda import train_on_device
 from surface_gym.agents.learning.runs import read_curve, train, train_seeds
 from surface_gym.agents.learning.shared import SharedLearner
@@ -93,7 +86,7 @@ def short_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slopes, "DURATION", 0.6)
     monkeypatch.setattr(slopes.StreamLearner, "critic_first", 1)
     monkeypatch.setattr(SharedLearner, "_rate", count_as_best)
-    monkeypatch.setattr(local, "ROUNDS", ((20, 0.0, 1),))
+    monkeypatch.setattr(slopes, "ROUNDS", ((20, 0.0, 1),))
 
 
 def run(
