@@ -20,11 +20,11 @@ from surface_gym.config import PRESETS, Preset
 from surface_gym.parallel import usable_cores
 from surface_gym.parcel import assortment
 
-from ..base import action_mirror, time_for, with_zone
+from ..base import ActionMirror, action_mirror, time_for, with_zone
 from ..library import find_task, save_policy
 from ..policy import EqualChoicesPolicy
 from ..tensors import check_like, load_optimizer
-from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
+from ..vec_env import SurfaceVecEnv
 from . import runs
 from .algorithms import DQNConfig, PPOConfig
 from .config import ParcelConfig, make_card
@@ -42,15 +42,14 @@ def training_task(name: str) -> sg.tasks.Task:
     return find_task(name).training_tasks()[0]
 
 
-def make_mirrored_envs(config: ParcelConfig) -> vec_env.VecEnv:
+def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
     """Make the environments of a configuration, with mirrored actions for mirrored tasks."""
-    envs = make_training_envs(config)
-    mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
-    return envs if mirror is None else MirrorVecEnv(envs, mirror)
+    env_config = make_card(config).env_config(find_task(config.task))
+    return make_training_envs(config, action_mirror(env_config))
 
 
-def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
-    """Make the environments of a configuration, without mirrored actions."""
+def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
+    """Make the environments of a configuration, by default without mirrored actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -60,7 +59,8 @@ def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
         *((each_zone, exact, columns) for columns in config.zones),
         (by_camera, other, None),
     ]
-    return ConcatVecEnv([_make_envs(config, *share) for share in shares if share[0]])
+    envs = [_make_envs(config, *share) for share in shares if share[0]]
+    return SurfaceVecEnv(*envs, mirror=mirror)
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
@@ -82,7 +82,7 @@ def _count_threads() -> int:
 
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
-) -> SurfaceVecEnv:
+) -> sg.SmartSurfaceVectorEnv:
     """Make environments under a preset, with a number of zone columns or the task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
@@ -90,19 +90,17 @@ def _make_envs(
         assert isinstance(line, sg.lines.Line)
         periods = round(periods * time_for(line, columns))
         line = with_zone(line, columns)
-    return SurfaceVecEnv(
-        sg.SmartSurfaceVectorEnv(
-            num_envs=num_envs,
-            threads=_count_threads(),
-            max_episode_steps=periods,
-            task=task,
-            line=line,
-            actions=config.actions,
-            control_period=config.control_period,
-            observe=config.observe,
-            preset=preset,
-            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
-        )
+    return sg.SmartSurfaceVectorEnv(
+        num_envs=num_envs,
+        threads=_count_threads(),
+        max_episode_steps=periods,
+        task=task,
+        line=line,
+        actions=config.actions,
+        control_period=config.control_period,
+        observe=config.observe,
+        preset=preset,
+        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
     )
 
 

@@ -22,7 +22,7 @@ from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.runs import Curve, read_curve, train
 from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
 from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
+from surface_gym.agents.vec_env import SurfaceVecEnv
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 
@@ -93,11 +93,7 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
     samples = learning.roll_out()
     policy = learning.network
     vector_env = env(actions)
-    env_config = vector_env.config
-    others = MirrorVecEnv(
-        SurfaceVecEnv(vector_env),
-        ActionMirror(env_config),
-    )
+    others = SurfaceVecEnv(vector_env, mirror=ActionMirror(vector_env.config))
     others.seed(7)
     seen = np.asarray(others.reset())
     buffer = RolloutBuffer(
