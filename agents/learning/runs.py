@@ -48,8 +48,7 @@ from surface_gym.files import (
 from surface_gym.parallel import Workers, map_jobs
 from surface_gym.registration import TASKS
 
-from ..library import find_algorithm, is_known, task_label
-from ..yaml_file import RENAMED, read_yaml
+from ..library import find_algorithm, is_known, read_yaml, task_label
 from . import config as configs
 from .config import TrainConfig
 
@@ -130,7 +129,7 @@ def write_config(config: TrainConfig, file: Path) -> None:
 
 
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
-    """Read a configuration written by `write_config`, also with earlier names of fields.
+    """Read a configuration written by `write_config`.
 
     Other tasks and algorithms raise a ValueError, since a file must not select code to execute.
 
@@ -140,7 +139,6 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
     """
     try:
         plain = read_yaml(file)
-        plain = {RENAMED.get(name, name): value for name, value in plain.items()}
         known = {"task": plain["task"] in TASKS, "algo": is_known(plain["algo"])}
         for name, given in (("task", task), ("algo", algo)):
             asked = plain[name] if given is None and known[name] else given
@@ -150,12 +148,9 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
                     f"got {given!r}"
                 )
         kind = find_algorithm(plain["algo"]).config
-        names = {each.name for each in fields(kind)}
-        unused = plain.keys() - names
         plain = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in plain.items()
-            if name not in unused & configs.ONCE_UNUSED
         }
         plain["out"] = Path(plain["out"])
         config: TrainConfig = kind(**plain)
@@ -179,7 +174,7 @@ def preset_name(file: Path) -> str | None:
 def _read_field(file: Path, name: str) -> str | None:
     try:
         plain = read_yaml(file)
-        return str({RENAMED.get(key, key): value for key, value in plain.items()}[name])
+        return str(plain[name])
     except (OSError, ValueError, KeyError):
         return None
 

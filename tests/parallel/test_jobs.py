@@ -27,13 +27,13 @@ from surface_gym.agents.evaluation.scenario import make_jobs, start_scenarios
 from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
-from surface_gym.agents.tuning.study import run_trial
+from surface_gym.agents.tuning import run_trial
 from surface_gym.design import Case, SortPurpose, least_speed
 from surface_gym.executors import Cluster, Processes, WorkError, describe_error
 from surface_gym.parallel import choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
-from tests.agents.tuning.cheap import searched
-from tests.agents.tuning.test_study import SWEEP
+from tests.agents.searches import searched
+from tests.agents.test_tuning import SWEEP
 from tests.parallel import jobs
 
 ROOT = Path(__file__).parents[2]
@@ -238,7 +238,7 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path,
 
 
 def test_a_search_has_trials_of_the_nodes(cluster, tmp_path):
-    sweep = replace(SWEEP, trials=2, startup_trials=2, sampler="random", pruner="none")
+    sweep = replace(SWEEP, trials=2, startup_trials=2)
     found = []
     for name, workers in (("local", 1), ("cluster", cluster)):
         (tmp_path / name).mkdir()

@@ -17,7 +17,6 @@ from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
-from surface_gym.agents.yaml_file import RENAMED
 from surface_gym.config import EnvConfig
 from surface_gym.feature_groups import GROUPS, group_features
 from surface_gym.tasks import TASKS
@@ -216,11 +215,10 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     write_config(PPOConfig(preset="lab"), folder / "config.yaml")
     presets = [each.name for each in policy.of_run(folder).training.presets]
     assert presets == list(policy.TRAINED_IN["lab"])
-    for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
-        command = f"python train.py --{flag} lab"
-        (folder / "card.yaml").write_text(f"command: {command}\nresults: {{}}\n")
-        training = policy.of_run(folder).training
-        assert (training.preset, training.command) == ("lab", command)
+    command = "python train.py --preset lab"
+    (folder / "card.yaml").write_text(f"command: {command}\nresults: {{}}\n")
+    training = policy.of_run(folder).training
+    assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         policy.of_run(folder, seed=3)
 

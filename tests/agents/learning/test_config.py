@@ -12,7 +12,6 @@ import yaml
 from surface_gym.agents.learning import algorithms, config as configs
 from surface_gym.agents.learning.runs import read_config, write_config
 from surface_gym.agents.library import ALGORITHMS
-from surface_gym.agents.yaml_file import RENAMED
 from surface_gym.registration import env_id
 from surface_gym.tasks import TASKS
 from tests.environments import ON_SLOPES
@@ -195,23 +194,6 @@ def test_an_unknown_device_is_refused() -> None:
         configs.defaults("sort", "modules", device="cuda")
 
 
-def test_what_was_written_before_is_read_too(tmp_path) -> None:
-    """With earlier names of fields, and with some that the algorithm never used."""
-    hyperparams, run = tmp_path / "own.yml", tmp_path / "config.yaml"
-    config = configs.defaults("sort", "modules")
-    configs.write_hyperparams(config, hyperparams)
-    assert "split_probability" in hyperparams.read_text()
-    hyperparams.write_text(hyperparams.read_text().replace("split_probability", "parted"))
-    assert configs.defaults("sort", "modules", hyperparams) == config
-    config = algorithms.ModulesConfig(split_probability=0.5)
-    write_config(config, run)
-    earlier = {name: before for before, name in RENAMED.items()}
-    plain = yaml.safe_load(run.read_text())
-    plain["device"] = "cpu"  # which every configuration had
-    plain = {earlier.get(name, name): value for name, value in plain.items()}
-    assert len(set(plain) & set(RENAMED)) == 3
-    run.write_text(yaml.safe_dump(plain))
-    assert read_config(run) == config
-    assert configs.config_of_seed(
-        algorithms.PPOConfig(seeds=3, steps=5), 2
-    ) == algorithms.PPOConfig(seed=2, seeds=1, steps=5)
+def test_the_configuration_of_one_seed_of_several() -> None:
+    several = algorithms.PPOConfig(seeds=3, steps=5)
+    assert configs.config_of_seed(several, 2) == algorithms.PPOConfig(seed=2, seeds=1, steps=5)
