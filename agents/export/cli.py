@@ -62,7 +62,7 @@ def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
     """Write NAME.onnx and NAME.md after a successful check; return the files and the check."""
-    from . import check, onnx, page, policy
+    from . import check, onnx, policy
 
     checks.integer("observations", observations, least=100)
     is_modules = source.policy.card.algo == "modules"
@@ -72,7 +72,7 @@ def export(
     model = make_model(decision, metadata)
     examples = check.make_observations(source, observations)
     agreement = check.compare(decision, source, examples, check.run_onnx(model))
-    text = page.make_page(source, metadata, agreement)
+    text = check.make_page(source, metadata, agreement)
     files = folder / f"{source.name}.onnx", folder / f"{source.name}.md"
     for file, content in zip(files, (model, text.encode()), strict=True):
         with replacing(file) as part:
