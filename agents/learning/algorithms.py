@@ -242,10 +242,13 @@ def _trained_by(module: str, learner: str) -> Callable[..., Any]:
     return train
 
 
+_train_model = _trained_by(".sb3", "ModelLearner")
+
+
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
     """Train PPO with Stable-Baselines3, or on a device."""
     if config.device == CPU:
-        return _later(".sb3", "train_sb3")(config, *more)
+        return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)
 
 
@@ -261,7 +264,9 @@ ALGORITHMS.register(
 )
 ALGORITHMS.register(
     "dqn",
-    Algorithm("DQN", DQNConfig, _later(".sb3", "train_sb3"), _BUILD, ("halves",), build_options=()),
+    Algorithm(
+        "DQN", DQNConfig, _trained_by(".sb3", "ModelLearner"), _BUILD, ("halves",), build_options=()
+    ),
 )
 ALGORITHMS.register(
     "modules",

@@ -27,8 +27,12 @@ def learning_rate(config: TrainConfig, steps: int) -> float:
 class Learner(Protocol):
     """Interface of learners: learning from rollouts, and states at checkpoints."""
 
-    steps: int  # control periods learned from
-    # terms: tuple[str, ...], of the curve's rewards, if they are not the task's
+    # Optional attributes: `terms`, reward terms of the curve in place of the task's, and
+    # `row_every`, control periods between rows of the curve in place of one row per rollout.
+
+    @property
+    def steps(self) -> int:
+        """Control periods learned from."""
 
     @property
     def network(self) -> torch.nn.Module:
@@ -71,16 +75,18 @@ def train_learner(
     recent = runs.read_state(folder, restore) if (folder / runs.CHECKPOINT).is_file() else []
     terms = getattr(learner, "terms", None) or find_task(config.task).terms
     curve = runs.Curve(folder, terms, learner.steps, recent)
-    interrupted, interval = False, -1
+    interrupted, interval, row_every = False, -1, getattr(learner, "row_every", 1)
     try:
         while learner.steps < config.steps:
             if runs.interval_at(config, learner.steps) != interval:
                 interval = runs.interval_at(config, learner.steps)
                 save()
                 learner.begin(runs.interval_seed(config, interval))
+            row = learner.steps // row_every
             learner.learn(curve)
-            curve.write(learner.steps)
-            on_progress(learner.steps, curve.success)
+            if learner.steps // row_every > row:
+                curve.write(learner.steps)
+                on_progress(learner.steps, curve.success)
         save()
     except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True

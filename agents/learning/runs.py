@@ -57,6 +57,7 @@ COMMAND = "command.txt"
 CHECKPOINT = "checkpoint.pt"
 PLAIN = 2**19  # [bytes] maximum size of plain values in a checkpoint; 1000 episodes need half of it
 CURVE = "curve.csv"
+TENSORBOARD = "tensorboard"  # folder
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods between rows of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
@@ -259,11 +260,11 @@ class Curve:
     ) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
-        self._file = folder / CURVE
+        self.folder, self._file = folder, folder / CURVE
         self._columns = (*FIGURES, *(REWARD + term for term in terms))
         _check_recent(folder / CHECKPOINT, recent, self._columns[1:])
         self.recent: deque[dict[str, float]] = deque(recent, maxlen=RECENT_EPISODES)
-        self._writer: Any = SummaryWriter(str(folder / "tensorboard"), purge_step=steps or None)
+        self._writer: Any = SummaryWriter(str(folder / TENSORBOARD), purge_step=steps or None)
         kept = [row for row in read_curve(folder) if row["steps"] <= steps] if steps else []
         if kept and tuple(kept[0]) != self._columns:
             raise ValueError(f"{self._file} must have the columns {', '.join(self._columns)}")

@@ -93,7 +93,7 @@ def test_the_weights_of_a_policy_of_modules_give_its_logits(folder):
     shared, own = (torch.from_numpy(seen[:, part].astype(np.float32)) for part in
                    (slice(split), slice(split, None)))  # fmt: skip
     with torch.no_grad():
-        wanted = network(shared, torch.arange(5), own)
+        wanted = network.log_probability(shared, torch.arange(5), own)
     found = torch.from_numpy(values).log_softmax(dim=1)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert card["mirror"] == [0, 2, 1, 3]
