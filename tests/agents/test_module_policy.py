@@ -50,24 +50,6 @@ def test_the_likelihood_is_the_share_of_uniforms(logits) -> None:
         torch.testing.assert_close(likelihood(logits, choice), share, atol=2e-4, rtol=0.0)
 
 
-def test_its_gradient_is_that_of_the_expected_reward(logits) -> None:
-    """The mean reward over uniforms, by finite differences, against the sum over likelihoods."""
-    reward = torch.randn((CHOICES,) * MODULES, generator=torch.Generator().manual_seed(5))
-    leaf = logits.clone().requires_grad_()
-    every = [torch.tensor(choice) for choice in draws(logits).unique(dim=0).tolist()]
-    expected = torch.stack([reward[tuple(choice)] * likelihood(leaf, choice) for choice in every])
-    expected.sum().backward()
-    step = 0.05
-    for place in itertools.product(range(MODULES), range(CHOICES)):
-        means = []
-        for way in (step, -step):
-            moved = logits.clone()
-            moved[place] += way
-            means.append(reward[tuple(draws(moved).T)].mean())
-        slope = (means[0] - means[1]) / (2.0 * step)
-        assert float(leaf.grad[place]) == pytest.approx(float(slope), abs=0.01)
-
-
 def test_groups_and_environments_count_apart(logits) -> None:
     log_probability = logits.log_softmax(dim=1)
     group = torch.tensor([0, 1, 4])

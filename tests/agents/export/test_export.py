@@ -11,16 +11,11 @@ from torch import nn
 
 from surface_gym import agents
 from surface_gym.agents.export import check, onnx as graphs, policy
-from surface_gym.agents.export.check import compare, random_observations
+from surface_gym.agents.export.check import compare, make_page, random_observations
 from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
-from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
-from surface_gym.config import EnvConfig
-from surface_gym.feature_groups import GROUPS, group_features
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.features import Feature
 from tests.agents.test_policy import policy_of
 from tests.environments import ON_SLOPES
 
@@ -234,14 +229,6 @@ def test_the_page_lists_every_feature_and_angle(name) -> None:
     assert f"every {source.config.control_period * 1e3:g} ms" in page
     assert "400 observations, 800 choices: the same (1 too close" in page
     assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
-    config = EnvConfig(task=task, actions="window", observe_axes=True)
-    shown = (*config.features, *group_features(tuple(GROUPS)))
-    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
-    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
 @pytest.mark.parametrize(
