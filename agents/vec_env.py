@@ -69,9 +69,12 @@ class SurfaceVecEnv(VecEnv):
             for env, part in zip(self.envs, self._parts, strict=True)
         ]
         observations, rewards, dones, infos = zip(*found, strict=True)
-        rewards = np.concatenate(rewards).astype(np.float32)
-        infos = [info for part in infos for info in part]
-        return self._seen(observations), rewards, np.concatenate(dones), infos
+        return (
+            self._seen(observations),
+            np.concatenate(rewards).astype(np.float32),
+            np.concatenate(dones),
+            [info for part in infos for info in part],
+        )
 
     def _seen(self, observations: Sequence[Any]) -> NDArray[Any]:
         seen = np.concatenate(observations)

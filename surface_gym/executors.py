@@ -279,7 +279,7 @@ class _Mailbox:
         return letters
 
 
-def _work(build: str, packed: bytes, mailbox: Any) -> Message:
+def _work_on_node(build: str, packed: bytes, mailbox: Any) -> Message:
     """Run a job on a node, unless the node has another build."""
     import ray
 
@@ -303,7 +303,7 @@ def _remote_parts(job: str) -> tuple[Any, Any]:
     here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
     mailbox = ray.remote(num_cpus=0)(_Mailbox).options(scheduling_strategy=here).remote()
     # `map_jobs` submits lost jobs again, on every executor.
-    return ray.remote(num_cpus=1, max_retries=0)(_work), mailbox
+    return ray.remote(num_cpus=1, max_retries=0)(_work_on_node), mailbox
 
 
 def _connect(cluster: Cluster) -> Any:
