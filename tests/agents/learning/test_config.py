@@ -17,7 +17,6 @@ from surface_gym.tasks import TASKS
 from tests.environments import ON_SLOPES
 
 ROOT = Path(__file__).parents[3]
-TRAP = "!!python/object/apply:os.getcwd []"
 BAD: tuple[dict[str, Any], ...] = (
     {"task": "juggle"}, {"actions": "thirds"}, {"seed": -1}, {"seeds": 0}, {"steps": 0},
     {"num_envs": 0}, {"preset": "field"}, {"observe": ("moon",)}, {"checkpoint_every": 0},
@@ -83,15 +82,6 @@ def test_defaults_are_understood_in_the_zoos_schema(task, algo) -> None:
             assert getattr(config, field.name) == entry[field.name]
 
 
-@pytest.mark.parametrize("text", ["", "[1", "algo: sac\nhidden: [1]\nout: a", TRAP])
-def test_a_foreign_file_is_refused_and_a_missing_one_named(tmp_path, text) -> None:
-    with pytest.raises(ValueError, match="holds no run"):
-        read_config(tmp_path / "config.yaml")
-    (tmp_path / "config.yaml").write_text(text)
-    with pytest.raises(ValueError, match=r"config\.yaml"):
-        read_config(tmp_path / "config.yaml")
-
-
 LEARNED = [
     *((task, algo) for algo in ("ppo", "dqn") for task in TASKS),
     ("sort", "modules"),
@@ -151,23 +141,8 @@ def test_an_unknown_field_is_named(entry, named, tmp_path) -> None:
     (tmp_path / "own.yml").write_text(yaml.safe_dump({"SmartSurface/Sort-v0": entry}))
     with pytest.raises(ValueError, match=r"own\.yml does not hold hyper-parameters: " + named):
         configs.defaults("sort", "ppo", tmp_path / "own.yml")
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("", "names and values"),
-        ("[1", "flow sequence"),
-        ("SmartSurface/Slow-v0: {}", "task must be one of 'slow' for ppo, got 'sort'"),
-        (TRAP, "could not determine a constructor"),
-    ],
-)
-def test_a_foreign_file_of_hyperparameters_is_refused(text, named, tmp_path) -> None:
-    with pytest.raises(ValueError, match=r"own\.yml"):  # there is none
-        configs.defaults("sort", "ppo", tmp_path / "own.yml")
-    (tmp_path / "own.yml").write_text(text)
-    with pytest.raises(ValueError, match=r"own\.yml.*" + named):
-        configs.defaults("sort", "ppo", tmp_path / "own.yml")
+    with pytest.raises(ValueError, match="task must be one of 'sort' for ppo, got 'slow'"):
+        configs.defaults("slow", "ppo", tmp_path / "own.yml")
 
 
 @pytest.mark.parametrize("task", [*TASKS, f"{ROOT}/examples/reach.py:Reach"])
@@ -185,13 +160,6 @@ def test_every_task_has_defaults_for_a_device(task, tmp_path) -> None:
     )
     assert set(of_gpu) == {*of_cpu, "beside the zoo"}
     assert set(of_gpu[env_id("sort")]) == set(of_cpu[env_id("sort")])
-
-
-def test_an_unknown_device_is_refused() -> None:
-    with pytest.raises(ValueError, match="device must be one of 'cpu', 'cuda', got 'tpu'"):
-        algorithms.PPOConfig(device="tpu")
-    with pytest.raises(ValueError, match="algo must be one for device 'cuda', got 'modules'"):
-        configs.defaults("sort", "modules", device="cuda")
 
 
 def test_the_configuration_of_one_seed_of_several() -> None:
