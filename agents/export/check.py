@@ -61,10 +61,7 @@ class Agreement:
 
 
 def compare(
-    decision: NetworkDecision | onnx.ModulesDecision,
-    source: Source,
-    observations: Singles,
-    decide: Decide,
+    decision: NetworkDecision, source: Source, observations: Singles, decide: Decide
 ) -> Agreement:
     """Compare the decisions of an ONNX file with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
