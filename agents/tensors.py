@@ -1,4 +1,4 @@
-"""What networks share: layers, joint draws of modules, and tensors from files, which are checked.
+"""Common parts of networks: layers, joint draws of modules, and checked tensors from files.
 
 There are 6 to 25 modules under a parcel. With independent draws, their deviations would cancel, and
 exploration would have no effect. Instead, the modules of a group look up one uniform number in

@@ -43,7 +43,7 @@ class SurfaceVecEnv(VecEnv):
         self._side = np.ones(total, dtype=np.float32)
         self._actions: NDArray[Any] | None = None
         self._terms = first.config.task.terms
-        # Of the running episodes: returns, lengths and sums of reward terms.
+        # returns, lengths and sums of reward terms of the running episodes
         self._returns, self._lengths = np.zeros(total), np.zeros(total, dtype=np.int64)
         self._sums = np.zeros((total, len(self._terms)))
 
