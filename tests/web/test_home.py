@@ -209,7 +209,7 @@ def around(built, tmp_path_factory):
     folder = tmp_path_factory.mktemp("around")
     beside = folder / "playground"
     beside.mkdir()
-    needed = (*home.FILES, "flow.wasm", "agent-flow-obeying.wasm")
+    needed = (*web.HOME, "flow.wasm", "agent-flow-obeying.wasm")
     for file in built.folder.iterdir():
         scheduled = file.name.startswith(("agent-home-", "agent-schedule"))
         if file.suffix in (".js", ".css", ".html") or scheduled or file.name in needed:
