@@ -11,8 +11,8 @@ training run:
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .grid_policy import GridPolicy
     from .library import load, names, read, seeds
+    from .policy import GridPolicy
 
 __all__ = ["GridPolicy", "load", "names", "read", "seeds"]
 
@@ -22,7 +22,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "GridPolicy":
-        from .grid_policy import GridPolicy
+        from .policy import GridPolicy
 
         return GridPolicy
     from . import library

@@ -112,6 +112,11 @@ def find_orientation(config: EnvConfig, angle: float) -> int:
     return int(apart.argmin())
 
 
+def find_rest(config: EnvConfig) -> int:
+    """Return the choice closest to 90 deg, for modules without a parcel, which will roll on."""
+    return int(np.abs(np.sin(config.chosen_orientations)).argmax())
+
+
 def find_conveyor(config: EnvConfig) -> int:
     """Return the choice by which a module does what it does without a command."""
     if not config.module_kind.drives:

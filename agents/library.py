@@ -1,14 +1,17 @@
 """Tasks, learning algorithms and trained policies by name, of the package and of users.
 
 A policy is a safetensors file of weights and a YAML card. Reading it executes no code from its
-files. PyTorch is imported only when a policy is loaded.
+files. PyTorch is imported only when a policy is loaded. YAML files are read with bounds, and their
+numbers are plain decimals.
 """
 
 import hashlib
 import importlib.util
 import json
+import re
 import sys
 from abc import ABC
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,20 +24,30 @@ import yaml
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.feature_groups import GROUPS
-from surface_gym.files import DAMAGE, describe_damage, read_bytes, replacing
+from surface_gym.files import (
+    DAMAGE,
+    describe_damage,
+    parse_integer,
+    parse_number,
+    read_bytes,
+    read_text,
+    replacing,
+)
 from surface_gym.registration import TASKS, env_id
 from surface_gym.registry import Registry
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.features import compute_digest
 
 from .base import BatchController
-from .yaml_file import YAML, parse_yaml
 
 SHELF = Path(__file__).parent / "shipped"
 WEIGHTS = "policy.safetensors"
 OLD_WEIGHTS = "policy.pt"  # weights of older policies
 ZIP = b"PK"  # first bytes of older weights
 POLICY = 2**27  # [bytes] maximum size of weights; the largest here has 0.2 million
+YAML = 30_000  # [bytes] maximum size, parsed in a second; the largest here has 6000
+NODES = 100_000  # maximum nodes of a YAML file, with aliases expanded
+BRACKETS = 1000
 CARD = "policy.yaml"
 DIGEST = "digest"  # card's field with the digest of its other fields and the weights
 OWN = "Own/"  # prefix of custom tasks and algorithms; cards do not name their files
@@ -166,6 +179,96 @@ def _load_module(kind: str, file: Path) -> Any:
     return sys.modules[name]
 
 
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, with plain decimal numbers and limited aliases."""
+
+    yaml_implicit_resolvers = {
+        first: [each for each in some if not each[0].endswith((":int", ":float"))]
+        for first, some in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a node, and count its content, since an alias may expand to billions of nodes."""
+        named: Any = self.check_event(yaml.AliasEvent)
+        node: Any = super().compose_node(parent, index)
+        if named:
+            if not hasattr(node, "total"):
+                raise ValueError("an alias must not stand inside of what it names")
+            return node
+        parts = node.value if isinstance(node.value, list) else []
+        if isinstance(node, yaml.MappingNode):
+            names = [name.value for name, _ in parts if isinstance(name, yaml.ScalarNode)]
+            for name, times in Counter(names).items():
+                if times > 1:
+                    raise ValueError(f"{name!r:.60} must stand once, got it {times} times")
+            parts = [part for pair in parts for part in pair]
+        node.total = 1 + sum(part.total for part in parts)
+        if node.total > NODES:
+            raise ValueError(f"it must hold at most {NODES} values, got more by its aliases")
+        return node
+
+    def construct_whole(self, node: Any) -> int:
+        """Return an integer in digits 0 to 9; Python would also read 1_0 and other scripts."""
+        return parse_integer("!!int", str(self.construct_scalar(node)))
+
+    def construct_real(self, node: Any) -> float:
+        """Return a number in digits 0 to 9, or .inf or .nan."""
+        text = str(self.construct_scalar(node))
+        named = text.lower().lstrip("+-").removeprefix(".")
+        return (
+            float(text.replace(".", ""))
+            if named in ("inf", "nan")
+            else parse_number("!!float", text)
+        )
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[+-]?(?:0|[1-9][0-9]*)\Z"), list("+-0123456789")
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"(?:[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-][0-9]+)?|[+-]?\.inf|\.nan)\Z"),
+    list("+-.0123456789"),
+)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_whole)
+_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_real)
+
+
+def parse_yaml(text: str) -> dict[str, Any]:
+    """Parse names and values from YAML, or raise a ValueError that names the problem.
+
+    No code is executed. Numbers are plain decimals; PyYAML would read 1_0 as ten and 010 as eight.
+    """
+    if len(text) > YAML:
+        raise ValueError(f"it must have at most {YAML} characters, got {len(text)}")
+    if text.count("[") + text.count("{") > BRACKETS:
+        raise ValueError(f"it must have at most {BRACKETS} brackets, got more")
+    try:
+        found = yaml.load(text, _Loader)
+    except (yaml.YAMLError, *DAMAGE) as error:
+        raise ValueError(describe_damage(error)) from None
+    if not isinstance(found, dict) or not all(isinstance(name, str) for name in found):
+        raise ValueError(f"it must hold names and values, got {found!r:.60}")
+    return found
+
+
+def read_yaml(file: Path, by_hand: bool = False) -> dict[str, Any]:
+    """Read the names and values of a YAML file; see `parse_yaml`.
+
+    Args:
+        by_hand: whether the last line may lack its line break, which marks complete files
+            otherwise.
+
+    Raises:
+        ValueError: the file is invalid; the message says why.
+        FileNotFoundError: the file does not exist.
+    """
+    text = read_text(file, YAML)
+    if not by_hand and not text.endswith("\n"):
+        raise ValueError("it is cut: its last line must end in a line break")
+    return parse_yaml(text)
+
+
 @dataclass(frozen=True)
 class PolicyCard:
     """Environment and network of a policy's weights."""
@@ -234,6 +337,7 @@ class TrainedPolicy(BatchController, ABC):
 
     def __init__(self, card: PolicyCard, config: EnvConfig) -> None:
         self.card = card
+        self._config = config
         self.env_id = card.env_id
         own = {"task": config.task} if card.env_id.startswith(OWN) else {}
         self.env_kwargs = {**own, **card.env_kwargs}

@@ -3,16 +3,10 @@
 Each module observes its position under the parcel, and features shared by all. The parcel's outline
 and the rows of its line are inferred from the environment's observation.
 
-There are 6 to 25 modules under a parcel. With independent draws, their deviations would cancel, and
-exploration would have no effect. Instead, the modules of a group look up one uniform number in
-their own cumulative probabilities. Similar modules choose alike, and each follows its own
-probabilities. The likelihood of a group's choices has a closed form: the length of the interval of
-uniform numbers that give these choices.
+The modules under a parcel share their random draws; see `tensors`.
 """
 
-import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,11 +18,11 @@ from surface_gym.config import EnvConfig
 from surface_gym.feature_groups import QUADRANT_SIZE, QUADRANTS, group_features
 from surface_gym.tasks import sort
 
-from .base import SIDE, Integers, Singles
+from .base import SIDE, Integers, Singles, find_rest
 from .library import PolicyCard, TrainedPolicy, Weights
 from .module_places import AHEAD, ASIDE, PLACE_SIZE, find_places, find_shown
 from .rules.decoding import look_at_line
-from .tensors import load_weights
+from .tensors import GROUPS, SharedNetwork, draw_choices, load_weights, make_layers, make_linear
 
 _NAMES = tuple(feature.name for feature in sort.FEATURES)
 # Without the side, since observations are mirrored, and without the time, which depends on the
@@ -75,8 +69,7 @@ class SortModuleView:
         self._features = len(config.features)
         self._sight, self._shown = look_at_line(config), find_shown(config)
         self._image = config.images
-        angles = np.array(config.chosen_orientations)
-        self._rest = int(np.abs(np.sin(angles)).argmax())  # choice closest to 90 deg
+        self._rest = find_rest(config)
         columns = config.columns
         of_groups = [columns[each.name].place for each in group_features(config.observe)]
         self._shared = np.array([*SHARED, *of_groups])
@@ -117,90 +110,10 @@ class SortModuleView:
         return actions
 
 
-GROUPS = 2  # groups of modules per environment
-_SMALLEST = 1e-6  # shorter intervals count as empty in single precision
-# maximum distance of a line between groups from the parcel's centre, in half lengths
-_FARTHEST = 0.7
-
-
-def draw_groups(
-    env: Integers, place: Singles, num_envs: int, probability: float, rng: np.random.Generator
-) -> Integers:
-    """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
-
-    Args:
-        place: (modules, ...) begins with the positions along and across the parcel, in half
-            lengths.
-        probability: probability that a random line through the parcel splits its modules into two
-            groups.
-    """
-    splits = rng.random(num_envs) < probability
-    angle = 2.0 * np.pi * rng.random(num_envs)
-    distance = rng.uniform(-_FARTHEST, _FARTHEST, num_envs)
-    across = np.cos(angle)[env] * place[:, 0] + np.sin(angle)[env] * place[:, 1]
-    return GROUPS * env + (splits[env] & (across > distance[env]))
-
-
-def draw_choices(
-    log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
-) -> torch.Tensor:
-    """Choose for each module (modules,) by the uniform number of its group."""
-    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
-    return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
-
-
-def log_likelihood(
-    log_probability: torch.Tensor, choice: torch.Tensor, group: torch.Tensor, groups: int
-) -> torch.Tensor:
-    """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
-
-    It is 0 without modules. If no uniform number gives the choices, it has its minimum and no
-    gradient.
-    """
-    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
-    below = torch.nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
-    above = torch.nn.functional.pad(edges, (0, 1), value=1.0).gather(1, choice.unsqueeze(1))
-    first = below.new_zeros(groups).scatter_reduce(0, group, below.squeeze(1), "amax")
-    last = above.new_ones(groups).scatter_reduce(0, group, above.squeeze(1), "amin")
-    return (last - first).clamp(min=_SMALLEST).log().reshape(-1, GROUPS).sum(dim=1)
-
-
-def make_linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
-    """Make a layer with orthogonal weights, as Stable-Baselines3's networks begin."""
-    layer = nn.Linear(inputs, outputs)
-    nn.init.orthogonal_(layer.weight, gain)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-
-def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
-    """Make layers with tanh between numbers of units."""
-    return [layer for sizes in pairwise(units) for layer in (make_linear(*sizes), nn.Tanh())]
-
-
-class SharedNetwork(nn.Module):
-    """Actor of all modules: from shared features and a module's position to logits.
-
-    Weights of the position start at zero, so that modules learn to act together before they learn
-    to differ. Otherwise training converges to the fixed layout.
-    """
-
-    def __init__(
-        self, choices: int, hidden: tuple[int, ...], observe: tuple[str, ...] = ()
-    ) -> None:
-        super().__init__()
-        # Files of weights contain these names.
-        self._alike = make_linear(shared_size(observe), hidden[0])
-        self._apart = nn.Linear(place_size(observe), hidden[0], bias=False)
-        nn.init.zeros_(self._apart.weight)
-        self._between = nn.Sequential(*make_layers(hidden))
-        self._logits = make_linear(hidden[-1], choices, 0.01)
-
-    def forward(self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-        """Compute log probabilities (modules, choices)."""
-        first = torch.tanh(self._alike(shared)[env] + self._apart(place))
-        logits: torch.Tensor = self._logits(self._between(first))
-        return logits.log_softmax(dim=1)
+def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
+    """Make the untrained actor of an environment's modules."""
+    sizes = shared_size(config.observe), place_size(config.observe)
+    return SharedNetwork(*sizes, hidden, len(config.chosen_orientations))
 
 
 class ValueNetwork(nn.Module):
@@ -230,10 +143,9 @@ class ModulePolicy(TrainedPolicy):
     def __init__(
         self, network: SharedNetwork, card: PolicyCard, zone: tuple[int, int] | None = None
     ) -> None:
-        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         config = replace(card.env_config(), zone=zone)
         super().__init__(card, config)
-        self._network = network.eval()
+        self._network = network
         self._view = SortModuleView(config)
         if zone is not None:
             self.env_kwargs["zone"] = zone
@@ -246,7 +158,7 @@ class ModulePolicy(TrainedPolicy):
         """Choose actions; random choices of one environment share a draw, as in training."""
         seen = self._view(batch)
         shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
-        log_probability = self._network(shared, env, place)
+        log_probability = self._network.log_probability(shared, env, place)
         if deterministic:
             choices = log_probability.argmax(dim=1)
         else:
@@ -259,6 +171,6 @@ def build_modules(card: PolicyCard, weights: Weights, config: EnvConfig) -> Modu
     """Build a policy of modules from its weights."""
 
     def make() -> SharedNetwork:
-        return SharedNetwork(len(config.chosen_orientations), card.hidden, card.observe)
+        return make_actor(config, card.hidden)
 
     return ModulePolicy(load_weights(make, card.hidden, weights), card)

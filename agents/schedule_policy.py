@@ -129,13 +129,11 @@ class SchedulePolicy(TrainedPolicy):
         config: EnvConfig,
         most_touches: float = 0.0,
     ) -> None:
-        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
         super().__init__(card, config)
-        self._network = network.eval()
-        self._config = config
-        if not self._config.stream_task.gate:
+        self._network = network
+        if not config.stream_task.gate:
             raise ValueError("gate must be True for a policy on a schedule, got False")
-        self._shape = (self._config.rows, len(self._config.features))
+        self._shape = (config.rows, len(config.features))
         self._most_touches = most_touches
 
     @cached_property

@@ -1,16 +1,27 @@
-"""Tensors from files, with checks before use."""
+"""Common parts of networks: layers, joint draws of modules, and checked tensors from files.
 
+There are 6 to 25 modules under a parcel. With independent draws, their deviations would cancel, and
+exploration would have no effect. Instead, the modules of a group look up one uniform number in
+their own cumulative probabilities. Similar modules choose alike, and each follows its own
+probabilities. The likelihood of a group's choices has a closed form: the length of the interval of
+uniform numbers that give these choices.
+"""
+
+import math
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import IO, Any, TypeVar
 
 import numpy as np
 import torch
+from torch import nn
 
 from surface_gym import checks
 from surface_gym.files import check_archive
 
-Network = TypeVar("Network", bound=torch.nn.Module)
+from .base import Integers, Singles
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def load_tensors(stream: IO[bytes], plain: int = 2**16) -> dict[str, Any]:
@@ -88,6 +99,9 @@ def load_weights(
 ) -> Network:
     """Make a network, and load finite weights of the same types, without conversion.
 
+    PyTorch gets one thread: the networks are small, and more threads would only wait for each
+    other.
+
     Args:
         hidden: units of its layers, checked against the shapes of the weights first.
     """
@@ -95,9 +109,108 @@ def load_weights(
     wanted = {(units, before) for before, units in pairwise(hidden)}
     if not wanted <= shapes or hidden[0] not in {shape[0] for shape in shapes if shape}:
         raise ValueError(f"hidden must be the units of the weights' layers, got {hidden}")
+    torch.set_num_threads(1)
     network = make_network()
     tensors = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
     for name, wanted in network.state_dict().items():
         check_tensor(name, tensors[name], wanted)
     network.load_state_dict(tensors)
     return network.eval()
+
+
+GROUPS = 2  # groups of modules per environment
+_SMALLEST = 1e-6  # shorter intervals count as empty in single precision
+# maximum distance of a line between groups from the parcel's centre, in half lengths
+_FARTHEST = 0.7
+
+
+def draw_groups(
+    env: Integers, place: Singles, num_envs: int, probability: float, rng: np.random.Generator
+) -> Integers:
+    """Draw the group of each module (modules,): 2 i or 2 i + 1 in environment i.
+
+    Args:
+        place: (modules, ...) begins with the positions along and across the parcel, in half
+            lengths.
+        probability: probability that a random line through the parcel splits its modules into two
+            groups.
+    """
+    splits = rng.random(num_envs) < probability
+    angle = 2.0 * np.pi * rng.random(num_envs)
+    distance = rng.uniform(-_FARTHEST, _FARTHEST, num_envs)
+    across = np.cos(angle)[env] * place[:, 0] + np.sin(angle)[env] * place[:, 1]
+    return GROUPS * env + (splits[env] & (across > distance[env]))
+
+
+def draw_choices(
+    log_probability: torch.Tensor, group: torch.Tensor, uniform: torch.Tensor
+) -> torch.Tensor:
+    """Choose for each module (modules,) by the uniform number of its group."""
+    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
+    return (uniform[group].unsqueeze(1) > edges).sum(dim=1)
+
+
+def log_likelihood(
+    log_probability: torch.Tensor, choice: torch.Tensor, group: torch.Tensor, groups: int
+) -> torch.Tensor:
+    """Compute the joint log likelihood (num_envs,) of each environment's choices (modules,).
+
+    It is 0 without modules. If no uniform number gives the choices, it has its minimum and no
+    gradient.
+    """
+    edges = log_probability.exp().cumsum(dim=1)[:, :-1]
+    below = nn.functional.pad(edges, (1, 0), value=0.0).gather(1, choice.unsqueeze(1))
+    above = nn.functional.pad(edges, (0, 1), value=1.0).gather(1, choice.unsqueeze(1))
+    first = below.new_zeros(groups).scatter_reduce(0, group, below.squeeze(1), "amax")
+    last = above.new_ones(groups).scatter_reduce(0, group, above.squeeze(1), "amin")
+    return (last - first).clamp(min=_SMALLEST).log().reshape(-1, GROUPS).sum(dim=1)
+
+
+def make_linear(inputs: int, outputs: int, gain: float = math.sqrt(2.0)) -> nn.Linear:
+    """Make a layer with orthogonal weights, as Stable-Baselines3's networks begin."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def make_layers(units: tuple[int, ...]) -> list[nn.Module]:
+    """Make layers with tanh between numbers of units."""
+    return [layer for sizes in pairwise(units) for layer in (make_linear(*sizes), nn.Tanh())]
+
+
+class SharedNetwork(nn.Module):
+    """Actor of all modules: from shared features and features of a module's place to logits.
+
+    Weights of the place start at zero, so that modules learn to act together before they learn to
+    differ. Otherwise training converges to the fixed layout.
+
+    Args:
+        shared: number of features shared by an environment's modules.
+        place: number of features of a module's place.
+        hidden: units of the hidden layers.
+        choices: choices of a module.
+    """
+
+    def __init__(self, shared: int, place: int, hidden: tuple[int, ...], choices: int) -> None:
+        super().__init__()
+        # Files of weights contain these names.
+        self._alike = make_linear(shared, hidden[0])
+        self._apart = nn.Linear(place, hidden[0], bias=False)
+        nn.init.zeros_(self._apart.weight)
+        self._between = nn.Sequential(*make_layers(hidden))
+        self._logits = make_linear(hidden[-1], choices, 0.01)
+
+    def log_probability(
+        self, shared: torch.Tensor, env: torch.Tensor, place: torch.Tensor
+    ) -> torch.Tensor:
+        """Compute log probabilities (modules, choices).
+
+        Args:
+            shared: (num_envs, shared).
+            env: (modules,) environment of each module.
+            place: (modules, place).
+        """
+        first = torch.tanh(self._alike(shared)[env] + self._apart(place))
+        logits: torch.Tensor = self._logits(self._between(first))
+        return logits.log_softmax(dim=1)

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, make_dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,9 @@ from surface_gym.registration import DEFAULT_TASK, TASKS
 
 from .learning import config as configs
 from .learning.algorithms import PPOConfig
-from .learning.config import TrainConfig
+from .learning.config import SWEEP, TrainConfig
 from .library import ALGORITHMS, find_task, task_files
-from .yaml_file import current_option
 
-SWEEP = "sweep.yml"  # file in the folder of a search
 LOADED = 6  # maximum number of processes that load while a policy trains: one for each result
 
 
@@ -83,8 +82,9 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
     Task, algorithm, preset, device and file of hyper-parameters are parsed first, since they
     determine the defaults of all other options.
     """
-    given = [current_option(argument) for argument in arguments]
-    selection, others = tyro.cli(_Selection, args=given, return_unknown_args=True, add_help=False)
+    selection, others = tyro.cli(
+        _Selection, args=arguments, return_unknown_args=True, add_help=False
+    )
     task = selection.task
     if selection.search is not None:
         _check_alone("search", ("task", "out", "name"), selection, others)
@@ -104,7 +104,9 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
 
         config = read_config(folder / CONFIG, task, selection.algo)
         return Request(selection.cluster, task, selection.algo, config=config, folder=folder)
-    return Request(selection.cluster, task, selection.algo, config=_parse_config(selection, given))
+    return Request(
+        selection.cluster, task, selection.algo, config=_parse_config(selection, arguments)
+    )
 
 
 def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
@@ -113,7 +115,11 @@ def carry_out(request: Request, arguments: Sequence[str], console: Any) -> None:
         request.cluster, usable_cores(), task_files(request.task, request.algo)
     )
     if request.search is not None:
-        from .tuning.cli import search
+        if find_spec("optuna") is None:
+            raise ValueError(
+                "search needs optuna, which is not installed: pip install 'surface_gym[search]'"
+            )
+        from .tuning import search
 
         assert request.folder is not None
         search(request.search, request.folder, workers, console, request.task)
@@ -164,7 +170,7 @@ def _load(_: Any) -> None:
     del policy, report
 
 
-def _parse_config(selection: _Selection, arguments: list[str]) -> TrainConfig:
+def _parse_config(selection: _Selection, arguments: Sequence[str]) -> TrainConfig:
     task = selection.task or DEFAULT_TASK
     given = {name: value for name in ("preset", "device") if (value := getattr(selection, name))}
     algo = selection.algo or usual_algorithm(task)

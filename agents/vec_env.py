@@ -1,13 +1,12 @@
-"""Stable-Baselines3's VecEnv for the native vector env: adapter, concatenation and mirror."""
+"""Stable-Baselines3's interface of the native vector env."""
 
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from surface_gym import SmartSurfaceVectorEnv
@@ -18,214 +17,140 @@ from .base import SIDE, ActionMirror
 Infos = list[dict[str, Any]]
 
 
-class EpisodeRecorder:
-    """Returns, lengths and reward terms of the running episodes."""
+class SurfaceVecEnv(VecEnv):
+    """One `SmartSurfaceVectorEnv` in SAME_STEP mode, or several with the same spaces, as a VecEnv.
 
-    def __init__(self, num_envs: int, terms: tuple[str, ...]) -> None:
-        self._names = terms
-        self._returns = np.zeros(num_envs)
-        self._lengths = np.zeros(num_envs, dtype=np.int64)
-        self._terms = np.zeros((num_envs, len(terms)))
+    `seed` and `set_options` act at the next `reset`. Environments of one vector env share
+    attributes and methods.
 
-    def reset(self) -> None:
-        for sums in (self._returns, self._lengths, self._terms):
+    Args:
+        envs: the vector envs; their environments follow each other.
+        mirror: mirror of actions; then actions are chosen for y > 0 in every environment.
+    """
+
+    def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:
+        for env in envs:
+            if env.autoreset_mode != gym.vector.AutoresetMode.SAME_STEP:
+                raise ValueError(f"env must be in SAME_STEP mode, got {env.autoreset_mode}")
+        self.envs = envs
+        first, total = envs[0], sum(env.num_envs for env in envs)
+        super().__init__(total, first.single_observation_space, first.single_action_space)
+        lasts = np.cumsum([env.num_envs for env in envs]).tolist()
+        self._parts = [
+            slice(last - env.num_envs, last) for env, last in zip(envs, lasts, strict=True)
+        ]
+        self._mirror = mirror
+        self._side = np.ones(total, dtype=np.float32)
+        self._actions: NDArray[Any] | None = None
+        self._terms = first.config.task.terms
+        # returns, lengths and sums of reward terms of the running episodes
+        self._returns, self._lengths = np.zeros(total), np.zeros(total, dtype=np.int64)
+        self._sums = np.zeros((total, len(self._terms)))
+
+    def reset(self) -> VecEnvObs:
+        observations = [
+            env.reset(seed=self._seeds[part], options=self._options[part])[0]
+            for env, part in zip(self.envs, self._parts, strict=True)
+        ]
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        for sums in (self._returns, self._lengths, self._sums):
             sums[:] = 0
+        return self._seen(observations)
 
-    def add(
-        self, rewards: NDArray[np.float64], terms: NDArray[np.float64], running: Any = True
-    ) -> None:
-        """Add a step: rewards (num_envs,), terms (num_envs, terms), and which episodes run."""
-        self._returns += rewards
-        self._terms += terms
-        self._lengths += running
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = actions if self._mirror is None else self._mirror(actions, self._side)
 
-    def finish(
-        self,
-        ended: NDArray[np.bool_],
-        observations: Any,
-        truncated: NDArray[np.bool_],
-        success: Any,
-        outcome: Any,
-        time: Any,
-    ) -> Infos:
-        """Build the infos of a step, and forget its ended episodes.
+    def step_wait(self) -> VecEnvStepReturn:
+        assert self._actions is not None
+        found = [
+            self._step(env, self._actions[part], part)
+            for env, part in zip(self.envs, self._parts, strict=True)
+        ]
+        observations, rewards, dones, infos = zip(*found, strict=True)
+        return (
+            self._seen(observations),
+            np.concatenate(rewards).astype(np.float32),
+            np.concatenate(dones),
+            [info for part in infos for info in part],
+        )
+
+    def _seen(self, observations: Sequence[Any]) -> NDArray[Any]:
+        seen = np.concatenate(observations)
+        if self._mirror is not None:
+            self._side = seen[:, SIDE].copy()
+        return seen
+
+    def _step(
+        self, env: SmartSurfaceVectorEnv, actions: NDArray[Any], part: slice
+    ) -> tuple[Any, Any, Any, Infos]:
+        """Step one vector env, whose environments are a part of all.
 
         Returns:
-            Per environment: an empty dictionary, or for an ended episode `terminal_observation`,
-                `TimeLimit.truncated`, `is_success`, `outcome`, `reward_terms` (sums over the
-                episode) and `episode` (return, length and time, as in `Monitor`).
+            Observations, rewards, ends, and per environment an empty dictionary, or for an ended
+                episode `terminal_observation`, `TimeLimit.truncated`, `is_success`, `outcome`,
+                `reward_terms` (sums over the episode) and `episode` (return, length and time, as in
+                `Monitor`).
         """
-        infos: Infos = [{} for _ in range(len(ended))]
-        for i in np.nonzero(ended)[0].tolist():
-            infos[i] = {
-                "terminal_observation": observations[i],
-                "TimeLimit.truncated": bool(truncated[i]),
-                "is_success": bool(success[i]),
-                "outcome": str(outcome[i]),
-                "reward_terms": dict(zip(self._names, self._terms[i].tolist(), strict=True)),
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        dones = terminated | truncated
+        final = infos["final_info"] if dones.any() else infos
+        terms = [
+            np.where(dones, final[REWARD + name], infos[REWARD + name]) for name in self._terms
+        ]
+        returns, lengths, sums = self._returns[part], self._lengths[part], self._sums[part]
+        returns += rewards
+        lengths += 1
+        sums += np.stack(terms, axis=1)
+        step_infos: Infos = [{} for _ in range(env.num_envs)]
+        for i in np.nonzero(dones)[0].tolist():
+            step_infos[i] = {
+                "terminal_observation": infos["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "is_success": bool(final["is_success"][i]),
+                "outcome": str(final["outcome"][i]),
+                "reward_terms": dict(zip(self._terms, sums[i].tolist(), strict=True)),
                 "episode": {
-                    "r": float(self._returns[i]),
-                    "l": int(self._lengths[i]),
-                    "t": float(time[i]),
+                    "r": float(returns[i]),
+                    "l": int(lengths[i]),
+                    "t": float(final["time"][i]),
                 },
             }
-        for sums in (self._returns, self._lengths, self._terms):
-            sums[ended] = 0
-        return infos
+        for each in (returns, lengths, sums):
+            each[dones] = 0
+        return observations, rewards, dones, step_infos
 
+    def close(self) -> None:
+        for env in self.envs:
+            env.close()
 
-class BatchVecEnv(VecEnv):
-    """A VecEnv of batches, whose environments share attributes and methods."""
-
-    @property
-    @abstractmethod
-    def batches(self) -> list[tuple[Any, int]]:
-        """The batches, and the number of environments of each."""
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        return [image for env in self.envs for image in env.render() or []]
 
     def _each(self, read: Callable[[Any], Any], indices: VecEnvIndices) -> list[Any]:
-        every = [value for b, n in self.batches for value in [read(b)] * n]
+        every = [value for env in self.envs for value in [read(env)] * env.num_envs]
         return [every[i] for i in self._get_indices(indices)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        return self._each(lambda batch: getattr(batch, attr_name), indices)
+        return self._each(lambda env: getattr(env, attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(
                 f"indices must be all environments, which share {attr_name}, got {indices}"
             )
-        for batch, _ in self.batches:
-            setattr(batch, attr_name, value)
+        for env in self.envs:
+            setattr(env, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of each batch once; all its environments get the result."""
-        return self._each(lambda batch: getattr(batch, method_name)(*args, **kwargs), indices)
+        """Call a method of each vector env once; all its environments get the result."""
+        return self._each(lambda env: getattr(env, method_name)(*args, **kwargs), indices)
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        del wrapper_class  # environments of a batch have no wrappers
+        del wrapper_class  # these environments have no wrappers
         return [False for _ in self._get_indices(indices)]
-
-
-class SurfaceVecEnv(BatchVecEnv):
-    """A `SmartSurfaceVectorEnv` in SAME_STEP mode behind Stable-Baselines3's interface.
-
-    Infos come from `EpisodeRecorder.finish`. `seed` and `set_options` act at the next `reset`.
-    """
-
-    def __init__(self, env: SmartSurfaceVectorEnv) -> None:
-        if env.autoreset_mode != gym.vector.AutoresetMode.SAME_STEP:
-            raise ValueError(f"env must be in SAME_STEP mode, got {env.autoreset_mode}")
-        self.env = env
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self._actions: NDArray[np.int64] | None = None
-        self._terms = env.config.task.terms
-        self._recorder = EpisodeRecorder(env.num_envs, self._terms)
-
-    @property
-    def batches(self) -> list[tuple[Any, int]]:
-        return [(self.env, self.num_envs)]
-
-    def reset(self) -> VecEnvObs:
-        observations, _ = self.env.reset(seed=self._seeds, options=self._options)
-        self.reset_infos = [{} for _ in range(self.num_envs)]
-        self._reset_seeds()
-        self._reset_options()
-        self._recorder.reset()
-        return observations
-
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        self._actions = actions
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
-        dones = terminated | truncated
-        final = infos["final_info"] if dones.any() else infos
-        terms = [
-            np.where(dones, final[REWARD + name], infos[REWARD + name]) for name in self._terms
-        ]
-        self._recorder.add(rewards, np.stack(terms, axis=1))
-        step_infos = self._recorder.finish(
-            dones,
-            infos.get("final_obs"),
-            truncated & ~terminated,
-            final["is_success"],
-            final["outcome"],
-            final["time"],
-        )
-        return observations, rewards.astype(np.float32), dones, step_infos
-
-    def close(self) -> None:
-        self.env.close()
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        return list(self.env.render() or [])
-
-
-class ConcatVecEnv(BatchVecEnv):
-    """Several VecEnvs with the same spaces, concatenated."""
-
-    def __init__(self, parts: Sequence[BatchVecEnv]) -> None:
-        self._parts = parts
-        first = parts[0]
-        counts = [part.num_envs for part in parts]
-        self._cuts = np.cumsum(counts)[:-1]
-        super().__init__(sum(counts), first.observation_space, first.action_space)
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed environment i with `seed` + i at the next reset."""
-        seeds = list(super().seed(seed))
-        for part, first in zip(self._parts, [0, *self._cuts], strict=True):
-            part.seed(seeds[first])
-        return seeds
-
-    def reset(self) -> VecEnvObs:
-        return np.concatenate([part.reset() for part in self._parts])
-
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        for part, some in zip(self._parts, np.split(actions, self._cuts), strict=True):
-            part.step_async(some)
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = zip(
-            *(part.step_wait() for part in self._parts), strict=True
-        )
-        return (
-            np.concatenate(observations),
-            np.concatenate(rewards),
-            np.concatenate(dones),
-            [info for part in infos for info in part],
-        )
-
-    def close(self) -> None:
-        for part in self._parts:
-            part.close()
-
-    @property
-    def batches(self) -> list[tuple[Any, int]]:
-        return [batch for part in self._parts for batch in part.batches]
-
-
-class MirrorVecEnv(VecEnvWrapper):
-    """A VecEnv of Sort that takes actions chosen for y > 0 in every environment."""
-
-    def __init__(self, venv: VecEnv, mirror: ActionMirror) -> None:
-        super().__init__(venv)
-        self._mirror = mirror
-        self._side = np.ones(venv.num_envs, dtype=np.float32)
-
-    def reset(self) -> VecEnvObs:
-        observations = np.asarray(self.venv.reset())
-        self._side = observations[:, SIDE].copy()
-        return observations
-
-    def step_async(self, actions: NDArray[Any]) -> None:
-        self.venv.step_async(self._mirror(actions, self._side))
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observations, rewards, dones, infos = self.venv.step_wait()
-        self._side = np.asarray(observations)[:, SIDE].copy()
-        return observations, rewards, dones, infos

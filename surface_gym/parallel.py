@@ -20,6 +20,7 @@ from surface_gym.executors import (
     Cluster,
     Job,
     Processes,
+    RayExecutor,
     RemoteTraceback,
     Report,
     WorkError,
@@ -61,10 +62,8 @@ def map_jobs(
             version of the package.
         ValueError: there is no cluster at the address.
     """
-    executor: Any  # `Processes`, or the same on other machines
+    executor: Any  # `Processes` or `RayExecutor`
     if isinstance(workers, Cluster):
-        from surface_gym.ray_executor import RayExecutor
-
         executor = RayExecutor(workers)
     elif isinstance(workers, Processes):
         executor = workers

@@ -22,7 +22,7 @@ FIRST = (
     "tests/web/test_home.py",
     "tests/agents/runtime/test_simulator.py",
     "tests/learners/",
-    "tests/agents/tuning/",
+    "tests/agents/test_tuning.py",
     "tests/agents/planning/",
     # Pages need the modules of those above, which are then there.
     "tests/web/test_playground.py",
@@ -153,7 +153,7 @@ NIGHTLY = (
     "processes",
     # The first and the last trial that may be interrupted.
     *(
-        "tests/agents/tuning/test_study.py::TestResuming::"
+        "tests/agents/test_tuning.py::TestResuming::"
         f"test_interrupted_trials_run_once_more_and_finished_ones_do_not[{at}"
         for at in (0, 13)
     ),
@@ -265,9 +265,8 @@ NIGHTLY = (
     "tests/agents/runtime/test_simulator.py::"
     "test_a_simulator_that_was_killed_is_there_again_at_the_same_address",
     "tests/test_own.py::test_the_cache_holds_and_notices_an_edit_of_a_users_file",
-    "tests/agents/tuning/test_study.py::TestResuming::"
-    "test_a_killed_search_of_several_workers_is_resumed",
-    "tests/agents/tuning/test_study.py::TestTrials::"
+    "tests/agents/test_tuning.py::TestResuming::test_a_killed_search_of_several_workers_is_resumed",
+    "tests/agents/test_tuning.py::TestTrials::"
     "test_values_lie_in_the_space_and_tpe_finds_better_ones",
     *(f"tests/test_docs.py::test_the_code_of_a_page_runs[docs/{page}" for page in PAGES_AT_NIGHT),
     "tests/test_wheel.py::test_environment_and_shipped_agent_work",

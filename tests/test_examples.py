@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import surface_gym as sg
 from surface_gym import agents
 from surface_gym.agents import library, train_cli
-from surface_gym.agents.learning import parcels, runs
+from surface_gym.agents.learning import runs, slopes
 from surface_gym.agents.learning.config import defaults
 from surface_gym.agents.learning.slopes import training_configs
 from surface_gym.agents.library import find_task
@@ -240,7 +240,7 @@ class TestReinforce:
 
 def test_a_task_on_streams_is_learned_without_a_rule(tmp_path, monkeypatch):
     # With exact sensors, as the other tests: the lab's would compile a kernel of their own.
-    monkeypatch.setattr(parcels, "training_configs", lambda each: training_configs(each)[-1:])
+    monkeypatch.setattr(slopes, "training_configs", lambda each: training_configs(each)[-1:])
     options = "--num-envs 6 --n-steps 8 --steps 96 --hidden 8 --batch-size 48 --n-epochs 1"
     config = train_cli.parse_arguments(["--task", EVEN, *options.split()]).config
     assert config is not None

@@ -24,8 +24,7 @@ from surface_gym.agents.evaluation.method import of_run
 from surface_gym.agents.export.policy import of_run as exported
 from surface_gym.agents.learning import config as configs, runs
 from surface_gym.agents.tensors import check_like
-from surface_gym.agents.tuning.sweep import read_sweep
-from surface_gym.agents.yaml_file import parse_yaml
+from surface_gym.agents.tuning import read_sweep
 from surface_gym.flow.arrivals import read_trace, write_trace
 from surface_gym.flow.exits import chutes
 from surface_gym.flow.stream import Stream
@@ -311,13 +310,13 @@ def test_plain_numbers_are_read() -> None:
 )  # fmt: skip
 def test_yaml_that_is_damaged_or_grows_is_refused(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
-        parse_yaml(text)
+        library.parse_yaml(text)
 
 
 def test_yaml_has_numbers_in_plain_digits_and_others_as_text() -> None:
     text = "a: 1_0\nb: 010\nc: 1:30\nd: 0x1F\ne: -7\nf: 1.5e-3\ng: .inf\nh: !!float 1e6\n"
     text += "i: &x {z: 1}\nj: {<<: *x}"
-    assert parse_yaml(text) == {
+    assert library.parse_yaml(text) == {
         "a": "1_0", "b": "010", "c": "1:30", "d": "0x1F", "e": -7, "f": 0.0015, "g": math.inf,
         "h": 1e6, "i": {"z": 1}, "j": {"z": 1},
     }  # fmt: skip

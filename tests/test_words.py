@@ -11,8 +11,6 @@ FOLDERS = ("surface_gym", "agents", "tests", "docs", "examples", "benchmarks")
 ENDINGS = (".py", ".md", ".ipynb", ".yml", ".toml")
 LEFT_OUT = ("tests/test_words.py", "CHANGELOG.md", "CONTRIBUTING.md", "docs/learners/")
 
-# Former names of arguments, which are still recognised.
-RENAMED = r'"\w+": "(line|preset|max_parcels|num_envs|slots|split_probability)"'
 # A word as a regular expression, the field's word, and what may contain it all the same.
 GONE = {
     r"\b[Ll]anes?\b|(?<![a-z])lanes?_|_lanes?\b|LANES?\b": (
@@ -78,6 +76,6 @@ def test_a_word_is_gone(word):
     found = [
         f"{place}: {line.strip()}"
         for place, line in lines()
-        if pattern.search(re.sub(f"{RENAMED}|{allowed}" if allowed else RENAMED, "", line))
+        if pattern.search(re.sub(allowed, "", line) if allowed else line)
     ]
     assert not found, f"{len(found)} lines, say {instead or 'the new name'}:\n" + "\n".join(found)

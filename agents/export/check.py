@@ -1,4 +1,4 @@
-"""Comparison of an export's decisions with the policy's decisions.
+"""Comparison of an export's decisions with the policy's, and the page that describes an export.
 
 Sums in single precision depend on their order, so scores differ in their last digits. If the best
 two scores are this close, either choice is correct; such decisions are counted separately. Any
@@ -13,9 +13,11 @@ import gymnasium as gym
 import numpy as np
 
 from surface_gym import SmartSurfaceVectorEnv
+from surface_gym.actions import ActionKind
 from surface_gym.config import Preset
 
 from ..base import Integers, Numbers, Singles
+from ..evaluation.tables import markdown
 from . import onnx
 from .policy import NetworkDecision, Source
 
@@ -26,6 +28,19 @@ MAX_TIES = 1e-3  # [-] allowed share of decisions that differ by round-off
 NUM_ENVS = 50  # environments for the policy's episodes
 FARTHEST = 3.0  # [-] maximum absolute value of a random number
 WHOLE_SHARE = 0.1  # [-] share of random numbers that are integers, where comparisons may jump
+_PLACES = {
+    "halves": ("ahead of the parcel's centre", "behind it"),
+    "quadrants": (
+        "ahead of the parcel's centre and left of it (y greater)",
+        "ahead and right",
+        "behind and left",
+        "behind and right",
+    ),
+}
+_MIRRORED = (
+    'A parcel that is to go to y < 0 is shown in a mirror: features that say "towards the asked '
+    'side" are y times -1 for it. What comes out is turned back already.'
+)
 
 
 @dataclass(frozen=True)
@@ -46,10 +61,7 @@ class Agreement:
 
 
 def compare(
-    decision: NetworkDecision | onnx.ModulesDecision,
-    source: Source,
-    observations: Singles,
-    decide: Decide,
+    decision: NetworkDecision, source: Source, observations: Singles, decide: Decide
 ) -> Agreement:
     """Compare the decisions of an ONNX file with the policy's."""
     actions, _ = source.policy.predict(observations, deterministic=True)
@@ -128,3 +140,111 @@ def random_observations(source: Source, count: int, seed: int) -> Singles:
     drawn = rng.uniform(low, high, (count, len(low)))
     drawn = np.where(rng.random(drawn.shape) < WHOLE_SHARE, np.round(drawn), drawn)
     return drawn.astype(np.float32)
+
+
+def make_page(source: Source, metadata: dict[str, str], agreement: Agreement) -> str:
+    """Return the page, in Markdown."""
+    name, config = source.name, source.config
+    parts = (
+        f"# {name}, seed {source.seed}",
+        f"Decides axes for `{source.policy.env_id}` every {config.control_period * 1e3:g} ms. "
+        f"Made by surface_gym from a trained policy. `{name}.onnx` decides as the policy does: a "
+        f"graph for any ONNX runtime, opset {onnx.OPSET}.",
+        "## In",
+        f"`{onnx.OBSERVATION}`: float32, {len(config.features)} numbers a parcel; as many rows "
+        "as there are parcels.",
+        _features(source),
+        *((_MIRRORED,) if config.task.mirrored else ()),
+        "Outside of least and greatest the policy was never trained: stop there, or let a rule "
+        "take over.",
+        "## Out",
+        _out(source),
+        f"- The control period is {config.control_period:g} s: sense, decide, set the axes, "
+        "wait. A decision holds until the next one.\n- Only modules of the zone obey. Every other "
+        f"keeps its axis.\n- The surface is {_surface(source)}.",
+        "## Trained in",
+        _training(source),
+        "## Checked",
+        _checked(agreement),
+        "## Metadata of the ONNX file",
+        markdown(("key", "value"), ((f"`{key}`", f"`{value}`") for key, value in metadata.items())),
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def _features(source: Source) -> str:
+    rows = (
+        (str(place), each.name, f"{each.low:g}", f"{each.high:g}", each.meaning, each.formula)
+        for place, each in enumerate(source.config.features)
+    )
+    titles = ("place", "feature", "least", "greatest", "value", "shown")
+    return markdown(titles, rows)
+
+
+def _out(source: Source) -> str:
+    kind = source.config.action_kind
+    angles = source.config.chosen_orientations
+    offered = markdown(
+        ("choice", "axis angle [rad]", "[deg]"),
+        ((str(k), f"{angle:.9g}", f"{math.degrees(angle):g}") for k, angle in enumerate(angles)),
+    )
+    return (
+        f"- `{onnx.CHOICES}`: int64, {kind.size} numbers, the orientation that each part takes\n"
+        f"- `{onnx.ANGLES}`: float64 [rad], {kind.size} numbers, its axis angle; 0 along the line, "
+        "anti-clockwise; a module brakes along its axis and lets roll across it\n\n"
+        f"{offered}\n\n{_parts(kind)}"
+    )
+
+
+def _parts(kind: ActionKind) -> str:
+    """Describe the modules that follow each part of the action."""
+    if kind.name in _PLACES:
+        rows = ((str(k), f"modules {place}") for k, place in enumerate(_PLACES[kind.name]))
+        return markdown(("part", "followed by"), rows) + (
+            "\n\nThe centre is the one that is sensed. A module just at it is ahead and left."
+        )
+    if kind.name == "window":
+        rows_, columns = kind.shape
+        return (
+            f"Part k is followed by the module in row k // {columns} and column k % {columns} of "
+            f"the {rows_} x {columns} modules around the sensed centre, rows from y < 0 to y > 0, "
+            "columns along the line. Modules beyond these keep their axes."
+        )
+    return (
+        f"Part k is followed by the module in row k // {kind.columns} and column "
+        f"k % {kind.columns} of the zone, rows from y < 0 to y > 0, columns along the line. There "
+        f"are {kind.rows} rows of the widest zone; a narrower one is the middle ones of these."
+    )
+
+
+def _surface(source: Source) -> str:
+    line = source.config.chosen_line
+    return (
+        f"`{type(line).__name__}`: {line.rows} x {line.columns} elements, "
+        f"{line.pitch_x:g} m x {line.pitch_y:g} m apart, {line.zone_columns} columns of which "
+        "obey"
+    )
+
+
+def _training(source: Source) -> str:
+    training = source.training
+    lines = [f"Preset: {training.preset}. Its environments were:"]
+    lines.append("\n".join(f"- {_preset(each)}" for each in training.presets))
+    if training.command is not None:
+        lines.append(f"Trained by `{training.command}`.")
+    if training.results:
+        rows = ((name, f"{success:.3f}") for name, success in training.results)
+        lines.append(markdown(("preset", "success"), rows))
+    return "\n\n".join(lines)
+
+
+def _preset(preset: Preset) -> str:
+    return f"**{preset.label}**: {preset.meaning} Sensors: `{preset.sensors!r}`."
+
+
+def _checked(agreement: Agreement) -> str:
+    return (
+        f"{agreement.summary()}.\n\nCompared with the policy on observations of its own episodes "
+        f"and random ones, half each. Scores that differ by less than {TIE:g} of the largest "
+        "are a tie: single precision, summed in another order, may decide either way."
+    )

@@ -15,8 +15,7 @@ from surface_gym.files import replacing
 
 if TYPE_CHECKING:
     from .check import Agreement
-    from .onnx import ModulesDecision
-    from .policy import NetworkDecision, Source
+    from .policy import Source
 
 OBSERVATIONS = 10_000
 
@@ -62,34 +61,26 @@ def export(
     source: "Source", folder: Path, observations: int = OBSERVATIONS
 ) -> "tuple[tuple[Path, Path], Agreement]":
     """Write NAME.onnx and NAME.md after a successful check; return the files and the check."""
-    from . import check, onnx, page, policy
+    from ..policy import Policy
+    from . import check, onnx, policy
 
     checks.integer("observations", observations, least=100)
-    is_modules = source.policy.card.algo == "modules"
-    make = onnx.modules_decision if is_modules else policy.network_decision
-    decision: NetworkDecision | ModulesDecision = make(source)
+    if not isinstance(source.policy, Policy):
+        raise ValueError(
+            f"name must be that of an agent of PPO or DQN, got {source.name!r}: a policy of "
+            "modules selects modules by the observation"
+        )
+    decision = policy.network_decision(source)
     metadata = make_metadata(source)
-    model = make_model(decision, metadata)
+    model = onnx.make_model(decision, metadata)
     examples = check.make_observations(source, observations)
     agreement = check.compare(decision, source, examples, check.run_onnx(model))
-    text = page.make_page(source, metadata, agreement)
+    text = check.make_page(source, metadata, agreement)
     files = folder / f"{source.name}.onnx", folder / f"{source.name}.md"
     for file, content in zip(files, (model, text.encode()), strict=True):
         with replacing(file) as part:
             part.write_bytes(content)
     return files, agreement
-
-
-def make_model(decision: "NetworkDecision | ModulesDecision", metadata: dict[str, str]) -> bytes:
-    """Return a decision as an ONNX file's content."""
-    from . import onnx
-
-    graph = onnx.Graph()
-    if isinstance(decision, onnx.ModulesDecision):
-        choices = onnx.add_modules_decision(graph, decision)
-    else:
-        choices = onnx.add_network_decision(graph, decision)
-    return graph.model((decision.features, decision.parts), decision.angles, choices, metadata)
 
 
 def make_metadata(source: "Source") -> dict[str, str]:

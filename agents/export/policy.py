@@ -20,7 +20,6 @@ from ..learning import runs
 from ..learning.config import NOMINAL
 from ..module_policy import ModulePolicy
 from ..policy import Policy, make_network
-from ..yaml_file import current_option, parse_yaml, read_yaml
 
 # Presets of the environments that agents were trained in, by `train.py --preset`.
 TRAINED_IN: dict[str, tuple[str, ...]] = {NOMINAL: ("exact", "camera"), "lab": ("exact", "lab")}
@@ -92,7 +91,7 @@ def _read(
         policy,
         policy.card.env_config(task),
         {name: torch.from_numpy(each) for name, each in library.read_weights(files).items()},
-        str(parse_yaml(files.card.decode())[library.DIGEST]),
+        str(library.parse_yaml(files.card.decode())[library.DIGEST]),
         training or Training(NOMINAL),
     )
 
@@ -101,11 +100,11 @@ def _read_training(folder: Path) -> Training | None:
     """Read the training from the card of a folder; None if there is none."""
     file = folder / runs.CARD
     try:
-        card = read_yaml(file)
+        card = library.read_yaml(file)
         command = card["command"]
         if not isinstance(command, str):
             raise ValueError(f"command must be text, got {command!r:.60}")
-        words = list(map(current_option, shlex.split(command)))
+        words = shlex.split(command)
         asked = words[words.index("--preset") + 1] if "--preset" in words else NOMINAL
         results = tuple(
             (name, checks.within(f"success of {name}", found["success"], 0.0, 1.0))

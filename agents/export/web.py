@@ -7,45 +7,65 @@ It adds files to the pages of `surface-gym web FOLDER`:
   stream agents;
 - files of each stream agent, loaded when it is chosen: `agent-time-slots.wasm` (a rule's compiled
   function), `agent-merge-time-slots.bin` (its memory), `agent-merge-parcels.bin` (weights);
-- data of the page `home.html`.
+- data of the page `home.html`: `home.bin`, a stream with all boxes yet to arrive, and `home.json`,
+  its layout.
+
+Every registered rule with a compiled function is exported to WebAssembly. Rules with fixed axes are
+exported as layouts. Rules that search are left out.
 """
 
 import argparse
 import json
 import shutil
 from collections.abc import Sequence
+from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 
 from surface_gym.cli import typed
 from surface_gym.compiler.wasm import compile_module
+from surface_gym.compiler.wasm_image import make_image, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import make_batch
+from surface_gym.files import replacing
 from surface_gym.flow import take_away as ta
-from surface_gym.flow.batch import stream_functions
+from surface_gym.flow.arrivals import HOUR
+from surface_gym.flow.batch import StreamBatch, stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.module_view import ModuleView, view_modules
 from surface_gym.flow.task import COLUMN
-from surface_gym.registration import DEFAULT_STREAM, TASKS
+from surface_gym.registration import DEFAULT_STREAM, TASKS, env_id
+from surface_gym.sensors import Camera
 from surface_gym.tasks import Task
 from surface_gym.web.build import AGENTS, SITE, make_config
+from surface_gym.web.starts import SEEDS, describe, goal_marks
 
-from .. import library, local_policy, module_policy, parcel_policy
-from ..base import SIDE, Singles
-from ..evaluation.method import policy_folders
-from ..local_policy import LocalPolicy
+from .. import library, module_policy, slope_policy
+from ..base import SIDE, Singles, find_rest
+from ..evaluation.method import Method, policy_folders, stream_benchmark
+from ..evaluation.report import filmed_scenario
+from ..evaluation.streams import ARRANGED, MODULES, TASK, ladder
 from ..module_places import find_places
 from ..module_policy import ModulePolicy
-from ..parcel_policy import ParcelPolicy
-from ..rules import find_prior, find_rules
+from ..rules import Rule, find_prior, find_rules
+from ..rules.base import CompiledController, FixedRule
 from ..rules.sorting import OWN, SortEach
-from .home import write_home
+from ..scheduling.leading import schedule
+from ..scheduling.scheduler import Scheduler
+from ..slope_policy import LocalPolicy, ParcelPolicy
 from .policy import Source, network_decision, of_run, shipped
-from .rules import Card, configure, find_layouts, write, write_machine, write_rule, write_rules
 
+Card = dict[str, Any]  # description of an agent, as `page/rule.js` and others read it
+Runs = list[list[int]]  # run-length encoding: a choice, and the number of successive modules
+WINDOW = "window"
+HOME = ("home.bin", "home.json")
+BOXES = 1000  # number of boxes in an hour; the home page scales the arrival rate
+SEED = 0  # seed of the boxes' kinds and exits
 ALGOS = {  # kind of decision by algorithm
     "ppo": ("halves", "quadrants"), "dqn": ("halves", "quadrants"), "modules": ("modules",),
 }  # fmt: skip
@@ -61,6 +81,81 @@ OBEYING_READS = (
 )
 RUN = "run"  # in place of a run's name, which may be invalid in a URL
 CONTROL_PERIOD = EnvConfig().control_period  # [s] of all tasks in the page
+
+
+def write_rules(task: str, folder: Path) -> dict[str, Card]:
+    """Write a task's rules that have a compiled function; return their cards by name."""
+    found = {}
+    for rule in find_rules(task):
+        config = configure(rule)
+        made = rule.make(config)
+        if isinstance(made, CompiledController):
+            found[rule.name] = write_rule(rule, folder)
+    return found
+
+
+def configure(rule: Rule, **others: Any) -> EnvConfig:
+    """Return the configuration of a rule on the page, where modules obey individually."""
+    actions = rule.actions if rule.actions in (WINDOW, "parcels") else "modules"
+    return EnvConfig(rule.task, actions=actions, **others)
+
+
+def write_rule(rule: Rule, folder: Path) -> Card:
+    """Write a rule with its memory at the start of an episode; return its card."""
+    config = configure(rule)
+    made: Any = rule.make(config)
+    has_halves = config.actions == "parcels"
+    slug = rule.name.lower().replace(" ", "-")
+    code = slug if has_halves else f"{rule.task}-{slug}"
+    name = f"{rule.task}-{slug}"
+    card = {"kind": "rule", **write_machine(code, name, made.kernel, made.begin(), folder)}
+    if has_halves:
+        card["choices"] = made.choices.tolist()
+    elif config.actions == WINDOW:
+        card["window"] = list(config.action_kind.shape)
+    return {**card, "camera": find_camera_numbers(rule)}
+
+
+def write_machine(code: str, name: str, kernel: Any, arguments: Any, folder: Path) -> Card:
+    """Write a compiled function and its memory, for `page/machine.js`."""
+    compile_module(kernel, arguments, folder / f"agent-{code}.wasm")
+    image = make_image(kernel, arguments)
+    write(folder / f"agent-{name}.bin", image.block)
+    write(folder / f"agent-{name}.json", image.to_json().encode())
+    return {"code": f"agent-{code}", "machine": f"agent-{name}"}
+
+
+def find_camera_numbers(rule: Rule) -> dict[str, float]:
+    """Return a rule's parameters that differ with a camera, by name."""
+    exact, camera = (
+        name_arguments(made.kernel, made.begin())
+        for made in (rule.make(configure(rule)), rule.make(configure(rule, sensors=Camera())))
+        if isinstance(made, CompiledController)
+    )
+    return {name: camera[name] for name in exact if np.any(exact[name] != camera[name])}
+
+
+def find_layouts(task: str, seeds: int = SEEDS) -> dict[str, list[Runs]]:
+    """Return the layouts that rules choose for the starts of the seeds, by the rule's name."""
+    rules = {each.name: each for each in find_rules(task) if each.actions == "modules"}
+    made = {name: rule.make(configure(rule)) for name, rule in rules.items() if not rule.searches}
+    fixed = {name: rule for name, rule in made.items() if isinstance(rule, FixedRule)}
+    env = gym.make(env_id(task))
+    starts = np.stack([env.reset(seed=seed)[0] for seed in range(seeds)])
+    return {
+        name: [_pack(layout.tolist()) for layout in np.asarray(rule.predict(starts)[0])]
+        for name, rule in fixed.items()
+    }
+
+
+def _pack(choices: list[int]) -> Runs:
+    return [[choice, len(list(run))] for choice, run in groupby(choices)]
+
+
+def write(file: Path, content: bytes) -> None:
+    """Write a file atomically."""
+    with replacing(file) as part:
+        part.write_bytes(content)
 
 
 class Weights:
@@ -135,7 +230,7 @@ def describe_modules_policy(source: Source, weights: Weights, folder: Path) -> C
         ],
         "shared": module_policy.SHARED,
         "mirror": config.images.tolist(),
-        "rest": local_policy.find_rest(config), "side": SIDE,
+        "rest": find_rest(config), "side": SIDE,
     }  # fmt: skip
 
 
@@ -290,8 +385,8 @@ def describe_parcel_network(tensors: dict[str, Any], rule: Card, weights: Weight
         "kind": "parcels",
         **{name: weights.add_layers(tensors, name) for name in ("encoder", "actor")},
         **{name: weights.add_layers(tensors, name)[0] for name in ("attend", "pair")},
-        "heads": library.HEADS, "prior": parcel_policy.PRIOR, "apart": parcel_policy.APART,
-        "most": parcel_policy.MOST, "present": ta.COLUMN.present.place,
+        "heads": library.HEADS, "prior": slope_policy.PRIOR, "apart": slope_policy.PAIR_RANGE,
+        "most": slope_policy.MOST, "present": ta.COLUMN.present.place,
         "time": ta.COLUMN.time.place, "end": ta.COLUMN.to_the_end.place,
         "offset": ta.COLUMN.offset.place, "forward": ta.COLUMN.forward_speed.place,
     }  # fmt: skip
@@ -305,9 +400,9 @@ def describe_module_network(tensors: dict[str, Any], config: EnvConfig, weights:
     return {
         "kind": "modules",
         "actor": weights.add_layers(tensors, "actor"),
-        "numbers": [weights.add(local_policy.find_numbers()), local_policy.NUMBERS],
-        "hold": local_policy.HOLD, "apart": local_policy.APART, "most": local_policy.MOST,
-        "period": config.control_period, "rest": local_policy.find_rest(config),
+        "numbers": [weights.add(slope_policy.find_numbers()), slope_policy.NUMBERS],
+        "hold": slope_policy.HOLD, "apart": slope_policy.ROW_OFFSET, "most": slope_policy.MOST,
+        "period": config.control_period, "rest": find_rest(config),
         "time": ta.COLUMN.time.place,
     }  # fmt: skip
 
@@ -386,6 +481,65 @@ def _write_all(
     write(folder / AGENTS[0], weights.to_bytes())
     write(folder / AGENTS[1], (json.dumps(agents, separators=(",", ":")) + "\n").encode())
     write(folder / SITE, (json.dumps({**site, "agents": True}) + "\n").encode())
+
+
+def find_methods() -> list[Method]:
+    """Return the compared methods of both lines, the upper line first."""
+    named = {each.name: each for each in ladder()}
+    return [named[ARRANGED], named[MODULES]]
+
+
+def make_home_config(method: Method) -> EnvConfig:
+    """Return the configuration of a method's line."""
+    return filmed_scenario(TASK).config(method, BOXES).replace(duration=HOUR)
+
+
+@lru_cache(maxsize=1)
+def make_schedulers() -> tuple[Scheduler, ...]:
+    """Make the scheduler of each line. It takes seconds."""
+    made = [method.controller(make_home_config(method), 0) for method in find_methods()]
+    return tuple(each for each in made if isinstance(each, Scheduler))
+
+
+def place_stream(config: EnvConfig) -> StreamBatch:
+    """Make the stream: the same boxes at the same times on every line."""
+    batch = StreamBatch(config, 1)
+    batch.seed(0, np.random.default_rng(SEED))
+    batch.place_drawn(np.zeros(1, dtype=np.int64))
+    return batch
+
+
+def write_home(folder: Path, obeying: dict[str, Any]) -> None:
+    """Write the home page's comparison: one stream of boxes on two lines, each with a scheduler.
+
+    The page runs `flow.wasm`, since one kernel serves all exits, gates and boxes. The schedulers
+    share a second module, with one memory per line.
+
+    Args:
+        folder: folder of the site.
+        obeying: card of the function that assigns parcels to Flow's modules.
+    """
+    batch = place_stream(make_home_config(find_methods()[0]))
+    image = make_image(batch.make_kernel(), batch.arguments)
+    layout = {
+        **image.layout(),
+        "scene": describe(batch),
+        "starts": {"fields": [], "marks": [goal_marks(batch)]},  # the image is the only start
+        "warmUp": stream_benchmark(TASK).warm_up,
+        "obeying": obeying,
+        "lines": [
+            {
+                **write_machine(
+                    "schedule", f"home-{place}", schedule, each.start_arguments(), folder
+                ),
+                "byGroups": each.library.lead.groups is not None,
+            }
+            for place, each in enumerate(make_schedulers())
+        ],
+    }
+    written = (json.dumps(layout, separators=(",", ":"), allow_nan=False) + "\n").encode()
+    for name, content in zip(HOME, (image.block, written), strict=True):
+        write(folder / name, content)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -7,6 +7,7 @@ PyTorch.
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any, get_args
 
 from surface_gym import checks
@@ -230,10 +231,24 @@ def _later(module: str, name: str) -> Callable[..., Any]:
     return call
 
 
+def _trained_by(module: str, learner: str) -> Callable[..., Any]:
+    """Return a function that trains a learner of a module; see `train_learner`."""
+
+    def train(config: TrainConfig, folder: Path, on_progress: Any = lambda *_: None) -> Any:
+        from .learner import train_learner
+
+        return train_learner(config, folder, on_progress, _later(module, learner))
+
+    return train
+
+
+_train_model = _trained_by(".sb3", "ModelLearner")
+
+
 def _train_ppo(config: PPOConfig, *more: Any) -> Any:
     """Train PPO with Stable-Baselines3, or on a device."""
     if config.device == CPU:
-        return _later(".sb3", "train_sb3")(config, *more)
+        return _train_model(config, *more)
     return _later(".cuda", "train_on_device")(config, *more)
 
 
@@ -249,14 +264,16 @@ ALGORITHMS.register(
 )
 ALGORITHMS.register(
     "dqn",
-    Algorithm("DQN", DQNConfig, _later(".sb3", "train_sb3"), _BUILD, ("halves",), build_options=()),
+    Algorithm(
+        "DQN", DQNConfig, _trained_by(".sb3", "ModelLearner"), _BUILD, ("halves",), build_options=()
+    ),
 )
 ALGORITHMS.register(
     "modules",
     Algorithm(
         "PPO per module",
         ModulesConfig,
-        _later(".modules", "train_modules"),
+        _trained_by(".shared", "ModuleLearner"),
         _later("..module_policy", "build_modules"),
         ("modules",),
         lambda task: type(task) is Sort,
@@ -269,7 +286,7 @@ ALGORITHMS.register(
     Algorithm(
         "decisions on a schedule",
         SchedulesConfig,
-        _later(".schedules", "train_schedules"),
+        _trained_by(".schedules", "ScheduleLearner"),
         _later("..schedule_policy", "build_schedule"),
         ("parcels",),
         lambda task: type(task) is Flow,
@@ -283,8 +300,8 @@ ALGORITHMS.register(
     Algorithm(
         "PPO per parcel",
         ParcelsConfig,
-        _later(".parcels", "train_parcels"),
-        _later("..parcel_policy", "build_parcels"),
+        _trained_by(".slopes", "ParcelLearner"),
+        _later("..slope_policy", "build_parcels"),
         ("parcels",),
         _shows_parcels,
         "one on a stream of parcels that shows which rows are `present`",
@@ -297,8 +314,8 @@ ALGORITHMS.register(
     Algorithm(
         "PPO per module",
         LocalConfig,
-        _later(".local", "train_local"),
-        _later("..local_policy", "build_local"),
+        _trained_by(".slopes", "LocalLearner"),
+        _later("..slope_policy", "build_local"),
         ("modules",),
         lambda task: isinstance(task, TakeAwayTask),
         "one on a slope with a take-away",

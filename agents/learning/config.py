@@ -23,9 +23,9 @@ from ..library import (
     card_env_id,
     find_algorithm,
     find_task,
+    read_yaml,
     task_kind,
 )
-from ..yaml_file import RENAMED, read_yaml
 
 PresetName = Literal["nominal", "lab"]
 NOMINAL: PresetName = "nominal"
@@ -33,8 +33,7 @@ ActionName = Literal["halves", "quadrants", "window", "modules", "parcels"]
 DeviceName = Literal["cpu", "cuda"]
 CPU: DeviceName = "cpu"
 
-# Fields of all earlier configurations, even if unused by the algorithm.
-ONCE_UNUSED = {"observe", "camera_share", "zones", "friction", "gamma", "device"}
+SWEEP = "sweep.yml"  # file in the folder of a search
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +159,7 @@ def make_card(config: TrainConfig) -> PolicyCard:
 
 FOLDER = Path(__file__).parents[1] / "hyperparams"
 _ZOO = {"num_envs": "n_envs", "steps": "n_timesteps"}  # the zoo's names of fields
-_FIELDS = {**RENAMED, **{zoo: name for name, zoo in _ZOO.items()}}
+_FIELDS = {zoo: name for name, zoo in _ZOO.items()}
 # Fields that are no hyper-parameters:
 _OF_THE_RUN = ("task", "algo", "preset", "device", "seed", "seeds", "out", "name")
 _OF_THE_ENV = {"actions", "control_period", "observe"}

@@ -4,7 +4,6 @@ Loss, network and optimiser equal Stable-Baselines3's PPO.
 """
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,18 +18,16 @@ from surface_gym.registration import DEFAULT_TASK, TASKS, env_id
 from ..base import SIDE, ActionMirror
 from ..policy import EqualCategoricals, EqualChoicesPolicy, make_network
 from ..tensors import check_like, load_optimizer
-from . import ppo
 from .algorithms import PPOConfig
 from .config import make_card
-from .learner import learning_rate, train_learner
-from .runs import RECENT_EPISODES, Curve, OnProgress, TrainResult
+from .learner import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss, train_learner
+from .runs import EPISODES, RECENT_EPISODES, Curve, OnProgress, TrainResult
 from .sb3 import training_task
 
 if TYPE_CHECKING:
     from surface_gym.cuda.env import CudaVectorEnv
 
 VALUE_COEF = 0.5  # as in Stable-Baselines3's PPO
-EPISODES = "episodes"  # number of episodes, in addition to sums over them
 
 
 # function from a configuration and a number of environments
@@ -119,36 +116,16 @@ class EpisodeTotals:
         return totals
 
 
-class TotalsCurve(Curve):
-    """Learning curve from episode totals: means over the latest rollouts.
+class Transition(NamedTuple):
+    """Result of a control period, as tensors on the environments' device."""
 
-    The means use the fewest rollouts with at least `RECENT_EPISODES` episodes and one per
-    environment. After a restart of all environments, only the shortest episodes have ended.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        terms: tuple[str, ...],
-        steps: int,
-        recent: list[dict[str, float]],
-        num_envs: int,
-    ) -> None:
-        super().__init__(folder, terms, steps, recent)
-        self._least = max(RECENT_EPISODES, num_envs)
-
-    def add_totals(self, totals: dict[str, float]) -> None:
-        if totals[EPISODES] == 0.0:
-            return
-        self.recent.append(totals)
-        while self._sum(EPISODES) - self.recent[0][EPISODES] >= self._least:
-            self.recent.popleft()
-
-    def _mean(self, name: str) -> float:
-        return self._sum(name) / self._sum(EPISODES) if self.recent else float("nan")
-
-    def _sum(self, name: str) -> float:
-        return sum(rollout[name] for rollout in self.recent)
+    observations: torch.Tensor  # (num_envs, features) observations; the next start's after an end
+    rewards: torch.Tensor  # (num_envs,) float64
+    terminated: torch.Tensor  # (num_envs,) whether ended by success or failure
+    ended: torch.Tensor  # (num_envs,) whether ended, also by the time limit
+    last: (
+        torch.Tensor
+    )  # (num_envs, features) observations at the period's end, also of ended episodes
 
 
 class DeviceTrainingEnvs:
@@ -168,7 +145,7 @@ class DeviceTrainingEnvs:
         self.totals.reset()
         return self._keep(observations)
 
-    def step(self, actions: torch.Tensor) -> ppo.Transition:
+    def step(self, actions: torch.Tensor) -> Transition:
         """Step all environments by one control period; nothing is copied from the device."""
         if self._mirror is not None:
             actions = self._mirror(actions, self._side)
@@ -176,7 +153,7 @@ class DeviceTrainingEnvs:
         ended = terminated | truncated
         self.totals.add(rewards, ended, infos)
         last = torch.where(ended.unsqueeze(1), infos["final_obs"], observations)
-        return ppo.Transition(
+        return Transition(
             self._keep(observations), rewards.clone(), terminated.clone(), ended, last
         )
 
@@ -221,7 +198,7 @@ def policy_loss(policy: DevicePolicy, samples: Samples, ent_coef: float) -> torc
     advantage = samples.advantage
     if len(advantage) > 1:
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    return ppo.ppo_loss(
+    return ppo_loss(
         log_prob, samples.log_prob, advantage, value.flatten(), samples.returns, entropy.mean(),
         ent_coef, VALUE_COEF,
     )  # fmt: skip
@@ -231,7 +208,7 @@ def gradient_step(policy: DevicePolicy, samples: Samples, ent_coef: float) -> No
     """Take one step of a policy's optimiser."""
     policy.optimizer.zero_grad()
     torch.autograd.backward(policy_loss(policy, samples, ent_coef))
-    torch.nn.utils.clip_grad_norm_(policy.parameters(), ppo.MAX_GRAD_NORM)
+    torch.nn.utils.clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
     policy.optimizer.step()
 
 
@@ -262,7 +239,7 @@ class DeviceLearner:
         torch.manual_seed(seed)
         self._seen = self._envs.reset(seed)
 
-    def learn(self, curve: TotalsCurve) -> None:
+    def learn(self, curve: Curve) -> None:
         config = self._config
         self._policy.optimizer.param_groups[0]["lr"] = learning_rate(config, self.steps)
         samples = self.roll_out()
@@ -272,7 +249,8 @@ class DeviceLearner:
             for chosen in torch.split(order, config.batch_size):
                 gradient_step(self._policy, samples.select(chosen), config.ent_coef)
         self.steps += count
-        curve.add_totals(self._envs.totals.fetch())
+        # After a restart of all environments, only the shortest episodes have ended.
+        curve.add_totals(self._envs.totals.fetch(), max(RECENT_EPISODES, config.num_envs))
 
     def state(self) -> dict[str, Any]:
         return {
@@ -302,7 +280,7 @@ class DeviceLearner:
         seen, actions, log_prob, value, *rest = map(torch.stack, zip(*periods, strict=True))
         rewards, ended, next_value = rest
         gamma, gae_lambda = self._config.gamma, self._config.gae_lambda
-        advantage = ppo.compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
+        advantage = compute_advantages(rewards, ended, value, next_value, gamma, gae_lambda)
         returns = (advantage + value).float()
         each = (seen, actions, log_prob, advantage.float(), returns)
         return Samples(*(values.flatten(0, 1) for values in each))
@@ -319,5 +297,4 @@ def train_on_device(
     def make_learner(config: PPOConfig) -> DeviceLearner:
         return DeviceLearner(config, DeviceTrainingEnvs(make_envs(config, config.num_envs)))
 
-    make_curve = partial(TotalsCurve, num_envs=config.num_envs)
-    return train_learner(config, folder, on_progress, make_learner, make_curve)
+    return train_learner(config, folder, on_progress, make_learner)

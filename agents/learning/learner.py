@@ -1,4 +1,7 @@
-"""The training loop: a learner learns from successive rollouts, with checkpoints."""
+"""The training loop, with checkpoints, and what PPO computes from rollouts.
+
+Schulman et al., Proximal policy optimization algorithms, 2017.
+"""
 
 import time
 from collections.abc import Callable
@@ -11,6 +14,10 @@ from ..library import find_task, save_policy
 from . import runs
 from .config import Config, TrainConfig, make_card
 
+# As in Stable-Baselines3's PPO.
+CLIP_RANGE = 0.2  # maximum rewarded difference of the probability ratio from 1
+MAX_GRAD_NORM = 0.5
+
 
 def learning_rate(config: TrainConfig, steps: int) -> float:
     """Compute the learning rate after `steps` control periods; it decreases linearly to 0."""
@@ -20,7 +27,12 @@ def learning_rate(config: TrainConfig, steps: int) -> float:
 class Learner(Protocol):
     """Interface of learners: learning from rollouts, and states at checkpoints."""
 
-    steps: int  # control periods learned from
+    # Optional attributes: `terms`, reward terms of the curve in place of the task's, and
+    # `row_every`, control periods between rows of the curve in place of one row per rollout.
+
+    @property
+    def steps(self) -> int:
+        """Control periods learned from."""
 
     @property
     def network(self) -> torch.nn.Module:
@@ -44,17 +56,10 @@ def train_learner(
     folder: Path,
     on_progress: runs.OnProgress,
     make_learner: Callable[[Config], Learner],
-    make_curve: Callable[..., runs.Curve] = runs.Curve,
-    terms: tuple[str, ...] | None = None,
 ) -> runs.TrainResult:
     """Train by a configuration, and write a policy to `folder`.
 
     A run with a checkpoint is resumed. An interrupt saves the current policy.
-
-    Args:
-        make_learner: makes the learner of a configuration.
-        make_curve: makes the learning curve, with the arguments of `Curve`.
-        terms: reward terms for the curve; None: the task's.
     """
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     started = time.perf_counter()
@@ -68,21 +73,68 @@ def train_learner(
         runs.write_state({**learner.state(), "recent": list(curve.recent)}, folder)
 
     recent = runs.read_state(folder, restore) if (folder / runs.CHECKPOINT).is_file() else []
-    names = find_task(config.task).terms if terms is None else terms
-    curve = make_curve(folder, names, learner.steps, recent)
-    interrupted, interval = False, -1
+    terms = getattr(learner, "terms", None) or find_task(config.task).terms
+    curve = runs.Curve(folder, terms, learner.steps, recent)
+    interrupted, interval, row_every = False, -1, getattr(learner, "row_every", 1)
     try:
         while learner.steps < config.steps:
             if runs.interval_at(config, learner.steps) != interval:
                 interval = runs.interval_at(config, learner.steps)
                 save()
                 learner.begin(runs.interval_seed(config, interval))
+            row = learner.steps // row_every
             learner.learn(curve)
-            curve.write(learner.steps)
-            on_progress(learner.steps, curve.success)
+            if learner.steps // row_every > row:
+                curve.write(learner.steps)
+                on_progress(learner.steps, curve.success)
         save()
     except (KeyboardInterrupt, runs.StopTraining):
         interrupted = True
     curve.close()
     save_policy(learner.network.state_dict(), make_card(config), folder)
     return runs.TrainResult(learner.steps, time.perf_counter() - started, interrupted)
+
+
+def compute_advantages(
+    rewards: torch.Tensor,
+    ended: torch.Tensor,
+    value: torch.Tensor,
+    next_value: torch.Tensor,
+    gamma: float,
+    gae_lambda: float,
+) -> torch.Tensor:
+    """Compute generalised advantage estimates of tensors (periods, num_envs) on one device.
+
+    Schulman et al., High-dimensional continuous control using generalised advantage estimation,
+    ICLR 2016, Eq. (16).
+
+    Args:
+        value: value of the observation before each period.
+        next_value: value of the observation after it, in the same episode; 0 after success or
+            failure.
+    """
+    delta = rewards + gamma * next_value - value
+    advantage = torch.zeros_like(rewards)
+    following = torch.zeros_like(rewards[0])
+    for period in reversed(range(len(rewards))):
+        following = delta[period] + gamma * gae_lambda * following * ~ended[period]
+        advantage[period] = following
+    return advantage
+
+
+def ppo_loss(
+    log_prob: torch.Tensor,
+    old_log_prob: torch.Tensor,
+    advantage: torch.Tensor,
+    value: torch.Tensor,
+    returns: torch.Tensor,
+    entropy: torch.Tensor,
+    ent_coef: float,
+    value_coef: float,
+) -> torch.Tensor:
+    """Compute PPO's loss of samples (samples,) with the clipped objective of Eq. (7)."""
+    ratio = (log_prob - old_log_prob).exp()
+    clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE)
+    objective = torch.min(ratio * advantage, clipped * advantage).mean()
+    value_loss = (value - returns).square().mean()
+    return value_coef * value_loss - objective - ent_coef * entropy

@@ -48,8 +48,7 @@ from surface_gym.files import (
 from surface_gym.parallel import Workers, map_jobs
 from surface_gym.registration import TASKS
 
-from ..library import find_algorithm, is_known, task_label
-from ..yaml_file import RENAMED, read_yaml
+from ..library import find_algorithm, is_known, read_yaml, task_label
 from . import config as configs
 from .config import TrainConfig
 
@@ -58,10 +57,12 @@ COMMAND = "command.txt"
 CHECKPOINT = "checkpoint.pt"
 PLAIN = 2**19  # [bytes] maximum size of plain values in a checkpoint; 1000 episodes need half of it
 CURVE = "curve.csv"
+TENSORBOARD = "tensorboard"  # folder
 CARD = "card.yaml"
 CURVE_EVERY = 10_000  # control periods between rows of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
 RECENT_EPISODES = 1000
+EPISODES = "episodes"  # number of episodes in an entry of sums; an entry without it is one episode
 
 Restored = TypeVar("Restored")
 # Called with finished control periods and the success rate of the latest episodes.
@@ -129,7 +130,7 @@ def write_config(config: TrainConfig, file: Path) -> None:
 
 
 def read_config(file: Path, task: str | None = None, algo: str | None = None) -> TrainConfig:
-    """Read a configuration written by `write_config`, also with earlier names of fields.
+    """Read a configuration written by `write_config`.
 
     Other tasks and algorithms raise a ValueError, since a file must not select code to execute.
 
@@ -139,7 +140,6 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
     """
     try:
         plain = read_yaml(file)
-        plain = {RENAMED.get(name, name): value for name, value in plain.items()}
         known = {"task": plain["task"] in TASKS, "algo": is_known(plain["algo"])}
         for name, given in (("task", task), ("algo", algo)):
             asked = plain[name] if given is None and known[name] else given
@@ -149,12 +149,9 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
                     f"got {given!r}"
                 )
         kind = find_algorithm(plain["algo"]).config
-        names = {each.name for each in fields(kind)}
-        unused = plain.keys() - names
         plain = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in plain.items()
-            if name not in unused & configs.ONCE_UNUSED
         }
         plain["out"] = Path(plain["out"])
         config: TrainConfig = kind(**plain)
@@ -178,7 +175,7 @@ def preset_name(file: Path) -> str | None:
 def _read_field(file: Path, name: str) -> str | None:
     try:
         plain = read_yaml(file)
-        return str({RENAMED.get(key, key): value for key, value in plain.items()}[name])
+        return str(plain[name])
     except (OSError, ValueError, KeyError):
         return None
 
@@ -263,11 +260,11 @@ class Curve:
     ) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
-        self._file = folder / CURVE
+        self.folder, self._file = folder, folder / CURVE
         self._columns = (*FIGURES, *(REWARD + term for term in terms))
         _check_recent(folder / CHECKPOINT, recent, self._columns[1:])
         self.recent: deque[dict[str, float]] = deque(recent, maxlen=RECENT_EPISODES)
-        self._writer: Any = SummaryWriter(str(folder / "tensorboard"), purge_step=steps or None)
+        self._writer: Any = SummaryWriter(str(folder / TENSORBOARD), purge_step=steps or None)
         kept = [row for row in read_curve(folder) if row["steps"] <= steps] if steps else []
         if kept and tuple(kept[0]) != self._columns:
             raise ValueError(f"{self._file} must have the columns {', '.join(self._columns)}")
@@ -286,6 +283,17 @@ class Curve:
                     **{REWARD + term: value for term, value in info["reward_terms"].items()},
                 }
             )
+
+    def add_totals(self, totals: dict[str, float], least: int) -> None:
+        """Add a rollout's number of episodes and sums over them.
+
+        Means are then over the fewest latest rollouts with at least `least` episodes.
+        """
+        if totals[EPISODES] == 0.0:
+            return
+        self.recent.append(totals)
+        while self._count() - self.recent[0][EPISODES] >= least:
+            self.recent.popleft()
 
     @property
     def success(self) -> float:
@@ -307,9 +315,12 @@ class Curve:
         with (file or self._file).open("a", newline="") as text:
             csv.writer(text).writerow(f"{row[name]:.8g}" for name in self._columns)
 
+    def _count(self) -> float:
+        return sum(each.get(EPISODES, 1.0) for each in self.recent)
+
     def _mean(self, name: str) -> float:
-        values = [episode[name] for episode in self.recent]
-        return float(np.mean(values)) if values else float("nan")
+        values = [each[name] for each in self.recent]
+        return float(np.sum(values)) / self._count() if values else float("nan")
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:

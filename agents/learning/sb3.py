@@ -1,10 +1,8 @@
 """Stable-Baselines3: training environments, PPO and DQN."""
 
 import os
-import time
 from dataclasses import replace
 from multiprocessing import parent_process
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -13,6 +11,7 @@ import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common import buffers, logger, utils, vec_env
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import TrainFreq
 
 import surface_gym as sg
 from surface_gym import checks
@@ -20,15 +19,15 @@ from surface_gym.config import PRESETS, Preset
 from surface_gym.parallel import usable_cores
 from surface_gym.parcel import assortment
 
-from ..base import action_mirror, time_for, with_zone
-from ..library import find_task, save_policy
+from ..base import ActionMirror, action_mirror, time_for, with_zone
+from ..library import find_task
 from ..policy import EqualChoicesPolicy
 from ..tensors import check_like, load_optimizer
-from ..vec_env import ConcatVecEnv, MirrorVecEnv, SurfaceVecEnv
-from . import runs
+from ..vec_env import SurfaceVecEnv
 from .algorithms import DQNConfig, PPOConfig
 from .config import ParcelConfig, make_card
-from .ppo import CLIP_RANGE
+from .learner import CLIP_RANGE
+from .runs import CURVE_EVERY, TENSORBOARD, Curve
 
 # For the lab: other parcels than in its evaluation, from a slightly wider distribution.
 _PARCELS, _PARCELS_SEED, _PARCEL_SIZES = 256, 14, (0.18, 0.47)  # [m]
@@ -42,15 +41,14 @@ def training_task(name: str) -> sg.tasks.Task:
     return find_task(name).training_tasks()[0]
 
 
-def make_mirrored_envs(config: ParcelConfig) -> vec_env.VecEnv:
+def make_mirrored_envs(config: ParcelConfig) -> SurfaceVecEnv:
     """Make the environments of a configuration, with mirrored actions for mirrored tasks."""
-    envs = make_training_envs(config)
-    mirror = action_mirror(make_card(config).env_config(find_task(config.task)))
-    return envs if mirror is None else MirrorVecEnv(envs, mirror)
+    env_config = make_card(config).env_config(find_task(config.task))
+    return make_training_envs(config, action_mirror(env_config))
 
 
-def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
-    """Make the environments of a configuration, without mirrored actions."""
+def make_training_envs(config: ParcelConfig, mirror: ActionMirror | None = None) -> SurfaceVecEnv:
+    """Make the environments of a configuration, by default without mirrored actions."""
     by_camera = round(config.camera_share * config.num_envs)
     exact, other = _presets(config)
     with_exact = config.num_envs - by_camera
@@ -60,7 +58,8 @@ def make_training_envs(config: ParcelConfig) -> ConcatVecEnv:
         *((each_zone, exact, columns) for columns in config.zones),
         (by_camera, other, None),
     ]
-    return ConcatVecEnv([_make_envs(config, *share) for share in shares if share[0]])
+    envs = [_make_envs(config, *share) for share in shares if share[0]]
+    return SurfaceVecEnv(*envs, mirror=mirror)
 
 
 def _presets(config: ParcelConfig) -> tuple[Preset, Preset]:
@@ -82,7 +81,7 @@ def _count_threads() -> int:
 
 def _make_envs(
     config: ParcelConfig, num_envs: int, preset: Preset, columns: int | None
-) -> SurfaceVecEnv:
+) -> sg.SmartSurfaceVectorEnv:
     """Make environments under a preset, with a number of zone columns or the task's zone."""
     task = training_task(config.task)
     line, periods = task.line, task.periods
@@ -90,19 +89,17 @@ def _make_envs(
         assert isinstance(line, sg.lines.Line)
         periods = round(periods * time_for(line, columns))
         line = with_zone(line, columns)
-    return SurfaceVecEnv(
-        sg.SmartSurfaceVectorEnv(
-            num_envs=num_envs,
-            threads=_count_threads(),
-            max_episode_steps=periods,
-            task=task,
-            line=line,
-            actions=config.actions,
-            control_period=config.control_period,
-            observe=config.observe,
-            preset=preset,
-            autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
-        )
+    return sg.SmartSurfaceVectorEnv(
+        num_envs=num_envs,
+        threads=_count_threads(),
+        max_episode_steps=periods,
+        task=task,
+        line=line,
+        actions=config.actions,
+        control_period=config.control_period,
+        observe=config.observe,
+        preset=preset,
+        autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
     )
 
 
@@ -113,6 +110,7 @@ _OF_DQN = (
     "buffer_size", "learning_starts", "gradient_steps", "tau", "exploration_fraction",
     "exploration_final_eps", "max_grad_norm",
 )  # fmt: skip
+LOG_EVERY = 4  # episodes between entries of DQN in TensorBoard
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -149,6 +147,22 @@ class DoubleDQN(DQN):
         assert self.replay_buffer is not None
         return self.replay_buffer
 
+    def remembered(self, pos: int, full: bool) -> dict[str, torch.Tensor]:
+        """Return the filled part of the replay buffer, by name."""
+        filled = self.memory.buffer_size if full else pos
+        return {name: torch.from_numpy(getattr(self.memory, name)[:filled]) for name in _REPLAYED}
+
+    def restore_memory(self, calls: Any, memory: dict[str, Any]) -> None:
+        """Restore the replay buffer of a checkpoint, and the number of calls."""
+        check_like("calls", calls, 0)
+        check_like("full", memory["full"], self.memory.full)
+        pos = checks.integer("pos", memory["pos"], least=0, most=self.memory.buffer_size - 1)
+        arrays = self.remembered(pos, memory["full"])
+        check_like("arrays", memory["arrays"], arrays)
+        self._n_calls, self.memory.pos, self.memory.full = calls, pos, memory["full"]
+        for name, values in arrays.items():
+            values[:] = memory["arrays"][name]
+
 
 def truncate_last(model: DoubleDQN) -> None:
     """Mark the latest transitions as truncated, since the environments restart after them.
@@ -177,123 +191,91 @@ def make_model(config: PPOConfig | DQNConfig, env: vec_env.VecEnv) -> PPO | Doub
     return DoubleDQN("MlpPolicy", env, train_freq=1, target_update_interval=every, **given)
 
 
-def save_checkpoint(model: PPO | DoubleDQN, recent: list[dict[str, float]], folder: Path) -> None:
-    """Write networks, optimiser, counters, replay buffer and latest episodes to a folder."""
-    state: dict[str, Any] = {
-        "policy": model.policy.state_dict(),
-        "optimizer": model.policy.optimizer.state_dict(),
-        "counters": {name: getattr(model, name) for name in _COUNTERS},
-        "recent": recent,
-    }
-    if isinstance(model, DoubleDQN):
-        buffer = model.memory
-        filled = buffer.buffer_size if buffer.full else buffer.pos
-        arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
-        state["calls"] = model._n_calls
-        state["memory"] = {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
-    runs.write_state(state, folder)
+class ModelLearner:
+    """Training of a model of Stable-Baselines3, by its own rollouts and gradient steps."""
 
+    row_every = CURVE_EVERY
 
-def load_checkpoint(model: PPO | DoubleDQN, folder: Path) -> list[dict[str, float]]:
-    """Restore a model from a checkpoint; return the latest episodes."""
-
-    def restore(state: dict[str, Any]) -> list[dict[str, float]]:
-        check_like("policy", state["policy"], model.policy.state_dict())
-        check_like("counters", state["counters"], dict.fromkeys(_COUNTERS, 0))
-        if isinstance(model, DoubleDQN):
-            _restore_memory(model, state)
-        model.policy.load_state_dict(state["policy"])
-        load_optimizer(model.policy.optimizer, state["optimizer"])
-        for name in _COUNTERS:
-            setattr(model, name, state["counters"][name])
-        return state["recent"]
-
-    return runs.read_state(folder, restore)
-
-
-def _restore_memory(model: DoubleDQN, state: dict[str, Any]) -> None:
-    buffer, memory = model.memory, state["memory"]
-    check_like("calls", state["calls"], 0)
-    check_like("full", memory["full"], buffer.full)
-    pos = checks.integer("pos", memory["pos"], least=0, most=buffer.buffer_size - 1)
-    filled = buffer.buffer_size if memory["full"] else pos
-    arrays = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAYED}
-    check_like("arrays", memory["arrays"], arrays)
-    model._n_calls, buffer.pos, buffer.full = state["calls"], pos, memory["full"]
-    for name, values in arrays.items():
-        values[:] = memory["arrays"][name]
-
-
-class _Checkpoints(BaseCallback):
-    """Callback for checkpoints, at which everything restarts, and for the learning curve."""
-
-    def __init__(
-        self,
-        config: PPOConfig | DQNConfig,
-        folder: Path,
-        curve: runs.Curve,
-        on_progress: runs.OnProgress,
-    ) -> None:
-        super().__init__()
+    def __init__(self, config: PPOConfig | DQNConfig) -> None:
         self._config = config
-        self._folder = folder
-        self._curve = curve
-        self._on_progress = on_progress
-        self._interval = -1
-        self._row = 0
+        self._model = make_model(config, make_mirrored_envs(config))
+        self._callback: BaseCallback | None = None
+        self._rollouts = 0
 
-    def _on_training_start(self) -> None:
-        self._row = self.num_timesteps // runs.CURVE_EVERY
+    @property
+    def steps(self) -> int:
+        return self._model.num_timesteps
 
-    def _on_rollout_start(self) -> None:
-        model: Any = self.model
-        interval = runs.interval_at(self._config, model.num_timesteps)
-        if interval == self._interval:
-            return
-        self._interval = interval
-        save_checkpoint(model, list(self._curve.recent), self._folder)
-        seed = runs.interval_seed(self._config, interval)
+    @property
+    def network(self) -> torch.nn.Module:
+        return self._model.policy
+
+    def begin(self, seed: int) -> None:
+        model: Any = self._model
         utils.set_random_seed(seed)
         model.action_space.seed(seed)
         model.env.seed(seed)
         model._last_obs = model.env.reset()
-        model._last_episode_starts[:] = True
+        model._last_episode_starts = np.ones(model.env.num_envs, dtype=np.bool_)
         if isinstance(model, DoubleDQN):
             truncate_last(model)
+
+    def learn(self, curve: Curve) -> None:
+        model, config = self._model, self._config
+        if self._callback is None:
+            model.set_logger(logger.configure(str(curve.folder / TENSORBOARD), ["tensorboard"]))
+            _, self._callback = model._setup_learn(
+                config.steps - self.steps, _Episodes(curve), reset_num_timesteps=False
+            )
+        assert model.env is not None
+        if isinstance(model, PPO):
+            model.collect_rollouts(model.env, self._callback, model.rollout_buffer, model.n_steps)
+            self._rollouts += 1
+            model._update_current_progress_remaining(self.steps, config.steps)
+            model.dump_logs(self._rollouts)
+            model.train()
+            return
+        assert isinstance(model.train_freq, TrainFreq)
+        model.collect_rollouts(
+            model.env, self._callback, model.train_freq, model.memory,
+            learning_starts=model.learning_starts, log_interval=LOG_EVERY,
+        )  # fmt: skip
+        if self.steps > model.learning_starts:
+            model.train(model.gradient_steps, model.batch_size)
+
+    def state(self) -> dict[str, Any]:
+        model = self._model
+        state: dict[str, Any] = {
+            "policy": model.policy.state_dict(),
+            "optimizer": model.policy.optimizer.state_dict(),
+            "counters": {name: getattr(model, name) for name in _COUNTERS},
+        }
+        if isinstance(model, DoubleDQN):
+            pos, full = model.memory.pos, model.memory.full
+            state["calls"] = model._n_calls
+            arrays = model.remembered(pos, full)
+            state["memory"] = {"pos": pos, "full": full, "arrays": arrays}
+        return state
+
+    def restore(self, state: dict[str, Any]) -> None:
+        model = self._model
+        check_like("policy", state["policy"], model.policy.state_dict())
+        check_like("counters", state["counters"], dict.fromkeys(_COUNTERS, 0))
+        if isinstance(model, DoubleDQN):
+            model.restore_memory(state["calls"], state["memory"])
+        model.policy.load_state_dict(state["policy"])
+        load_optimizer(model.policy.optimizer, state["optimizer"])
+        for name in _COUNTERS:
+            setattr(model, name, state["counters"][name])
+
+
+class _Episodes(BaseCallback):
+    """Callback that adds ended episodes to the learning curve."""
+
+    def __init__(self, curve: Curve) -> None:
+        super().__init__()
+        self._curve = curve
 
     def _on_step(self) -> bool:
         self._curve.add_episodes(self.locals["infos"])
         return True
-
-    def _on_rollout_end(self) -> None:
-        if self.num_timesteps // runs.CURVE_EVERY > self._row:
-            self._row = self.num_timesteps // runs.CURVE_EVERY
-            self._curve.write(self.num_timesteps)
-            self._on_progress(self.num_timesteps, self._curve.success)
-
-
-def train_sb3(
-    config: PPOConfig | DQNConfig, folder: Path, on_progress: runs.OnProgress = lambda *_: None
-) -> runs.TrainResult:
-    """Train PPO or DQN by a configuration, and write a policy to `folder`.
-
-    A run with a checkpoint is resumed. An interrupt saves the current policy.
-    """
-    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    started = time.perf_counter()
-    resumed = (folder / runs.CHECKPOINT).is_file()
-    model = make_model(config, make_mirrored_envs(config))
-    recent = load_checkpoint(model, folder) if resumed else []
-    curve = runs.Curve(folder, find_task(config.task).terms, model.num_timesteps, recent)
-    model.set_logger(logger.configure(str(folder / "tensorboard"), ["tensorboard"]))
-    callback = _Checkpoints(config, folder, curve, on_progress)
-    interrupted = False
-    try:
-        if model.num_timesteps < config.steps:
-            model.learn(config.steps - model.num_timesteps, callback, reset_num_timesteps=False)
-            save_checkpoint(model, list(curve.recent), folder)
-    except (KeyboardInterrupt, runs.StopTraining):
-        interrupted = True
-    curve.close()
-    save_policy(model.policy.state_dict(), make_card(config), folder)
-    return runs.TrainResult(model.num_timesteps, time.perf_counter() - started, interrupted)

@@ -5,7 +5,6 @@ The network learns from episodes with its own decisions and exploration.
 
 import math
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,10 +26,9 @@ from ..schedule_policy import NetworkScheduler, ScheduleNetwork, as_tensors
 from ..scheduling.decisions import LEVELS, USUAL, Decisions
 from ..scheduling.scheduler import entrance_bound
 from ..tensors import check_like, load_optimizer
-from . import ppo
 from .algorithms import SchedulesConfig
-from .learner import learning_rate, train_learner
-from .runs import Curve, OnProgress, TrainResult
+from .learner import MAX_GRAD_NORM, learning_rate
+from .runs import Curve
 
 DURATION = 16.0  # [s] of an episode
 PRICES = (0.5, 50.0)  # [-] price of a touch, log-uniform in this range
@@ -154,6 +152,8 @@ class DecisionSamples(NamedTuple):
 class ScheduleLearner:
     """Training of the network of candidates' risk, from its own decisions."""
 
+    terms = TERMS
+
     def __init__(self, config: SchedulesConfig) -> None:
         self._config = config
         torch.manual_seed(config.seed)
@@ -233,7 +233,7 @@ class ScheduleLearner:
         loss = (own.exp() - samples.touches * own).mean()
         self._optimiser.zero_grad()
         torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), ppo.MAX_GRAD_NORM)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), MAX_GRAD_NORM)
         self._optimiser.step()
 
 
@@ -287,10 +287,3 @@ def _infos(batch: StreamBatch, blame: Numbers) -> list[dict[str, Any]]:
             }
         )
     return infos
-
-
-def train_schedules(
-    config: SchedulesConfig, folder: Path, on_progress: OnProgress = lambda *_: None
-) -> TrainResult:
-    """Train a policy on the schedule; see `train_learner`."""
-    return train_learner(config, folder, on_progress, ScheduleLearner, terms=TERMS)

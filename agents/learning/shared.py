@@ -2,6 +2,9 @@
 
 An environment has agent slots with one reward each. A sample is one decision: a module's choice, or
 the choices for a whole table of parcels. It may earn the rewards of several slots.
+
+`ModuleLearner` trains the modules of Sort. `slopes` has the learners of parcels and of modules on
+slopes.
 """
 
 import copy
@@ -14,13 +17,16 @@ import numpy as np
 import torch
 
 from surface_gym import checks
+from surface_gym.config import EnvConfig
 
-from ..base import Booleans, Integers, Numbers
-from ..tensors import check_like, load_optimizer
-from . import ppo
-from .algorithms import RolloutConfig
-from .learner import learning_rate
+from ..base import Booleans, Integers, Numbers, Singles
+from ..module_policy import SortModuleView, ValueNetwork, make_actor
+from ..tensors import GROUPS, check_like, draw_choices, draw_groups, load_optimizer, log_likelihood
+from .algorithms import ModulesConfig, RolloutConfig
+from .config import make_card
+from .learner import MAX_GRAD_NORM, compute_advantages, learning_rate, ppo_loss
 from .runs import Curve
+from .sb3 import make_training_envs
 
 SMOOTH = 0.97  # [-] weight of earlier rollouts in the smoothed score
 
@@ -169,7 +175,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         after = np.stack([each.after for each in outcomes]).astype(np.float64)
         following = np.concatenate([value[1:], self._value()[np.newaxis]])
         self._rate(rewards)
-        advantages = ppo.compute_advantages(
+        advantages = compute_advantages(
             torch.from_numpy(rewards),
             torch.from_numpy(ended),
             torch.from_numpy(value),
@@ -207,7 +213,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
         old_log_prob, advantage, returns = (
             each[present] for each in (old_log_prob, advantage, returns)
         )
-        loss = ppo.ppo_loss(
+        loss = ppo_loss(
             found.log_prob, old_log_prob, advantage, found.value, returns, found.entropy,
             self._config.ent_coef, self.value_coef,
         )  # fmt: skip
@@ -217,7 +223,7 @@ class SharedLearner(ABC, Generic[Network, Config]):
             for name, parameter in self._learning.named_parameters():
                 if not name.startswith("critic"):
                     parameter.grad = None
-        torch.nn.utils.clip_grad_norm_(self._learning.parameters(), ppo.MAX_GRAD_NORM)
+        torch.nn.utils.clip_grad_norm_(self._learning.parameters(), MAX_GRAD_NORM)
         self._optimiser.step()
         ratio = (found.log_prob - old_log_prob).detach()
         return float((ratio.exp() - 1.0 - ratio).mean())
@@ -238,3 +244,101 @@ def shuffle(rng: np.random.Generator, count: int, size: int) -> Iterator[torch.T
     order = rng.permutation(count)
     for first in range(0, count, size):
         yield torch.from_numpy(order[first : first + size])
+
+
+class ModulesNetwork(torch.nn.Module):
+    """Actor of the modules, and critic of their environment."""
+
+    def __init__(self, env_config: EnvConfig, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        self.actor = make_actor(env_config, hidden)
+        self.critic = ValueNetwork(hidden, env_config.observe)
+
+
+class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):
+    """Training of the modules' policy and value.
+
+    A slot is an environment, since its modules share one reward. Their choices are one sample.
+    """
+
+    value_coef = 1.0  # the networks share no weights
+    adam_eps = 1e-5  # as in Stable-Baselines3's PPO
+
+    def __init__(self, config: ModulesConfig) -> None:
+        self._envs = make_training_envs(config)
+        env_config = make_card(config).env_config()
+        self._view = SortModuleView(env_config)
+        torch.manual_seed(config.seed)
+        super().__init__(config, ModulesNetwork(env_config, config.hidden))
+        self._seen: Singles = np.empty((0, 0), dtype=np.float32)
+        # Place, group and choice of the modules of all samples.
+        self._modules: list[torch.Tensor] = []
+
+    @property
+    def network(self) -> torch.nn.Module:
+        """Network of the policy, as it is now."""
+        return self._learning.actor
+
+    def begin(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._envs.seed(seed)
+        self._seen = np.asarray(self._envs.reset())
+
+    def roll_out(self) -> list[torch.Tensor]:
+        self._parts: list[tuple[torch.Tensor, ...]] = []
+        batch = super().roll_out()
+        self._modules = [torch.cat(each) for each in zip(*self._parts, strict=True)]
+        return batch
+
+    def _decide(self) -> Decision:
+        num_envs = len(self._seen)
+        seen = self._view(self._seen)
+        shared, env, place = map(torch.from_numpy, (seen.shared, seen.env, seen.place))
+        log_probability = self._learning.actor.log_probability(shared, env, place)
+        probability = self._config.split_probability
+        groups = draw_groups(seen.env, seen.place, num_envs, probability, self._rng)
+        group = torch.from_numpy(groups)
+        uniform = torch.from_numpy(self._rng.random(GROUPS * num_envs, dtype=np.float32))
+        choice = draw_choices(log_probability, group, uniform)
+        count = torch.bincount(env, minlength=num_envs)
+        first = sum(len(choice) for _, _, choice in self._parts) + count.cumsum(0) - count
+        self._parts.append((place, group - GROUPS * env, choice))
+        return Decision(
+            self._view.actions(self._seen, seen, choice.numpy()),
+            self._value(),
+            (torch.from_numpy(self._seen), shared, first, count),
+            np.arange(num_envs),
+            torch.ones(num_envs, dtype=torch.bool),
+            log_likelihood(log_probability, choice, group, GROUPS * num_envs),
+        )
+
+    def _move(self, actions: Integers) -> SlotOutcome:
+        observations, rewards, ended, infos = self._envs.step(actions)
+        self._seen = np.asarray(observations)
+        self.infos += infos
+        after = np.zeros(len(ended))
+        timed = [i for i in np.nonzero(ended)[0] if infos[i]["TimeLimit.truncated"]]
+        if timed:  # truncated episodes have a value
+            after[timed] = self._compute_values(
+                np.stack([infos[i]["terminal_observation"] for i in timed])
+            )
+        return SlotOutcome(rewards.astype(np.float64), ended, after)
+
+    def _value(self) -> Numbers:
+        return self._compute_values(self._seen)
+
+    def _compute_values(self, observations: Singles) -> Any:
+        return self._learning.critic(torch.from_numpy(observations)).numpy()
+
+    def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
+        observations, shared, first, count = samples
+        sample = torch.arange(len(count)).repeat_interleave(count)
+        skipped = count.cumsum(0) - count
+        index = torch.arange(int(count.sum())) + (first - skipped).repeat_interleave(count)
+        place, group, choice = (each[index] for each in self._modules)
+        log_probability = self._learning.actor.log_probability(shared, sample, place)
+        log_prob = log_likelihood(
+            log_probability, choice, GROUPS * sample + group, GROUPS * len(count)
+        )
+        value = self._learning.critic(observations)
+        return Evaluation(log_prob, value, mean_entropy(log_probability))

@@ -1,4 +1,4 @@
-"""Training environments for agents of streams: parallel surfaces, and rewards of each parcel.
+"""Shared-policy PPO on slopes, per parcel and per module with local observations.
 
 A parcel gets its own rewards, and a share of the other parcels' rewards.
 """
@@ -8,24 +8,56 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from surface_gym.config import EnvConfig
+from surface_gym.flow.base import HALVES
 from surface_gym.flow.batch import StreamBatch
+from surface_gym.flow.module_view import ModuleView
 from surface_gym.flow.state import CORRECT, JAM, WRONG
 from surface_gym.parcel import assortment
 from surface_gym.state import OUT_OF_TIME
 
-from ..base import Booleans, Integers, Numbers, Singles
+from ..base import Booleans, Integers, Numbers, Singles, find_rest
 from ..library import find_algorithm, find_task
-from ..parcel_policy import Proposer
+from ..slope_policy import (
+    CENTRE,
+    HOLD,
+    LocalInputs,
+    LocalNetwork,
+    ParcelNetwork,
+    Proposer,
+    fill,
+    make_network,
+    see_modules,
+    to_halves,
+)
+from ..tensors import GROUPS, draw_choices, draw_groups
 from .algorithms import LocalConfig, ParcelsConfig
-from .shared import Config, Network, SharedLearner, SlotOutcome
+from .shared import (
+    Config,
+    Decision,
+    Evaluation,
+    Network,
+    SharedLearner,
+    SlotOutcome,
+    gather,
+    mean_entropy,
+    shuffle,
+)
 
 DURATION = 60.0  # [s] of an episode
 SHAPES = 64  # number of lab parcels per group of environments
 JAMMED = -1.0  # reward of each parcel in a jam
 STALLED = 15.0  # [s] without departures that count as a jam
 SHARED = 0.2  # [-] share of all other parcels' rewards that a parcel gets too
+# Rounds of imitation (DAgger): control periods, share of environments in which the network acts
+# while the rule labels, and passes over all samples so far.
+ROUNDS = ((600, 0.0, 6), *(((500, 0.9, 4),) * 5), (500, 0.9, 12))
+LEARNED = 0.25  # [-] share of a rollout's modules that PPO uses: modules of a parcel are alike
+KEPT = 0.15  # [-] share of modules kept for imitation, every other control period
+BATCH = 6000  # modules of a step of imitation
+RATE = 2e-3  # learning rate of imitation; it falls to 0 in the last round
 
 
 def training_configs(config: ParcelsConfig | LocalConfig) -> list[EnvConfig]:
@@ -190,3 +222,197 @@ class StreamLearner(SharedLearner[Network, Config]):
             (period.departed | over).ravel(),
             np.where(period.departed, 0.0, after).ravel(),
         )
+
+
+class ParcelLearner(StreamLearner[ParcelNetwork, ParcelsConfig]):
+    """Training of the parcels' policy and value, which correct the rule of their task, if any.
+
+    A sample is a whole table.
+    """
+
+    most_kl = 0.03
+
+    def __init__(self, config: ParcelsConfig) -> None:
+        configs = training_configs(config)
+        surfaces = Surfaces(configs, config.num_envs)
+        torch.manual_seed(config.seed)
+        super().__init__(config, surfaces, make_network(configs[0], config.hidden))
+
+    def begin(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._surfaces.begin(self._rng)
+        self._seen = self._surfaces.see()
+
+    def _decide(self) -> Decision:
+        tables, proposed = map(torch.from_numpy, self._seen)
+        found = self._learning(tables, proposed)
+        log_probability = found.logits.log_softmax(dim=1)
+        uniform = torch.from_numpy(self._rng.random((len(found.row), 1), dtype=np.float32))
+        chosen = (uniform > log_probability.exp().cumsum(dim=1)[:, :-1]).sum(dim=1)
+        choice = torch.zeros(proposed.numel(), dtype=torch.int64)
+        likely, value = torch.zeros(proposed.numel()), torch.zeros(proposed.numel())
+        choice[found.row] = chosen
+        likely[found.row] = gather(log_probability, chosen)
+        value[found.row] = found.value
+        choice = choice.reshape(proposed.shape)
+        return Decision(
+            to_halves(choice.numpy(), self._surfaces.orientations),
+            value.numpy(),
+            (tables, proposed, choice),
+            np.arange(proposed.numel()).reshape(proposed.shape),
+            self._learning.find_present(tables),
+            likely.reshape(proposed.shape),
+        )
+
+    def _move(self, actions: Integers) -> SlotOutcome:
+        period = self._surfaces.step(actions)
+        timed = period.out_of_time
+        last = self._compute_values(SlopeObservations(period.last, self._seen.proposed[timed]))
+        self._seen = self._surfaces.see()
+        return self._outcome(period, last.reshape(-1, self._surfaces.rows))
+
+    def _value(self) -> Numbers:
+        return self._compute_values(self._seen)
+
+    def _compute_values(self, seen: SlopeObservations) -> Numbers:
+        """Return the expected returns of all rows; 0 in empty rows."""
+        value = np.zeros(seen.proposed.size)
+        if value.size:
+            found = self._learning(*map(torch.from_numpy, seen))
+            value[found.row.numpy()] = found.value.numpy()
+        return value
+
+    def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
+        tables, proposed, choice = samples
+        found = self._learning(tables, proposed)
+        log_probability = found.logits.log_softmax(dim=1)
+        log_prob = gather(log_probability, choice.flatten()[found.row])
+        return Evaluation(log_prob, found.value, mean_entropy(log_probability))
+
+
+class LocalLearner(StreamLearner[LocalNetwork, LocalConfig]):
+    """Training of the modules' policy and the parcels' value, in one network.
+
+    A module sees itself and its neighbours' messages. Training begins with imitation of the task's
+    rule. Every module under a parcel gets the parcel's reward, and is a sample of its own. Modules
+    under a parcel share one random draw, so they make the same choice, and PPO can credit their
+    joint action.
+    """
+
+    most_kl = 0.01
+
+    def __init__(self, config: LocalConfig) -> None:
+        configs = training_configs(config)
+        surfaces = Surfaces(configs, config.num_envs)
+        self._view = ModuleView(configs[0])
+        self._rest = find_rest(configs[0])
+        torch.manual_seed(config.seed)
+        super().__init__(config, surfaces, LocalNetwork(surfaces.orientations, config.hidden))
+
+    def begin(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._number = self._rng.random(self._slots, dtype=np.float32)
+        if self.steps == 0:
+            self._imitate()
+        self._surfaces.begin(self._rng)
+        self._seen = self._see()
+
+    def _see(self) -> LocalInputs:
+        return see_modules(self._view, self._surfaces.see().tables)
+
+    def _imitate(self) -> None:
+        """Imitate the rule: first in its own episodes, then in the network's (DAgger)."""
+        optimiser = torch.optim.Adam(self._learning.actor.parameters(), RATE)
+        shown: list[tuple[torch.Tensor, ...]] = []
+        for number, (periods, own, passes) in enumerate(ROUNDS, start=1):
+            shown += self._watch_rule(periods, own)
+            passed, of_modules, asked = map(torch.cat, zip(*shown, strict=True))
+            for done in range(passes):
+                if number == len(ROUNDS):
+                    optimiser.param_groups[0]["lr"] = RATE * (1.0 - done / passes)
+                for chosen in shuffle(self._rng, len(asked), BATCH):
+                    found = self._learning(passed[chosen], of_modules[chosen])
+                    loss = torch.nn.functional.nll_loss(found, asked[chosen])
+                    optimiser.zero_grad()
+                    torch.autograd.backward(loss)
+                    optimiser.step()
+        self._surfaces.infos.clear()
+
+    def _watch_rule(self, periods: int, own: float) -> list[tuple[torch.Tensor, ...]]:
+        """Collect observations of some modules, labelled with the rule's choices."""
+        surfaces, rng = self._surfaces, self._rng
+        surfaces.begin(rng)
+        found: list[tuple[torch.Tensor, ...]] = []
+        acts = rng.random(surfaces.num_envs) < own
+        for period in range(periods):
+            tables, proposed = surfaces.see()
+            seen = see_modules(self._view, tables)
+            halves = to_halves(proposed, surfaces.orientations).reshape(-1, HALVES)
+            behind = (seen.own[:, CENTRE] < 0.0).numpy().astype(np.int64)
+            choice = halves[seen.row[seen.parcel.numpy()], behind]
+            if period % 2 == 0:
+                kept = torch.from_numpy(np.flatnonzero(rng.random(len(choice)) < KEPT))
+                asked = torch.from_numpy(choice)[kept]
+                found.append((seen.passed[seen.parcel[kept]], seen.own[kept], asked))
+            if own > 0.0:
+                drawn = self._draw(seen, split=False)[0].numpy()
+                choice = np.where(acts[seen.env], drawn, choice)
+            surfaces.step(fill(seen, choice, surfaces.num_envs, self._view.modules, self._rest))
+        return found
+
+    @torch.no_grad()
+    def _draw(self, seen: LocalInputs, split: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw choices (modules,), and return them with their log probabilities."""
+        rng, parcels = self._rng, len(seen.row)
+        new = rng.random(self._slots) < 1.0 / HOLD
+        self._number[new] = rng.random(int(new.sum()), dtype=np.float32)
+        number = rng.random(GROUPS * parcels, dtype=np.float32)
+        number[::GROUPS] = self._number[seen.row]
+        probability = self._config.split_probability if split else 0.0
+        where = seen.own[:, CENTRE : CENTRE + 2].numpy()
+        group = draw_groups(seen.parcel.numpy(), where, parcels, probability, rng)
+        log_probability = self._learning(seen.passed[seen.parcel], seen.own)
+        choice = draw_choices(log_probability, torch.from_numpy(group), torch.from_numpy(number))
+        return choice, gather(log_probability, choice)
+
+    def _decide(self) -> Decision:
+        seen = self._seen
+        value = self._compute_values(seen, self._slots)
+        choice, likely = self._draw(seen)
+        drawn = self._rng.random(len(choice)) < LEARNED
+        some = torch.from_numpy(np.flatnonzero(drawn))
+        parcel = seen.parcel[some]
+        return Decision(
+            fill(seen, choice.numpy(), self._surfaces.num_envs, self._view.modules, self._rest),
+            value,
+            (seen.passed[parcel], seen.own[some], choice[some]),
+            seen.row[parcel.numpy()],
+            torch.ones(len(some), dtype=torch.bool),
+            likely[some],
+        )
+
+    def _move(self, actions: Integers) -> SlotOutcome:
+        period = self._surfaces.step(actions)
+        self._seen = self._see()
+        count = len(period.last)
+        last = np.zeros((count, self._surfaces.rows))
+        if count:
+            seen = see_modules(self._view, period.last)
+            last = self._compute_values(seen, last.size).reshape(last.shape)
+        return self._outcome(period, last)
+
+    def _value(self) -> Numbers:
+        return self._compute_values(self._seen, self._slots)
+
+    @torch.no_grad()
+    def _compute_values(self, seen: LocalInputs, rows: int) -> Numbers:
+        """Return expected returns (rows,) of parcels; 0 in empty rows."""
+        value = np.zeros(rows)
+        value[seen.row] = self._learning.value(seen.passed).numpy()
+        return value
+
+    def _evaluate(self, samples: list[torch.Tensor]) -> Evaluation:
+        passed, own, choice = samples
+        log_probability = self._learning(passed, own)
+        value = self._learning.value(passed)
+        return Evaluation(gather(log_probability, choice), value, mean_entropy(log_probability))

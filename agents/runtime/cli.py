@@ -17,7 +17,6 @@ from urllib.parse import urlparse
 
 from surface_gym.cli import parse_options
 
-from ..yaml_file import current_option
 from .config import OPC_UA, RuntimeConfig, find_token, parse_address
 from .report import make_report, show_report, write_report
 
@@ -287,8 +286,7 @@ def _run(loop: "ControlLoop", seconds: float, console: "Console") -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error prints one line."""
-    given = map(current_option, sys.argv[1:] if arguments is None else arguments)
-    config = parse_options(RuntimeConfig, "runtime", list(given))
+    config = parse_options(RuntimeConfig, "runtime", arguments)
     from rich.console import Console
 
     try:

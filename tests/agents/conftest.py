@@ -1,10 +1,14 @@
-"""What tests of policies on slopes share."""
+"""What tests of policies on slopes share; a search needs Optuna, of the extra `search`."""
+
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 from surface_gym.flow import take_away as ta
 from surface_gym.vector_env import SmartSurfaceVectorEnv
+
+collect_ignore = [] if find_spec("optuna") else ["test_tuning.py"]
 
 
 @pytest.fixture(scope="package")

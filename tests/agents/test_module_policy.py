@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from surface_gym.agents import module_policy
+from surface_gym.agents import module_policy, tensors
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import PolicyCard
 from surface_gym.feature_groups import group_features
@@ -26,14 +26,12 @@ def logits() -> torch.Tensor:
 def draws(logits: torch.Tensor) -> torch.Tensor:
     together = logits.log_softmax(dim=1).repeat(len(GRID), 1)
     group = torch.arange(len(GRID)).repeat_interleave(MODULES)
-    return module_policy.draw_choices(together, group, GRID).reshape(len(GRID), MODULES)
+    return tensors.draw_choices(together, group, GRID).reshape(len(GRID), MODULES)
 
 
 def likelihood(logits: torch.Tensor, choice: torch.Tensor) -> torch.Tensor:
     group = torch.zeros(MODULES, dtype=torch.int64)
-    return module_policy.log_likelihood(
-        logits.log_softmax(dim=1), choice, group, module_policy.GROUPS
-    ).exp()[0]
+    return tensors.log_likelihood(logits.log_softmax(dim=1), choice, group, tensors.GROUPS).exp()[0]
 
 
 def test_each_module_follows_its_own_probabilities_and_equal_ones_choose_alike(logits) -> None:
@@ -52,29 +50,11 @@ def test_the_likelihood_is_the_share_of_uniforms(logits) -> None:
         torch.testing.assert_close(likelihood(logits, choice), share, atol=2e-4, rtol=0.0)
 
 
-def test_its_gradient_is_that_of_the_expected_reward(logits) -> None:
-    """The mean reward over uniforms, by finite differences, against the sum over likelihoods."""
-    reward = torch.randn((CHOICES,) * MODULES, generator=torch.Generator().manual_seed(5))
-    leaf = logits.clone().requires_grad_()
-    every = [torch.tensor(choice) for choice in draws(logits).unique(dim=0).tolist()]
-    expected = torch.stack([reward[tuple(choice)] * likelihood(leaf, choice) for choice in every])
-    expected.sum().backward()
-    step = 0.05
-    for place in itertools.product(range(MODULES), range(CHOICES)):
-        means = []
-        for way in (step, -step):
-            moved = logits.clone()
-            moved[place] += way
-            means.append(reward[tuple(draws(moved).T)].mean())
-        slope = (means[0] - means[1]) / (2.0 * step)
-        assert float(leaf.grad[place]) == pytest.approx(float(slope), abs=0.01)
-
-
 def test_groups_and_environments_count_apart(logits) -> None:
     log_probability = logits.log_softmax(dim=1)
     group = torch.tensor([0, 1, 4])
     choice = torch.tensor([2, 0, 3])
-    found = module_policy.log_likelihood(log_probability, choice, group, 3 * module_policy.GROUPS)
+    found = tensors.log_likelihood(log_probability, choice, group, 3 * tensors.GROUPS)
     each = log_probability.gather(1, choice.unsqueeze(1)).squeeze(1)
     torch.testing.assert_close(found, torch.stack([each[0] + each[1], torch.tensor(0.0), each[2]]))
 
@@ -83,11 +63,11 @@ def test_a_line_splits_the_modules_of_an_environment() -> None:
     rng = np.random.default_rng(0)
     env = np.repeat(np.arange(50), 9)
     place = np.tile(np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), -1).reshape(9, 2), (50, 1))
-    together = module_policy.draw_groups(env, place.astype(np.float32), 50, 0.0, rng)
-    np.testing.assert_array_equal(together, module_policy.GROUPS * env)
-    split = module_policy.draw_groups(env, place.astype(np.float32), 50, 1.0, rng)
-    np.testing.assert_array_equal(split // module_policy.GROUPS, env)
-    side = (split % module_policy.GROUPS).reshape(50, 9)
+    together = tensors.draw_groups(env, place.astype(np.float32), 50, 0.0, rng)
+    np.testing.assert_array_equal(together, tensors.GROUPS * env)
+    split = tensors.draw_groups(env, place.astype(np.float32), 50, 1.0, rng)
+    np.testing.assert_array_equal(split // tensors.GROUPS, env)
+    side = (split % tensors.GROUPS).reshape(50, 9)
     assert ((side.sum(axis=1) > 0) & (side.sum(axis=1) < 9)).mean() > 0.5
     for one in side:
         beyond, short = place[:9][one == 1], place[:9][one == 0]

@@ -18,9 +18,9 @@ from tests.environments import PITCH, outside
 NUM_ENVS = 40
 # Compiled as Python calls them.
 see_line = compiled(decoding.see_line.py_func)
-count_rows, find_reach, find_outline, find_distance = (
+count_rows, find_reach, find_outline = (
     compiled(getattr(module_places, name).py_func)
-    for name in ("count_rows", "find_reach", "find_outline", "find_distance")
+    for name in ("count_rows", "find_reach", "find_outline")
 )
 
 
@@ -251,20 +251,6 @@ def test_an_observed_outline_is_exact(bases, roundness) -> None:
     assert_outlines(outlines, each)
     found = [outline.roundness for outline in outlines]
     np.testing.assert_allclose(found, min(roundness, 1.0), atol=1e-5)
-
-
-@pytest.mark.parametrize(("base", "roundness"), [(Rectangle(0.4, 0.25), 0.0), (Disc(0.17), 1.0)])
-def test_reach_and_distance_are_the_bases(base, roundness) -> None:
-    rng = np.random.default_rng(0)
-    theta = rng.uniform(-np.pi, np.pi, 200)
-    outline = Outline(*np.ptp(base.outline, axis=0) / 2.0, roundness, 2.0, 0.0)
-    turned = np.stack([np.cos(theta), -np.sin(theta)])
-    reach = [find_reach(*outline[:3], each) for each in theta]
-    np.testing.assert_allclose(reach, (base.outline @ turned).max(axis=0), atol=2e-3)
-    place = rng.uniform(-0.3, 0.3, (2, 200))
-    beyond = base.functions(*place).max(axis=0)
-    distance = [find_distance(outline, *each) for each in place.T]
-    np.testing.assert_allclose(distance, beyond, atol=1e-6)
 
 
 def test_rows_of_a_pattern_are_its_own() -> None:

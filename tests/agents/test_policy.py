@@ -22,7 +22,7 @@ from surface_gym.actions import KINDS
 from surface_gym.agents import policy as policies
 from surface_gym.agents.base import SIDE
 from surface_gym.agents.library import CARD, OLD_WEIGHTS, WEIGHTS, PolicyCard, save_policy
-from surface_gym.agents.module_policy import ModulePolicy, SharedNetwork
+from surface_gym.agents.module_policy import ModulePolicy, make_actor
 from surface_gym.agents.schedule_policy import ScheduleNetwork, SchedulePolicy
 from surface_gym.flow.task import COLUMN
 from surface_gym.tasks import Sort
@@ -53,9 +53,7 @@ def policy_of(card: PolicyCard) -> policies.Policy | ModulePolicy:
     torch.manual_seed(0)
     config, is_modules = card.env_config(), card.algo == "modules"
     network: Any = (
-        SharedNetwork(4, card.hidden, card.observe)
-        if is_modules
-        else policies.make_network(card, config)
+        make_actor(config, card.hidden) if is_modules else policies.make_network(card, config)
     )
     with torch.no_grad():
         for weights in network.parameters():
@@ -181,15 +179,6 @@ def test_a_policy_of_an_earlier_version_is_read(folder) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[1, 2", "hidden: [8]", "!!python/object/apply:os.system ['true']"]
-)
-def test_a_foreign_card_is_refused(folder, text) -> None:
-    (folder / CARD).write_text(text)
-    with pytest.raises(ValueError, match="damaged or foreign"):
-        agents.read(folder)
-
-
-@pytest.mark.parametrize(
     "wrong",
     [
         "env_id: Other-v0", "env_id: SmartSurface/Slow-v0", "algo: sac", "actions: thirds",
@@ -208,17 +197,9 @@ def test_a_card_of_other_weights_or_that_lacks_a_field_is_refused(folder, wrong)
         agents.read(folder)
 
 
-def test_damage_and_absence_are_named(folder) -> None:
-    whole, lines = (folder / WEIGHTS).read_bytes(), (folder / CARD).read_text().splitlines()
-    (folder / CARD).write_text("\n".join(line for line in lines if not line.startswith("digest")))
-    with pytest.raises(ValueError, match="'digest' is missing"):
-        agents.read(folder)
-    sign(folder)
-    (folder / WEIGHTS).write_bytes(whole[: len(whole) // 2])
+def test_other_weights_and_their_absence_are_named(folder) -> None:
+    (folder / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:100])
     with pytest.raises(ValueError, match="its digest differs"):
-        agents.read(folder)
-    sign(folder)
-    with pytest.raises(ValueError, match=f"damaged or foreign policy: {WEIGHTS}: "):
         agents.read(folder)
     (folder / WEIGHTS).unlink()
     with pytest.raises(ValueError, match=f"{WEIGHTS} is missing"):

@@ -10,7 +10,6 @@ from surface_gym.agents import train_cli
 from surface_gym.agents.learning import algorithms, config as configs, runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
-from surface_gym.agents.yaml_file import RENAMED
 
 NO_GPU = "cuda must be there, got none"
 
@@ -87,10 +86,6 @@ def test_defaults_are_those_of_task_and_algorithm(tmp_path) -> None:
     assert config_of("--task", "merge") == configs.defaults("merge", "parcels")
     lab = config_of("--task=slow", "--preset=lab", "--hidden", "8", "9")
     assert lab == replace(configs.defaults("slow", "ppo", preset="lab"), hidden=(8, 9))
-    # Earlier names of options are understood.
-    earlier = {name: f"--{before}" for before, name in RENAMED.items()}
-    config = config_of(earlier["num_envs"], "32", f"{earlier['preset']}=lab")
-    assert config == replace(configs.defaults("sort", "ppo", preset="lab"), num_envs=32)
     # A user's file gives other defaults.
     own = replace(configs.defaults("slow", "ppo"), gamma=0.9)
     configs.write_hyperparams(own, tmp_path / "own.yml")
@@ -110,6 +105,13 @@ def test_a_search_is_new_or_resumed(tmp_path) -> None:
     (folder / SWEEP).touch()
     found = parse_arguments(["--resume", str(folder)])
     assert found == Request(None, None, search=folder / SWEEP, folder=folder)
+
+
+def test_a_search_without_optuna_says_what_to_install(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(train_cli, "find_spec", lambda _: None)
+    with pytest.raises(SystemExit, match=r"pip install 'surface_gym\[search\]'"):
+        train_cli.main(["--search", "wide.yml", "--out", str(tmp_path / "out")])
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_command_of_a_card_trains_the_same(tmp_path) -> None:

@@ -8,7 +8,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
 import surface_gym as sg
-from surface_gym.agents.vec_env import ConcatVecEnv, SurfaceVecEnv
+from surface_gym.agents.vec_env import SurfaceVecEnv
 from surface_gym.sensors import Camera
 
 NUM_ENVS = 4
@@ -49,7 +49,7 @@ def test_attributes_and_methods_are_the_vector_envs() -> None:
     assert env.get_attr("note") == ["shared"] * NUM_ENVS
     assert env.has_attr("config")
     assert not env.has_attr("no_such_thing")
-    assert env.env_method("__str__", indices=[0, 1]) == [str(env.env)] * 2
+    assert env.env_method("__str__", indices=[0, 1]) == [str(env.envs[0])] * 2
 
 
 def test_environments_are_single_ones_and_their_ends_are_reported() -> None:
@@ -106,13 +106,13 @@ def test_seed_and_options_act_at_the_next_reset_alone() -> None:
     env.reset()
     env.seed(5)
     env.set_options([{"speed": 0.5 + i} for i in range(NUM_ENVS)])
-    before = env.env.batch.parcels.truth.copy()
+    before = env.envs[0].batch.parcels.truth.copy()
     env.step(np.full(NUM_ENVS, ROLL))
-    assert (np.abs(env.env.batch.parcels.truth[:, 3] - before[:, 3]) < 0.1).all()
+    assert (np.abs(env.envs[0].batch.parcels.truth[:, 3] - before[:, 3]) < 0.1).all()
     env.reset()
-    np.testing.assert_array_equal(env.env.batch.parcels.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(env.envs[0].batch.parcels.truth[:, 3], [0.5, 1.5, 2.5, 3.5])
     env.reset()
-    assert (env.env.batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
+    assert (env.envs[0].batch.parcels.truth[:, 3] != [0.5, 1.5, 2.5, 3.5]).any()
 
 
 def test_episode_returns_are_the_monitors() -> None:
@@ -163,7 +163,7 @@ def test_concatenated_environments_are_those_apart() -> None:
     def halves() -> list[SurfaceVecEnv]:
         return [make(), make(sensors=Camera())]
 
-    together, apart = ConcatVecEnv(halves()), halves()
+    together, apart = SurfaceVecEnv(*(each.envs[0] for each in halves())), halves()
     for env, seed in ((together, 10), (apart[0], 10), (apart[1], 10 + NUM_ENVS)):
         env.seed(seed)
     first = together.reset()

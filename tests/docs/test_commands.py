@@ -14,7 +14,7 @@ import pytest
 import tyro
 
 from surface_gym import cli
-from surface_gym.agents.tuning.sweep import read_sweep
+from surface_gym.agents.tuning import read_sweep
 from tests.docs.reading import PAGES, ROOT, code_blocks
 
 SHELL = ("sh", "")

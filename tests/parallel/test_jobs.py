@@ -20,20 +20,20 @@ import ray
 from ray.cluster_utils import Cluster as TwoNodes
 from rich.console import Console
 
-from surface_gym import checks, parallel, ray_executor
+from surface_gym import checks, executors, parallel
 from surface_gym.agents.evaluation.method import policy_folders, rules, trained
 from surface_gym.agents.evaluation.results import compute
 from surface_gym.agents.evaluation.scenario import make_jobs, start_scenarios
 from surface_gym.agents.learning.algorithms import ModulesConfig, PPOConfig
 from surface_gym.agents.learning.runs import CARD as CARD_FILE, CURVE, make_folder, train_seeds
 from surface_gym.agents.library import WEIGHTS, task_files
-from surface_gym.agents.tuning.study import run_trial
+from surface_gym.agents.tuning import run_trial
 from surface_gym.design import Case, SortPurpose, least_speed
 from surface_gym.executors import Cluster, Processes, WorkError, describe_error
 from surface_gym.parallel import choose_workers, map_jobs
 from surface_gym.parcel import Parcel, Rectangle
-from tests.agents.tuning.cheap import searched
-from tests.agents.tuning.test_study import SWEEP
+from tests.agents.searches import searched
+from tests.agents.test_tuning import SWEEP
 from tests.parallel import jobs
 
 ROOT = Path(__file__).parents[2]
@@ -149,7 +149,7 @@ def test_a_job_whose_node_dies_is_done_again_and_only_that(nodes, cluster, tmp_p
 
 def test_a_node_with_another_version_is_refused_and_both_are_named(cluster, monkeypatch):
     other = "version 0.0.1 (files c0de)"
-    monkeypatch.setattr(ray_executor, "own_build", lambda: other)
+    monkeypatch.setattr(executors, "own_build", lambda: other)
     named = r"has surface_gym version .* \(files .*version 0\.0\.1 \(files c0de\)"
     with pytest.raises(WorkError, match=named):
         dict(map_jobs([partial(jobs.draws, 0)], cluster))
@@ -174,16 +174,16 @@ def test_seeds_with_nodes_dying_come_to_the_same_files_as_in_processes(nodes, cl
     for folder in folders:
         folder.mkdir()
     train_seeds(SMALL, folders[0], Console(quiet=True), 2)
-    usual, words = ray_executor.RayExecutor.events, itertools.count(1)
+    usual, words = executors.RayExecutor.events, itertools.count(1)
 
-    def events(executor: ray_executor.RayExecutor) -> Iterator[Any]:
+    def events(executor: executors.RayExecutor) -> Iterator[Any]:
         for word in usual(executor):
             if next(words) in (6, 20):
                 nodes.replace_one()
             yield word
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ray_executor.RayExecutor, "events", events)
+        patch.setattr(executors.RayExecutor, "events", events)
         learned = train_seeds(SMALL, folders[1], Console(quiet=True), cluster)
     assert next(words) > 21
     assert [each.interrupted for each in learned] == [False] * 2
@@ -238,7 +238,7 @@ def test_a_command_that_was_killed_goes_on_with_a_custom_task(cluster, tmp_path,
 
 
 def test_a_search_has_trials_of_the_nodes(cluster, tmp_path):
-    sweep = replace(SWEEP, trials=2, startup_trials=2, sampler="random", pruner="none")
+    sweep = replace(SWEEP, trials=2, startup_trials=2)
     found = []
     for name, workers in (("local", 1), ("cluster", cluster)):
         (tmp_path / name).mkdir()

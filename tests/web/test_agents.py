@@ -14,12 +14,11 @@ import torch
 from surface_gym.agents import library
 from surface_gym.agents.export.web import write_agents, write_run
 from surface_gym.agents.library import PolicyCard, save_policy
-from surface_gym.agents.local_policy import LocalNetwork
-from surface_gym.agents.parcel_policy import ParcelNetwork
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.base import CompiledRule
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
 from surface_gym.agents.rules.sorting import BestSorting, SortEach, StreamEventRule
+from surface_gym.agents.slope_policy import LocalNetwork, ParcelNetwork
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.registration import TASKS, env_id

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surface_gym.agents.export import home, web
+from surface_gym.agents.export import web
 from surface_gym.flow.arrivals import HOUR
 from tests.docs.reading import DOCS, ROOT
 from tests.web.conftest import NARROW, WIDE, Site, check_controls, wait_for
@@ -23,7 +23,7 @@ COMPARED = 400  # control periods of the stream, in which 57 boxes come
 def built(site):
     """The site with the home page's files."""
     site.add("flow")
-    home.write_home(site.folder, web.write_obeying("flow", site.folder))
+    web.write_home(site.folder, web.write_obeying("flow", site.folder))
     return site
 
 
@@ -71,9 +71,9 @@ def test_a_line_does_what_python_does_to_the_bit(show, line):
         }""",
         [line, RATE, COMPARED],
     )
-    scheduler, config = home.make_schedulers()[line], home.make_config(home.find_methods()[line])
-    batch, state, expected = home.place_stream(config), None, []
-    batch.streams.time[0] = HOUR / RATE * np.arange(home.BOXES)
+    scheduler, config = web.make_schedulers()[line], web.make_home_config(web.find_methods()[line])
+    batch, state, expected = web.place_stream(config), None, []
+    batch.streams.time[0] = HOUR / RATE * np.arange(web.BOXES)
     batch.begin(np.zeros(1, dtype=np.int64))
     for k in range(COMPARED):
         action, state = scheduler.predict(batch.observation, state)
@@ -204,7 +204,7 @@ def around(built, tmp_path_factory):
     folder = tmp_path_factory.mktemp("around")
     beside = folder / "playground"
     beside.mkdir()
-    needed = (*home.FILES, "flow.wasm", "agent-flow-obeying.wasm")
+    needed = (*web.HOME, "flow.wasm", "agent-flow-obeying.wasm")
     for file in built.folder.iterdir():
         scheduled = file.name.startswith(("agent-home-", "agent-schedule"))
         if file.suffix in (".js", ".css", ".html") or scheduled or file.name in needed:

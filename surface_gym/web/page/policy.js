@@ -149,7 +149,7 @@ export class SortingPolicy extends CompiledRule {
  * Columns of the table: present, time, end, offset and forward
  */
 
-/** A trained policy of parcels, as `agents/parcel_policy.py` follows its probabilities over time. */
+/** A trained policy of parcels, as `agents/slope_policy.py` follows its probabilities over time. */
 export class ParcelPolicy extends SlopeRule {
   get orientations() {
     return this.card.choices.length;
@@ -242,7 +242,7 @@ export class ParcelPolicy extends SlopeRule {
 }
 
 /**
- * @typedef {object} ModulesCard of a policy of modules, as in `agents/local_policy.py`
+ * @typedef {object} ModulesCard of a policy of modules, as in `agents/slope_policy.py`
  * @property {Layer[]} actor
  * @property {number[]} numbers where those that modules look up begin among the weights, and how many
  * @property {number} hold control periods for which the number of a parcel's modules stays

@@ -104,7 +104,8 @@ class TestGood:
     def test_an_onnx_model_acts_as_here(self, tmp_path: Path) -> None:
         for name in ("onnx", "onnxruntime"):
             pytest.importorskip(name, reason=f"{name}, of the extra `export`, is missing")
-        from surface_gym.agents.export.cli import make_metadata, make_model
+        from surface_gym.agents.export.cli import make_metadata
+        from surface_gym.agents.export.onnx import make_model
         from surface_gym.agents.export.policy import network_decision, shipped
 
         source = shipped("sort-ppo")

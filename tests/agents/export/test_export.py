@@ -10,18 +10,13 @@ import pytest
 from torch import nn
 
 from surface_gym import agents
-from surface_gym.agents.export import check, onnx as graphs, policy
-from surface_gym.agents.export.check import compare, random_observations
-from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata, make_model
-from surface_gym.agents.export.page import UNKNOWN, find_need, make_page
+from surface_gym.agents.export import check, policy
+from surface_gym.agents.export.check import compare, make_page, random_observations
+from surface_gym.agents.export.cli import ExportConfig, export, main, make_metadata
+from surface_gym.agents.export.onnx import make_model
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.runs import write_config
 from surface_gym.agents.library import PolicyCard, save_policy
-from surface_gym.agents.yaml_file import RENAMED
-from surface_gym.config import EnvConfig
-from surface_gym.feature_groups import GROUPS, group_features
-from surface_gym.tasks import TASKS
-from surface_gym.tasks.features import Feature
 from tests.agents.test_policy import policy_of
 from tests.environments import ON_SLOPES
 
@@ -32,8 +27,6 @@ CARDS = {
     ),
     "window": PolicyCard("SmartSurface/Sort-v0", "ppo", "window", 0.04, (12,)),
     "stop": PolicyCard("SmartSurface/Stop-v0", "dqn", "halves", 0.05, (32, 8), ("parcel",)),
-    "modules": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (16, 8), OBSERVED),
-    "by-clearance": PolicyCard("SmartSurface/Sort-v0", "modules", "modules", 0.04, (8, 8)),
 }
 
 
@@ -50,7 +43,11 @@ def wanted(source: policy.Source, observations: policy.Singles) -> policy.Intege
 
 
 OF_STREAMS = ("flow", *ON_SLOPES)
-SHIPPED = [name for name in agents.names() if name.split("-")[0] not in OF_STREAMS]
+SHIPPED = [
+    name
+    for name in agents.names()
+    if name.split("-")[0] not in OF_STREAMS and name != "sort-modules"
+]
 COUNT = 1000
 
 
@@ -65,8 +62,7 @@ def needed(*libraries: str) -> list[Any]:
 @pytest.mark.parametrize("name", [*SHIPPED, *CARDS])
 def test_it_decides_as_the_policy(name) -> None:
     source = made(name) if name in CARDS else policy.shipped(name)
-    is_modules = source.policy.card.algo == "modules"
-    decision = graphs.modules_decision(source) if is_modules else policy.network_decision(source)
+    decision = policy.network_decision(source)
     seen = random_observations(source, COUNT, seed=1)
     if name in CARDS:  # they ask for every choice: else the comparison would say little
         assert np.bincount(wanted(source, seen).ravel(), minlength=4).min() > 10
@@ -85,48 +81,6 @@ def test_it_decides_as_the_policy(name) -> None:
 
 
 CPU = ["CPUExecutionProvider"]
-TURNS = np.linspace(-np.pi, np.pi, 721)
-SEEN = np.stack([np.sin(TURNS), np.cos(TURNS)], axis=1).astype(np.float32)
-
-
-def test_an_angle_is_that_of_its_sine_and_cosine() -> None:
-    exact = [[0, 0], [0, 1], [0, -1], [1, 0], [-1, 0]]
-    sine, cosine = np.concatenate([SEEN, exact]).astype(np.float32).astype(np.float64).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        angle = graphs._angle(graphs.DoubtArray(sine, []), graphs.DoubtArray(cosine, [])).value
-    np.testing.assert_allclose(angle, np.arctan2(sine, cosine), atol=1e-15)
-
-
-def test_a_graph_computes_in_double_precision_what_numpy_does() -> None:
-    """Though its arc tangent is of single precision."""
-    onnx, runtime = needed("onnx", "onnxruntime")
-    graph, kinds, helper = graphs.Graph(), onnx.TensorProto, onnx.helper
-    traced: graphs.GraphArray = graphs._angle(*graph.features(2)) + np.zeros((1, 3))
-    given = helper.make_tensor_value_info(graphs.OBSERVATION, kinds.FLOAT, ["num_envs", 2])
-    result = helper.make_tensor_value_info(traced.name, kinds.DOUBLE, ["num_envs", 3])
-    whole = helper.make_graph(graph._nodes, "angle", [given], [result], graph._constants)
-    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    session = runtime.InferenceSession(model.SerializeToString(), providers=CPU)
-    (angle,) = session.run(None, {graphs.OBSERVATION: SEEN})
-    sine, cosine = SEEN.astype(np.float64).T
-    wanted = np.repeat(np.arctan2(sine, cosine)[:, np.newaxis], 3, axis=1)
-    np.testing.assert_allclose(angle, wanted, atol=1e-13)
-
-
-def test_doubt_is_where_a_comparison_or_a_jump_hangs_on_round_off() -> None:
-    doubts: list[np.ndarray] = []
-    first, second = np.array([0.1, 0.1, 0.2]), np.array([0.1, 0.2, 0.1])
-    _ = graphs.DoubtArray(first, doubts) <= graphs.DoubtArray(second, doubts)
-    assert doubts.pop().tolist() == [True, False, False]
-    _ = graphs.DoubtArray(first, doubts, exact=True) <= graphs.DoubtArray(
-        second, doubts, exact=True
-    )
-    assert not doubts  # as they are given, they have no round-off
-    numbers = graphs.DoubtArray(np.array([1.0, 0.5, 0.3]), doubts)
-    np.floor(2.0 * numbers)
-    assert doubts.pop().tolist() == [True, True, False]
-    np.rint(numbers)
-    assert doubts.pop().tolist() == [False, True, False]
 
 
 @pytest.fixture
@@ -200,13 +154,6 @@ def test_it_writes_two_files_that_it_has_checked(tmp_path, capsys) -> None:
     assert outputs == {"choices": "tensor(int64)", "angles": "tensor(double)"}
 
 
-def test_modules_that_share_weights_are_exported_too(tmp_path) -> None:
-    needed("onnx")
-    main(["sort-modules", "--out", str(tmp_path), "--observations", "200"])
-    names = {file.name for file in tmp_path.iterdir()}
-    assert names == {"sort-modules.onnx", "sort-modules.md"}
-
-
 def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     save_policy(made("window").policy._network.state_dict(), CARDS["window"], tmp_path / "window")
     folder = tmp_path / "window"
@@ -216,11 +163,10 @@ def test_a_run_is_exported_under_its_own_name_or_another(tmp_path) -> None:
     write_config(PPOConfig(preset="lab"), folder / "config.yaml")
     presets = [each.name for each in policy.of_run(folder).training.presets]
     assert presets == list(policy.TRAINED_IN["lab"])
-    for flag in ("preset", next(old for old, name in RENAMED.items() if name == "preset")):
-        command = f"python train.py --{flag} lab"
-        (folder / "card.yaml").write_text(f"command: {command}\nresults: {{}}\n")
-        training = policy.of_run(folder).training
-        assert (training.preset, training.command) == ("lab", command)
+    command = "python train.py --preset lab"
+    (folder / "card.yaml").write_text(f"command: {command}\nresults: {{}}\n")
+    training = policy.of_run(folder).training
+    assert (training.preset, training.command) == ("lab", command)
     with pytest.raises(ValueError, match="seed must be one of 0, got 3"):
         policy.of_run(folder, seed=3)
 
@@ -236,14 +182,6 @@ def test_the_page_lists_every_feature_and_angle(name) -> None:
     assert f"every {source.config.control_period * 1e3:g} ms" in page
     assert "400 observations, 800 choices: the same (1 too close" in page
     assert ("shown in a mirror" in page) == (source.config.task_name == "sort")
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_every_feature_of_the_package_says_what_it_needs(task) -> None:
-    config = EnvConfig(task=task, actions="window", observe_axes=True)
-    shown = (*config.features, *group_features(tuple(GROUPS)))
-    assert [each.name for each in shown if find_need(each) == UNKNOWN] == []
-    assert find_need(Feature("mood", 0.0, 1.0, "of the parcel")) == UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -263,8 +201,10 @@ def test_what_is_no_export_is_refused(given, named) -> None:
 def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     with pytest.raises(ValueError, match="preset must be one of"):
         _ = policy.Training("weather").presets
-    for name in ("flow-schedule", "merge-parcels", "merge-local"):
-        with pytest.raises(SystemExit, match="error: name must be that of an agent of single"):
+    for name, said in (
+        ("flow-schedule", "single"), ("merge-local", "single"), ("sort-modules", "PPO or DQN"),
+    ):  # fmt: skip
+        with pytest.raises(SystemExit, match=f"error: name must be that of an agent of {said}"):
             main([name, "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):
         main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])

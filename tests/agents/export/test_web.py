@@ -11,20 +11,23 @@ import pytest
 import torch
 
 from surface_gym.agents import library
-from surface_gym.agents.export import rules, web
+from surface_gym.agents.export import web
 from surface_gym.agents.export.policy import NetworkDecision, network_decision, shipped
 from surface_gym.agents.export.web import main
 from surface_gym.agents.library import save_policy
-from surface_gym.agents.module_policy import SharedNetwork
+from surface_gym.agents.module_policy import make_actor
 from surface_gym.agents.policy import make_network
+from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.sorting import BestSorting
+from surface_gym.agents.scheduling.leading import schedule
 from surface_gym.compiler.wasm import Module
-from surface_gym.compiler.wasm_image import name_arguments
+from surface_gym.compiler.wasm_image import BASE, compute_signature, name_arguments
 from surface_gym.config import EnvConfig
 from surface_gym.env import SmartSurfaceEnv, make_batch
 from surface_gym.flow.batch import StreamBatch, stream_functions
 from surface_gym.flow.kernel import make_assigning_kernel
 from surface_gym.flow.state import NOBODY
+from surface_gym.tasks import TASKS
 from surface_gym.web.build import make_config
 from tests.environments import STREAMS
 
@@ -34,8 +37,7 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("site")
     (made / "site.json").write_text('{"tasks": ["sort", "flow", "merge"], "agents": false}')
     with pytest.MonkeyPatch.context() as patch:
-        for module in (web, rules):
-            patch.setattr(module, "compile_module", write_nothing)
+        patch.setattr(web, "compile_module", write_nothing)
         main([str(made)])
     return made
 
@@ -93,7 +95,7 @@ def test_the_weights_of_a_policy_of_modules_give_its_logits(folder):
     shared, own = (torch.from_numpy(seen[:, part].astype(np.float32)) for part in
                    (slice(split), slice(split, None)))  # fmt: skip
     with torch.no_grad():
-        wanted = network(shared, torch.arange(5), own)
+        wanted = network.log_probability(shared, torch.arange(5), own)
     found = torch.from_numpy(values).log_softmax(dim=1)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     assert card["mirror"] == [0, 2, 1, 3]
@@ -129,8 +131,7 @@ def test_a_run_of_sort_s_modules_has_the_card_of_the_one_that_ships(folder, tmp_
 def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
     folder, tmp_path, monkeypatch, name
 ):
-    for module in (web, rules):
-        monkeypatch.setattr(module, "compile_module", write_nothing)
+    monkeypatch.setattr(web, "compile_module", write_nothing)
     run, beside = tmp_path / "my run #1", tmp_path / "beside"
     shutil.copytree(library.SHELF / name, run)
     beside.mkdir()
@@ -148,8 +149,7 @@ def test_a_run_on_a_slope_has_the_card_and_the_weights_of_one_that_ships(
 
 
 def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, monkeypatch):
-    for module in (web, rules):
-        monkeypatch.setattr(module, "compile_module", write_nothing)
+    monkeypatch.setattr(web, "compile_module", write_nothing)
     package, beside = tmp_path / "package", tmp_path / "beside"
     for each in (package, beside):
         each.mkdir()
@@ -176,13 +176,6 @@ def test_a_run_that_the_page_cannot_show_is_refused(folder, tmp_path, name, task
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_sees_more_than_the_page_shows_is_refused(folder, tmp_path):
-    card = replace(library.load("sort-modules").card, observe=("parcel",), hidden=(8,))
-    save_policy(SharedNetwork(4, card.hidden, card.observe).state_dict(), card, tmp_path / "run")
-    with pytest.raises(ValueError, match=r"run must hold .*, got modules, modules, \['parcel'\]"):
-        web.write_run(tmp_path / "run", None, None, tmp_path, folder)
-
-
 def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(folder, tmp_path):
     card = replace(library.load("sort-ppo").card, observe=("load",), hidden=(8,))
     config = card.env_config()
@@ -195,12 +188,24 @@ def test_a_run_that_observes_one_group_finds_it_among_all_that_the_page_shows(fo
     assert columns != list(range(len(columns)))
 
 
-def test_a_run_that_decides_more_often_than_the_page_is_refused(folder, tmp_path):
-    policy = library.load("merge-parcels")
-    save_policy(
-        policy._network.state_dict(), replace(policy.card, control_period=0.02), tmp_path / "run"
-    )
-    with pytest.raises(ValueError, match=r"control_period must be 0\.04 s.*, got 0\.02"):
+@pytest.mark.parametrize(
+    ("name", "other", "said"),
+    [
+        ("sort-modules", {"observe": ("parcel",), "hidden": (8,)},
+         r"run must hold .*, got modules, modules, \['parcel'\]"),
+        ("merge-parcels", {"control_period": 0.02}, r"control_period must be 0\.04 s.*, got 0\.02"),
+    ],
+)  # fmt: skip
+def test_a_run_that_sees_more_or_decides_more_often_than_the_page_is_refused(
+    folder, tmp_path, name, other, said
+):
+    policy = library.load(name)
+    card = replace(policy.card, **other)
+    network: Any = policy._network
+    if "hidden" in other:
+        network = make_actor(card.env_config(), card.hidden)
+    save_policy(network.state_dict(), card, tmp_path / "run")
+    with pytest.raises(ValueError, match=said):
         web.write_run(tmp_path / "run", None, None, tmp_path, folder)
 
 
@@ -277,3 +282,65 @@ def test_a_folder_without_a_site_is_refused(tmp_path, capsys):
         main([str(tmp_path)])
     said = f"folder must be one that `surface-gym web` has written, got {tmp_path}"
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_rule_of_a_task_acts_in_the_page_unless_it_searches(task, tmp_path, monkeypatch):
+    monkeypatch.setattr(web, "write_machine", lambda code, *_: {"code": code})
+    there = {**web.write_rules(task, tmp_path), **web.find_layouts(task, seeds=1)}
+    wanted = {rule.name for rule in find_rules(task) if not rule.searches}
+    # All modules at 90 deg, which is a layout of Track, are there of every task.
+    assert wanted - set(there) == ({"fixed layout"} if task == "track" else set())
+
+
+def test_a_card_says_which_numbers_are_others_with_a_camera(tmp_path: Path):
+    rule = {each.name: each for each in find_rules("slow")}["braking rule"]
+    card = json.loads(json.dumps(web.write_rule(rule, tmp_path)))
+    assert card == {
+        "kind": "rule", "code": "agent-slow-braking-rule", "machine": "agent-slow-braking-rule",
+        "camera": {"model.noise": 0.01},
+    }  # fmt: skip
+    layout = json.loads((tmp_path / f"{card['machine']}.json").read_text())
+    assert layout["bytes"] == (tmp_path / f"{card['machine']}.bin").stat().st_size
+    assert (tmp_path / f"{card['code']}.wasm").stat().st_size < 40_000
+
+
+@pytest.fixture(scope="module")
+def layout(folder):
+    return json.loads((folder / "home.json").read_text())
+
+
+def test_the_module_of_flow_steps_it(layout):
+    upper, flow = web.make_home_config(web.find_methods()[0]), EnvConfig("flow")
+    batch, plain = web.place_stream(upper), make_batch(flow, 1, compiles=False)
+    assert batch.make_kernel() is plain.make_kernel()
+    named = name_arguments(plain.make_kernel(), plain.arguments)
+    assert layout["signature"] == compute_signature(named)
+
+
+def test_both_lines_have_the_same_boxes_of_all_kinds_for_all_exits(folder, layout):
+    block = (folder / "home.bin").read_bytes()
+    assert len(block) == layout["bytes"]
+    for method in web.find_methods():
+        streams = web.place_stream(web.make_home_config(method)).streams
+        for name in ("time", "body", "exit", "start"):
+            _, _, address = layout["fields"][f"streams.{name}"]
+            there = getattr(streams, name).tobytes()
+            assert block[address - BASE : address - BASE + len(there)] == there
+        kinds = np.stack([streams.body[0], streams.exit[0]], axis=1)
+        assert len(kinds) == web.BOXES
+        assert len(np.unique(kinds, axis=0)) == 2 * 3
+    assert [mark["label"] for mark in layout["starts"]["marks"][0]] == ["left", "right", "straight"]
+
+
+def test_the_memories_are_those_of_the_comparison_s_schedulers(folder, layout):
+    assert [card["byGroups"] for card in layout["lines"]] == [True, False]
+    for card, scheduler in zip(layout["lines"], web.make_schedulers(), strict=True):
+        block = (folder / f"{card['machine']}.bin").read_bytes()
+        fields = json.loads((folder / f"{card['machine']}.json").read_text())["fields"]
+        named = name_arguments(schedule, scheduler.start_arguments())
+        assert list(fields) == list(named)
+        for name in ("orders.gaps", "orders.delay", "orders.options", "way.place", "way.spans"):
+            kind, shape, address = fields[name]
+            values = np.frombuffer(block, kind, np.prod(shape, dtype=int), address - BASE)
+            np.testing.assert_array_equal(values.reshape(shape), named[name])

@@ -19,10 +19,10 @@ from surface_gym.agents.base import ActionMirror
 from surface_gym.agents.learning import cuda
 from surface_gym.agents.learning.algorithms import PPOConfig
 from surface_gym.agents.learning.config import defaults
-from surface_gym.agents.learning.runs import read_curve, train
+from surface_gym.agents.learning.runs import Curve, read_curve, train
 from surface_gym.agents.learning.sb3 import make_mirrored_envs, make_model
 from surface_gym.agents.library import WEIGHTS
-from surface_gym.agents.vec_env import MirrorVecEnv, SurfaceVecEnv
+from surface_gym.agents.vec_env import SurfaceVecEnv
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 
@@ -93,11 +93,7 @@ def test_a_rollout_has_the_returns_of_stable_baselines3(actions) -> None:
     samples = learning.roll_out()
     policy = learning.network
     vector_env = env(actions)
-    env_config = vector_env.config
-    others = MirrorVecEnv(
-        SurfaceVecEnv(vector_env),
-        ActionMirror(env_config),
-    )
+    others = SurfaceVecEnv(vector_env, mirror=ActionMirror(vector_env.config))
     others.seed(7)
     seen = np.asarray(others.reset())
     buffer = RolloutBuffer(
@@ -197,37 +193,31 @@ def test_episode_totals_are_the_sums_of_single_episodes() -> None:
     assert not any(envs.totals.fetch().values())
 
 
-def test_a_row_holds_means_over_the_latest_rollouts_of_a_thousand_episodes(tmp_path) -> None:
-    curve = cuda.TotalsCurve(tmp_path, ("reach",), 0, [], 8)
-    curve.add_totals(totals(0, 0))  # a rollout in which none ended
+def test_a_row_holds_means_over_the_fewest_latest_rollouts_with_enough_episodes(tmp_path) -> None:
+    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
+
+    def add(episodes: int, successes: int, least: int = 1000) -> None:
+        sums = {name: value * episodes for name, value in each.items()}
+        curve.add_totals({"episodes": episodes, "success": successes, **sums}, least)
+
+    curve = Curve(tmp_path, ("reach",), 0, [])
+    add(0, 0)  # a rollout in which none ended
     assert np.isnan(curve.success)
-    curve.add_totals(totals(300, 0))
-    curve.add_totals(totals(600, 300))
+    add(300, 0)
+    add(600, 300)
     curve.write(100)
-    curve.add_totals(totals(500, 500))  # 600 and 500 are enough
+    add(500, 500)  # 600 and 500 are enough
     curve.write(200)
     curve.close()
     first, second = read_curve(tmp_path)
-    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
     assert first == {"steps": 100, "success": pytest.approx(1 / 3), **each}
     assert second["success"] == pytest.approx(800 / 1100)
-    again = cuda.TotalsCurve(tmp_path, ("reach",), 200, list(curve.recent), 8)
+    again = Curve(tmp_path, ("reach",), 200, list(curve.recent))
     assert again.success == curve.success
     again.close()
-
-
-def totals(episodes: int, successes: int) -> dict[str, float]:
-    each = {"return": 2.0, "length": 10.0, "reward_reach": 3.0}
-    rest = {name: value * episodes for name, value in each.items()}
-    return {"episodes": episodes, "success": successes, **rest}
-
-
-def test_a_row_holds_an_episode_of_every_environment(tmp_path) -> None:
-    curve = cuda.TotalsCurve(tmp_path, ("reach",), 0, [], 3000)
     for successes in (0, 0, 0, 1500):
-        curve.add_totals(totals(1500, successes))
+        add(1500, successes, least=3000)
     assert curve.success == 0.5
-    curve.close()
 
 
 def test_it_learns_to_sort(tmp_path) -> None:

@@ -9,11 +9,10 @@ import torch
 
 from surface_gym import agents
 from surface_gym.agents.evaluation.streams import NEVER_SEEN, SHAPES_SEED
-from surface_gym.agents.learning import local, shared, slopes
+from surface_gym.agents.learning import shared, slopes
 from surface_gym.agents.learning.algorithms import LocalConfig, ParcelsConfig
-from surface_gym.agents.learning.local import LocalLearner
-from surface_gym.agents.learning.parcels import ParcelLearner
 from surface_gym.agents.learning.runs import train
+from surface_gym.agents.learning.slopes import LocalLearner, ParcelLearner
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
 from surface_gym.parcel import assortment
@@ -26,8 +25,8 @@ LOCAL = LocalConfig(num_envs=6, n_steps=16, batch_size=96, n_epochs=1, hidden=(8
 @pytest.fixture(autouse=True)
 def short(monkeypatch) -> None:
     monkeypatch.setattr(slopes, "DURATION", 4.0)
-    monkeypatch.setattr(local, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
-    monkeypatch.setattr(local, "BATCH", 200)
+    monkeypatch.setattr(slopes, "ROUNDS", ((30, 0.0, 2), (10, 0.9, 1)))
+    monkeypatch.setattr(slopes, "BATCH", 200)
 
 
 @pytest.mark.parametrize("config", [TINY, LOCAL], ids=["parcels", "local"])
@@ -163,7 +162,7 @@ def test_returns_of_a_parcel_end_as_it_leaves() -> None:
 
 
 def test_imitation_comes_near_to_the_rule(monkeypatch) -> None:
-    monkeypatch.setattr(local, "ROUNDS", ((200, 0.0, 30),))
+    monkeypatch.setattr(slopes, "ROUNDS", ((200, 0.0, 30),))
     learner = LocalLearner(replace(LOCAL, task="merge", hidden=(32,)))
     learner.begin(0)
     passed, own, asked = map(torch.cat, zip(*learner._watch_rule(80, 0.0), strict=True))

@@ -15,9 +15,9 @@ from surface_gym import agents
 from surface_gym.agents.learning import algorithms, sb3, schedules
 from surface_gym.agents.learning.algorithms import DQNConfig, ModulesConfig, PPOConfig
 from surface_gym.agents.learning.config import defaults
-from surface_gym.agents.learning.modules import ModuleLearner
-from surface_gym.agents.learning.ppo import compute_advantages
+from surface_gym.agents.learning.learner import compute_advantages
 from surface_gym.agents.learning.runs import train
+from surface_gym.agents.learning.shared import ModuleLearner
 from surface_gym.agents.scheduling.decisions import ABOUT, LEVELS, OPTION, TOKEN
 from surface_gym.agents.scheduling.scheduler import entrance_bound
 from surface_gym.randomisation import Randomisation

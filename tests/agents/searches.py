@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from optuna.distributions import FloatDistribution, IntDistribution
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 from rich.console import Console
 from sqlalchemy import Engine, event
 
-from surface_gym.agents.tuning import study
-from surface_gym.agents.tuning.study import TrialResult
-from surface_gym.agents.tuning.sweep import SearchConfig, make_choices
+from surface_gym.agents import tuning
+from surface_gym.agents.tuning import SearchConfig, TrialResult, make_choices
 from surface_gym.executors import Report
 from surface_gym.parallel import Workers
 
@@ -40,21 +39,21 @@ def cheap_trial(
 ) -> TrialResult:  # fmt: skip
     """The nearer to 1e-2 the learning rate is, the better; the rest matters little."""
     value = params["learning_rate"] * 100.0 + 0.001 * params["n_epochs"]
-    prune = study.Pruning(sweep, past, report)
-    for number in range(1, sweep.max_reports + 1):
+    prune = tuning.Pruning(sweep, past, report)
+    for number in range(1, sweep.evaluations + 1):
         time.sleep(seconds)
-        if prune(number, value * number / sweep.max_reports):
-            return TrialResult(study.PRUNED)
-    return TrialResult(study.COMPLETE, value)
+        if prune(number, value * number / sweep.evaluations):
+            return TrialResult(TrialState.PRUNED)
+    return TrialResult(TrialState.COMPLETE, value)
 
 
 def searched(
     sweep: SearchConfig, folder: Path, run: Any = cheap_trial, workers: Workers = 1
 ) -> list[FrozenTrial]:
     """All trials of a search that is carried out in a folder, the interrupted ones included."""
-    with study.open_study(sweep, folder) as kept:
+    with tuning.open_study(sweep, folder) as kept:
         with suppress(KeyboardInterrupt):
-            study.optimize(sweep, kept, workers, QUIET, run)
+            tuning.optimize(sweep, kept, workers, QUIET, run)
         return list(kept.get_trials())
 
 

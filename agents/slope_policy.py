@@ -1,13 +1,19 @@
-"""Policy of parcels: one network with attention that corrects a rule's choices.
+"""Policies on slopes, of parcels and of modules, each with one network.
 
-Each row of the table is a parcel. Its choice depends on its own row and, by attention, on all other
-parcels of the surface. So neither the number nor the order of parcels matters. Before learning, the
-policy is almost the rule: residual policy learning (Silver et al. 2018). For a task without a rule,
-the network decides alone.
+`ParcelPolicy` corrects a rule's choices. Each row of the table is a parcel. Its choice depends on
+its own row and, by attention, on all other parcels of the surface. So neither the number nor the
+order of parcels matters. Before learning, the policy is almost the rule: residual policy learning
+(Silver et al. 2018). For a task without a rule, the network decides alone.
+
+`LocalPolicy` decides for modules with local observations. The modules under a parcel share one
+number, by which each samples from its own probabilities. So similar modules choose alike, and a
+parcel is not pulled back and forth. The number is constant for some control periods, since axes
+take time to turn.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,16 +22,19 @@ from torch import nn
 
 from surface_gym import checks
 from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
 from surface_gym.flow.base import HALVES
+from surface_gym.flow.module_view import OWN, PASSED, ModuleView
+from surface_gym.flow.state import NOBODY
 from surface_gym.tasks.features import Column, Feature, columns
 
-from .base import Booleans, Integers, Numbers, is_fresh
+from .base import Booleans, Integers, Numbers, Singles, find_rest, is_fresh
 from .library import HEADS, PolicyCard, TrainedPolicy, Weights, check_heads
 from .rules import find_prior
-from .tensors import load_weights
+from .tensors import draw_choices, load_weights
 
 MOST = 5.0  # limit of features
-APART = (2.0, 1.4, 2.0)  # maximum differences of two parcels: [m] along, [m] across and [m/s]
+PAIR_RANGE = (2.0, 1.4, 2.0)  # maximum differences of two parcels: [m] along, [m] across and [m/s]
 PAIR = 5  # features of the relative position of two parcels
 PRIOR = 6.0  # initial logit of the rule's choice, for a probability of 0.96
 SMALL = 0.01  # [-] scale of the last layer's initial weights
@@ -126,7 +135,7 @@ class ParcelNetwork(nn.Module):
         if self.pair is not None:
             where = packed(rows[:, self._place] * self._scale)
             apart = where[:, None] - where[:, :, None]
-            apart = apart.clamp(-torch.tensor(APART), torch.tensor(APART))
+            apart = apart.clamp(-torch.tensor(PAIR_RANGE), torch.tensor(PAIR_RANGE))
             pairs = self.pair(torch.cat([apart, apart[..., :2].square()], dim=3))
             bias = pairs.permute(0, 3, 1, 2)
         query, key, value = (
@@ -189,22 +198,6 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
     return config
 
 
-class SlopePolicy(TrainedPolicy):
-    """A trained policy on a slope.
-
-    Args:
-        network: network of the policy.
-        card: card of the policy.
-        config: configuration of the environment.
-    """
-
-    def __init__(self, network: nn.Module, card: PolicyCard, config: EnvConfig) -> None:
-        torch.set_num_threads(1)  # the network is small: more threads only wait for each other
-        super().__init__(card, config)
-        network.eval()
-        self._config = config
-
-
 class ParcelMemory(NamedTuple):
     """Memory of a policy: pending shares of each parcel's choices, and the rule's memory."""
 
@@ -213,7 +206,7 @@ class ParcelMemory(NamedTuple):
     since: Numbers  # (num_envs, rows) [s] time since entry at the last observation; 0: no parcel
 
 
-class ParcelPolicy(SlopePolicy):
+class ParcelPolicy(TrainedPolicy):
     """A trained policy of parcels.
 
     The policy follows its probabilities over time without random numbers: it takes the choice with
@@ -224,7 +217,7 @@ class ParcelPolicy(SlopePolicy):
     """
 
     def __init__(self, network: ParcelNetwork, card: PolicyCard, config: EnvConfig) -> None:
-        super().__init__(network, card, config)
+        super().__init__(card, config)
         self._network = network
         self._proposer = Proposer(config)
         self._orientations = len(config.chosen_orientations)
@@ -295,3 +288,124 @@ def build_parcels(
     """
     network = load_weights(lambda: make_network(own, card.hidden), card.hidden, weights)
     return ParcelPolicy(network, card, suited(own, config))
+
+
+HOLD = 2  # control periods for which the shared number is constant
+NUMBERS = 4099  # size of the table of numbers, a prime
+ROW_OFFSET = 97  # offset between the table's rows
+CENTRE = len(OWN) - 3  # feature of a module: distance ahead of the parcel's centre
+
+
+class LocalInputs(NamedTuple):
+    """Observations of the modules under parcels in all environments, grouped by parcel."""
+
+    row: Integers  # (parcels,) row among all rows of all environments
+    passed: torch.Tensor  # (parcels, PASSED) features shared by the modules under each parcel
+    env: Integers  # (modules,) environment
+    module: Integers  # (modules,) index in the action
+    parcel: torch.Tensor  # (modules,) index among the parcels
+    own: torch.Tensor  # (modules, len(OWN))
+
+
+def see_modules(view: ModuleView, tables: Singles) -> LocalInputs:
+    """Return modules' observations from tables (num_envs, rows, features)."""
+    seen = view(tables)
+    num_envs, rows = seen.passed.shape[:2]
+    row = np.flatnonzero(seen.passed[..., 0] > 0.5)
+    env, module = np.nonzero(seen.owner != NOBODY)
+    parcel = np.searchsorted(row, env * rows + seen.owner[env, module])
+    order = np.argsort(parcel, kind="stable")
+    env, module, parcel = env[order], module[order], parcel[order]
+    passed = seen.passed.reshape(num_envs * rows, PASSED)[row]
+    own = seen.own[env, module]
+    return LocalInputs(
+        row, torch.from_numpy(passed.clip(-MOST, MOST)),
+        env, module, torch.from_numpy(parcel), torch.from_numpy(own.clip(-MOST, MOST)),
+    )  # fmt: skip
+
+
+class LocalNetwork(nn.Module):
+    """Actor of modules, and critic of parcels."""
+
+    def __init__(self, choices: int, hidden: tuple[int, ...]) -> None:
+        super().__init__()
+        self.actor = _perceptron((PASSED + len(OWN), *hidden, choices))
+        self.critic = _perceptron((PASSED, *hidden, 1))
+
+    def forward(self, passed: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
+        """Compute log probabilities (modules, choices)."""
+        logits: torch.Tensor = self.actor(torch.cat([passed, own], dim=1))
+        return logits.log_softmax(dim=1)
+
+    def value(self, passed: torch.Tensor) -> torch.Tensor:
+        """Compute the expected returns (parcels,) of parcels."""
+        found: torch.Tensor = self.critic(passed)[:, 0]
+        return found
+
+
+def _perceptron(units: tuple[int, ...]) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for before, after in pairwise(units):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+class LocalPolicy(TrainedPolicy):
+    """A trained policy of modules on a slope.
+
+    Args:
+        config: configuration of the environment.
+    """
+
+    def __init__(self, network: LocalNetwork, card: PolicyCard, config: EnvConfig) -> None:
+        super().__init__(card, config)
+        self._network = network
+        self._view = ModuleView(config)
+        self._rest = find_rest(config)
+        self._numbers = find_numbers()
+
+    @torch.no_grad()
+    def _predict(self, batch: Any, *_: Any, deterministic: bool) -> tuple[Any, None]:
+        seen = see_modules(self._view, batch)
+        log_probability = self._network(seen.passed[seen.parcel], seen.own)
+        number = self._agree(batch, seen.row) if deterministic else torch.rand(len(seen.row))
+        choice = draw_choices(log_probability, seen.parcel, number)
+        return fill(seen, choice.numpy(), len(batch), self._view.modules, self._rest), None
+
+    def _agree(self, tables: Singles, row: Integers) -> torch.Tensor:
+        """Return the numbers (parcels,) shared by the modules under each parcel.
+
+        They depend on the parcel's time on the surface, and on its row in the table.
+        """
+        rows = tables.shape[1]
+        since = ta.COLUMN.time.of(tables).reshape(-1)[row] / self._config.control_period
+        place = (since / HOLD + 1e-3).astype(np.int64) + ROW_OFFSET * (row % rows)
+        return torch.from_numpy(self._numbers[place % NUMBERS])
+
+
+def find_numbers() -> Singles:
+    """Return the table of shared numbers (NUMBERS,) in [0, 1), which is constant."""
+    return np.random.default_rng(0).random(NUMBERS, dtype=np.float32)
+
+
+def fill(seen: LocalInputs, choice: Integers, num_envs: int, modules: int, rest: int) -> Integers:
+    """Build actions (num_envs, modules) from choices (modules with a parcel,)."""
+    actions = np.full((num_envs, modules), rest)
+    actions[seen.env, seen.module] = choice
+    return actions
+
+
+def build_local(
+    card: PolicyCard, weights: Weights, own: EnvConfig, config: EnvConfig | None = None
+) -> LocalPolicy:
+    """Build a policy of modules on a slope from its weights.
+
+    Args:
+        own: environment on the card.
+        config: environment of the policy; None: the card's.
+    """
+
+    def make() -> LocalNetwork:
+        return LocalNetwork(len(own.chosen_orientations), card.hidden)
+
+    return LocalPolicy(load_weights(make, card.hidden, weights), card, suited(own, config))
