@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from surface_gym.agents.library import PolicyCard
-from surface_gym.agents.rules.singulation import TimeSlots
+from surface_gym.agents.rules.departures import TimeSlots
 from surface_gym.agents.slope_policy import (
     HOLD,
     LocalNetwork,
