@@ -40,7 +40,8 @@ def test_a_usage_line_names_the_command_that_was_typed(typed, capsys, monkeypatc
     program, *arguments = typed.removeprefix("-m ").split()
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(sys, "argv", [program, *arguments, "--help"])
-    monkeypatch.delitem(sys.modules, program, raising=False)  # as in a process of its own
+    for each in (program, f"{program}.__main__"):  # as in a process of its own
+        monkeypatch.delitem(sys.modules, each, raising=False)
     by_name = partial(runpy.run_module, alter_sys=True)
     run = by_name if typed.startswith("-m ") else runpy.run_path
     with pytest.raises(SystemExit):

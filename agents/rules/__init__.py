@@ -3,7 +3,7 @@
 import math
 from functools import partial
 
-from .base import ROLLING, RULES, Rule, UniformLayout, rule
+from .base import MODULES, ROLLING, RULES, Rule, UniformLayout, rule
 
 __all__ = ["ROLLING", "RULES", "Rule", "find_apart", "find_prior", "find_rules", "rule"]
 
@@ -22,9 +22,16 @@ def find_rules(task: str) -> list[Rule]:
     """Return the rules of a task; without rules, uniform layouts, the conveyor's first."""
     chosen = [each for each in RULES.values() if each.task == task and not each.is_apart]
     if chosen:
-        return chosen
+        return sorted(chosen, key=_place)  # whichever module was imported first
     angles = {"fixed layout": 90.0, "all at 0 deg": 0.0, "all at 45": 45.0, "all at -45": -45.0}
     return [
         Rule(name, task, "halves", partial(UniformLayout, angle=math.radians(angle)))
         for name, angle in angles.items()
     ]
+
+
+def _place(rule: Rule) -> int:
+    """Return the place of a rule's module in the tables; rules of other packages are last."""
+    made = rule.make.func if isinstance(rule.make, partial) else rule.make
+    module = getattr(made, "__module__", "")
+    return MODULES.index(module) if module in MODULES else len(MODULES)

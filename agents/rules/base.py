@@ -50,16 +50,13 @@ class Rule:
         return self.orientations is not None or self.observed_task is not None
 
 
-# Keys are task and name, e.g. "sort: event rule", in the order of the tables.
-RULES: Registry[Rule] = Registry(
-    "rule",
-    *(
-        f"surface_gym.agents.rules.{name}"
-        for name in (
-            "sorting", "layouts", "local", "steering", "braking", "departures",
-        )
-    ),
-)  # fmt: skip
+# Modules with rules, in the order of the tables.
+MODULES = tuple(
+    f"surface_gym.agents.rules.{name}"
+    for name in ("base", "sorting", "layouts", "local", "steering", "braking", "departures")
+)
+# Keys are task and name, e.g. "sort: event rule".
+RULES: Registry[Rule] = Registry("rule", *MODULES)
 Maker = TypeVar("Maker", bound=Callable[..., Any])
 
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from surface_gym.config import EnvConfig
+    from surface_gym.lines import Site
+    from surface_gym.parcel import Parcel
 
     from ..base import Controller
     from ..library import TrainedPolicy
@@ -100,9 +102,12 @@ def open_listeners(
         line, turn = env_config.chosen_line, 0.5 * math.pi / env_config.actuators.axis_speed
         log = LogWriter(config.log, LoggedSurface.of_line(line, turn, estimator.shape))
         stack.callback(log.close)
-        listeners.append(
-            MessageLog(log, lambda parcel: line.site(parcel.base, env_config.zone), time.monotonic)
-        )
+        is_stream = env_config.task.is_stream
+
+        def site_of(parcel: "Parcel") -> "Site":
+            return env_config.site if is_stream else line.site(parcel.base, env_config.zone)
+
+        listeners.append(MessageLog(log, site_of, time.monotonic, is_stream))
     if config.mqtt is not None:
         from .mqtt import BrokerOptions, Telemetry
 
@@ -157,8 +162,6 @@ def run_agent(config: RuntimeConfig, console: "Console") -> None:
     from .simulator import SimulatorProcess
 
     policy, env_config = load_controller(config)
-    if env_config.task.is_stream and config.log is not None:
-        raise ValueError(f"log must be left out for a stream of parcels, got {str(config.log)!r}")
     config.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         token: str | None

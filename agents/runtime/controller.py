@@ -400,6 +400,13 @@ class StreamLoop(ControlLoop):
         """Return False: a stream has no pauses, so that others wait for the end of a period."""
         return False
 
+    def _correct(self, frame: ms.Frame | ms.Detections) -> None:
+        before = self.counts.frames_unused
+        super()._correct(frame)
+        if isinstance(frame, ms.Detections) and self.counts.frames_unused == before:
+            for each in self._listeners:
+                each.hear_tracked(frame.taken_at, self._tracker.tracked)
+
     def _enter(self, entered: ms.ParcelEntry) -> None:
         try:
             if not entered.waits and not self._is_timely(entered.at):

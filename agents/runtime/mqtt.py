@@ -3,7 +3,7 @@
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from paho.mqtt import client as paho
 
 from surface_gym.machine.messages import Angles, Message, to_fields
+from surface_gym.physics.types import Array
 
 from .config import LOOPBACK, read_secret
 from .report import STAGES, Counts, Latencies, percentiles
@@ -110,6 +111,9 @@ class Telemetry:
 
     def hear_command(self, number: int, angles: Angles) -> None:
         """Commands are not reported."""
+
+    def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
+        """Tracked poses are not reported; the detections are."""
 
     def close(self) -> None:
         self._client.disconnect()

@@ -12,7 +12,7 @@ import secrets
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,6 +21,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.machine import messages as ms
 from surface_gym.machine.messages import Angles, Message
+from surface_gym.physics.types import Array
 
 if TYPE_CHECKING:
     from surface_gym.lines import Site
@@ -86,6 +87,9 @@ class Listener(Protocol):
     def hear_command(self, number: int, angles: Angles) -> None:
         """Hear the angles (rows, columns) [rad] of a command that was sent."""
 
+    def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
+        """Hear the poses of a stream's picture, taken at a time [s], by the parcels' numbers."""
+
 
 class MessageLog:
     """A `Listener` that writes all messages and commands to a log.
@@ -94,22 +98,27 @@ class MessageLog:
         log: where to write; its owner closes it.
         site_of: returns the rotors and the zone for a parcel.
         now: clock [s] of the messages.
+        shared: whether parcels share the surface, as in a stream.
     """
 
     def __init__(
-        self, log: "LogWriter", site_of: "Callable[[Parcel], Site]", now: Callable[[], float]
-    ) -> None:
-        self._log, self._site_of, self._now = log, site_of, now
+        self, log: "LogWriter", site_of: "Callable[[Parcel], Site]", now: Callable[[], float],
+        shared: bool = False,
+    ) -> None:  # fmt: skip
+        self._log, self._site_of, self._now, self._shared = log, site_of, now, shared
 
     def hear(self, messages: Sequence[Message], *_: object) -> None:
         passed = self._now()
         for message in messages:
             if isinstance(message, ms.ParcelEntry):
-                self._log.write_site(passed, self._site_of(message.parcel))
+                self._log.write_site(passed, self._site_of(message.parcel), self._shared)
             self._log.write(passed, "in", ms.to_fields(message))
 
     def hear_command(self, number: int, angles: Angles) -> None:
         self._log.write(self._now(), "out", ms.axes_to_fields(number, angles))
+
+    def hear_tracked(self, taken_at: float, poses: Mapping[int, Array]) -> None:
+        self._log.write_tracked(self._now(), taken_at, poses)
 
 
 class Clock(Protocol):

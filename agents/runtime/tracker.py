@@ -127,6 +127,8 @@ class StreamTracker(Estimator):
         self._is_clear = np.ones(self._slots, dtype=np.bool_)  # rows observed empty since their use
         self._hidden = np.zeros(self._slots, dtype=np.bool_)  # rows observed empty, but still used
         self._strays = np.zeros((0, 3))  # unexplained poses of the latest picture
+        # Poses of the latest picture that were assigned, by the arrival; discs have no angle.
+        self._seen: dict[int, Array] = {}
         self._commands.clear()
         self._at = self._begun = at
         self.entered = at
@@ -275,6 +277,10 @@ class StreamTracker(Estimator):
         one, other = linear_sum_assignment(cost)
         good = cost[one, other] < 0.0
         one, other = one[good], other[good]
+        measured = states[rows[one], :3] + gap[one, other]
+        arrivals = streams.number[SEEN, rows[one]].tolist()
+        kept = zip(arrivals, measured, is_disc[one], strict=True)
+        self._seen = {arrival: pose for arrival, pose, disc in kept if not disc}
         if len(one):
             gain = spread[one, :, :3] @ inverse[one]
             states[rows[one], :SIZE] += np.einsum("nij,nj->ni", gain, gap[one, other])
@@ -383,6 +389,15 @@ class StreamTracker(Estimator):
         shown = self._streams.present[NOW, : self._slots]
         columns = np.where(shown, self._streams.number[NOW, : self._slots], fs.NOBODY)
         return np.array([number_of.get(each, fs.NOBODY) for each in columns.tolist()])
+
+    @property
+    def tracked(self) -> dict[int, Array]:
+        """Poses (3,) [m, m, rad] in the latest picture by the parcel's number, without discs.
+
+        Angles are continuous: no turn that leaves a base unchanged lies between two pictures.
+        """
+        number_of = {column: number for number, column in self._columns.items()}
+        return {number_of[each]: pose for each, pose in self._seen.items() if each in number_of}
 
     @property
     def estimates(self) -> Array:

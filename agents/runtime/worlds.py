@@ -446,9 +446,11 @@ class SimulatedStream(SimulatedWorld):
         """Return an entry with a measured pose and velocity `start` (6,)."""
         streams, order = self.streams, self._first + int(self.streams.order[0, arrival])
         goal = (streams.exit[0, arrival], streams.inlet[0, arrival], order)
+        gravity = self._batch.view(0).surface[GRAVITY_COLUMNS]
+        tilt, direction = tilt_of_gravity(*gravity.tolist())
         return ms.ParcelEntry(
             self._first + arrival, at, known_parcel(self._parcel(arrival)), *self._measured(start),
-            tuple(map(float, goal)), waits=waits,
+            tuple(map(float, goal)), tilt, None, direction, waits,
         )  # fmt: skip
 
     def _parcel(self, arrival: int) -> Parcel:

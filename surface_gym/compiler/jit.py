@@ -372,8 +372,10 @@ def _inlined(function: Callable[..., Any], **options: bool) -> Any:
     dispatcher = LinkedFunction(function, **options, **_OPTIONS)
     # Numba numbers the functions that a process makes. Cached code of two processes may thus have
     # the same name, if functions are made by the same line.
-    is_made = "<locals>" in function.__qualname__
-    return dispatcher if is_made else _cached(dispatcher, kind=_LinkedCache)
+    if "<locals>" not in function.__qualname__:
+        with suppress(RuntimeError):  # the function is in no file
+            dispatcher._cache = _LinkedCache(dispatcher, "")
+    return dispatcher
 
 
 def _cached(dispatcher: Any, label: str = "", kind: type[FunctionCache] = _DigestCache) -> Any:

@@ -28,6 +28,7 @@ class Stream:
     A `Trace` (recorded stream) has its own parcels, destinations and speeds.
 
     >>> import numpy as np
+    >>> from surface_gym.flow.arrivals import Spread
     >>> from surface_gym.flow.exits import sides
     >>> stream = Stream(
     ...     Spread(rate=900.0, spread=0.5),

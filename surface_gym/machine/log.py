@@ -3,8 +3,9 @@
 A log is gzipped text (`.jsonl.gz`), each message as a line of JSON. Its first line describes the
 surface, and its last line tells how many lines precede it. Each line between has "passed" [s], the
 time at which the controller read or sent the message; "way": "in" from the machine, "out" to it, or
-"note"; and "message". A note has the kind "site": where the rotors are, and which modules obey, for
-the parcels that follow.
+"note"; and "message". A note of the kind "site" tells where the rotors are, which modules obey, and
+whether parcels share the surface, for the parcels that follow. One of the kind "tracked" tells
+which parcels of a stream the controller saw in a picture, and their poses.
 """
 
 import gzip
@@ -12,8 +13,9 @@ import json
 import math
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from surface_gym import checks, files
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine, Site
 from surface_gym.machine import messages as ms
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Base, Parcel
 from surface_gym.physics.types import Array, Booleans
 
 VERSION = 1  # of the format
@@ -33,6 +35,8 @@ MAX_LINES = 10_000_000
 MAX_DRIFT = 0.05
 MAX_TURN = 10.0  # [s] maximum time of a quarter turn
 MIN_FRAMES = 8  # minimum pictures of a usable run
+LOOKBACK = 2.0  # [s] before a parcel's entry from which commands still matter to it
+APART = 0.01  # [m] minimum distance of parcels that surely do not touch
 KINDS = ("coast", "brake", "steer")  # of successive runs
 ROLL = 0.2  # [s] at the start, in which every run coasts
 HOLD = (0.12, 0.3)  # [s] range of the time for which axes brake or steer
@@ -131,10 +135,16 @@ class LogWriter:
         """Write a message that passed at a time [s]; `way` is "in", "out" or "note"."""
         self._write({"passed": passed, "way": way, "message": message})
 
-    def write_site(self, passed: float, site: Site) -> None:
-        """Write the rotors and the zone for the parcels that follow."""
+    def write_site(self, passed: float, site: Site, shared: bool = False) -> None:
+        """Write the rotors and the zone for the parcels that follow, which may share a surface."""
         rotor = ["".join("01"[each] for each in row) for row in site.rotor.tolist()]
-        self.write(passed, "note", {"kind": "site", "rotor": rotor, "zone": list(site.zone)})
+        note = {"kind": "site", "rotor": rotor, "zone": list(site.zone), "shared": shared}
+        self.write(passed, "note", note)
+
+    def write_tracked(self, passed: float, taken_at: float, poses: Mapping[int, Array]) -> None:
+        """Write the poses of a picture taken at a time [s], by the number of the parcel."""
+        note = {"kind": "tracked", "taken": taken_at, "parcels": list(poses)}
+        self.write(passed, "note", {**note, "poses": [each.tolist() for each in poses.values()]})
 
     def close(self) -> None:
         if not self._stream.closed:
@@ -171,15 +181,25 @@ class MachineLog:
 
 
 @dataclass
+class _LoggedCommand:
+    """A command, and what the machine said of it."""
+
+    number: int
+    passed: float  # [s]
+    axes: Array  # (rows, columns) [rad] of the whole surface
+    begun: float | None = None  # [s] at which the axes began to turn
+    refused: bool = False
+
+
+@dataclass
 class _Passage:
     """Messages of a parcel that is on the surface."""
 
     entry: ms.ParcelEntry
     site: Site
+    commands: list[_LoggedCommand]
     frames: dict[float, ms.Triple] = field(default_factory=dict)
-    sent: dict[int, tuple[float, Array]] = field(default_factory=dict)
-    begun: dict[int, float] = field(default_factory=dict)
-    refused: set[int] = field(default_factory=set)
+    alone_until: float = math.inf  # [s] time from which another parcel may touch it
 
 
 def read_log(file: Path) -> MachineLog:
@@ -220,8 +240,10 @@ class _LogReader:
 
     def __init__(self, lines: Iterator[tuple[int, dict[str, Any]]]) -> None:
         self._lines = lines
-        self._passage: _Passage | None = None
+        self._passages: dict[int, _Passage] = {}  # by the number of the parcel
         self._site: Site | None = None
+        self._shared = False  # whether parcels share the surface
+        self._recent: list[_LoggedCommand] = []
         self._runs: list[LoggedRun] = []
         self._unused: Counter[str] = Counter()
         self._delays: list[float] = []  # [s] from pictures to their messages
@@ -254,23 +276,24 @@ class _LogReader:
                 raise ValueError(files.describe_at_line(error, number)) from None
         if not ended:
             raise ValueError(f"it is cut after line {number}: its last line must be an end")
-        self._finish("is still on the surface")
+        for each in list(self._passages):
+            self._finish(each, "is still on the surface")
         self._check_drift()
         delay = float(np.median(self._delays)) if self._delays else 0.0
         return MachineLog(self._surface, tuple(self._runs), dict(self._unused), delay)
 
     def _take(self, passed: float, way: str, fields: dict[str, Any]) -> None:
         if way == "note":
-            self._take_site(fields)
+            kind = checks.one_of("kind", fields["kind"], ("site", "tracked"))
+            (self._take_site if kind == "site" else self._take_tracked)(fields)
         elif way == "out":
             number, angles = ms.axes_from_fields(fields, self._surface.zone)
-            if self._passage is not None:
-                self._passage.sent[number] = (passed, self._whole(angles, self._passage.site))
+            if self._site is not None:
+                self._take_command(_LoggedCommand(number, passed, self._whole(angles, self._site)))
         else:
             self._take_message(passed, ms.from_fields(fields, self._surface.zone))
 
     def _take_site(self, fields: dict[str, Any]) -> None:
-        checks.one_of("kind", fields["kind"], ("site",))
         shape = (self._surface.rows, self._surface.columns)
         rotor = np.array([[each == "1" for each in row] for row in fields["rotor"]], dtype=bool)
         if rotor.shape != shape:
@@ -283,32 +306,68 @@ class _LogReader:
         if rows > self._surface.zone[0] or columns > self._surface.zone[1]:
             raise ValueError(f"zone must be within {self._surface.zone}, got {fields['zone']}")
         self._site = Site(rotor, (first_row, rows, first, columns))
+        self._shared = bool(checks.one_of("shared", fields.get("shared", False), (False, True)))
+
+    def _take_tracked(self, fields: dict[str, Any]) -> None:
+        taken = checks.number("taken", fields["taken"])
+        poses = checks.pose("poses", np.reshape(fields["poses"], (-1, 3)), (None, 3))
+        seen = dict(zip(fields["parcels"], poses, strict=True))
+        for number in self._passages.keys() & seen.keys():
+            self._passages[number].frames.setdefault(taken, ms.triple(seen[number]))
+        for pair in combinations(self._passages.keys() & seen.keys(), 2):
+            one, other = (self._passages[number] for number in pair)
+            bases = (one.entry.parcel.base, other.entry.parcel.base)
+            if _are_near(bases, (seen[pair[0]], seen[pair[1]])):
+                one.alone_until = min(one.alone_until, taken)
+                other.alone_until = min(other.alone_until, taken)
+
+    def _take_command(self, command: _LoggedCommand) -> None:
+        self._recent.append(command)
+        while len(self._recent) > 1 and self._recent[1].passed < command.passed - LOOKBACK:
+            del self._recent[0]
+        for passage in self._passages.values():
+            passage.commands.append(command)
 
     def _take_message(self, passed: float, message: ms.Message) -> None:
         if isinstance(message, ms.ParcelEntry):
-            self._finish("was followed by another before it left")
-            if self._site is None:
-                raise ValueError("a site must stand before the first parcel")
-            self._passage = _Passage(message, self._site)
-            if message.tilt_direction != 0.0:
-                self._finish("is on a surface that is tilted in another direction than +x")
-        passage = self._passage
-        if passage is None:
+            if not message.waits:
+                self._enter(message)
+        elif not self._passages:
             return
-        if isinstance(message, ms.ParcelDeparture):
-            if message.number == passage.entry.number:
-                self._finish("")
-        elif isinstance(message, ms.Frame):
-            self._check_clock("frame", passed, message.taken_at)
-            if message.number == passage.entry.number:
-                self._delays.append(passed - message.taken_at)
-                passage.frames.setdefault(message.taken_at, message.pose)
+        elif isinstance(message, ms.ParcelDeparture):
+            self._finish(message.number, "")
         elif isinstance(message, ms.AxesAcknowledgement):
-            if message.refused:
-                passage.refused.add(message.command)
-            else:
-                self._check_clock("command", passed, message.at)
-                passage.begun[message.command] = message.at
+            self._acknowledge(passed, message)
+        else:
+            self._check_clock("frame", passed, message.taken_at)
+            if isinstance(message, ms.Detections):
+                self._delays.append(passed - message.taken_at)
+            elif message.number in self._passages:
+                self._delays.append(passed - message.taken_at)
+                self._passages[message.number].frames.setdefault(message.taken_at, message.pose)
+
+    def _enter(self, entry: ms.ParcelEntry) -> None:
+        if self._shared and entry.number in self._passages:
+            return  # a device says it again to a new connection
+        if self._site is None:
+            raise ValueError("a site must stand before the first parcel")
+        if not self._shared:
+            for each in list(self._passages):
+                self._finish(each, "was followed by another before it left")
+        before = list(self._recent) if self._shared else []
+        self._passages[entry.number] = _Passage(entry, self._site, before)
+        if entry.tilt_direction != 0.0:
+            fault = "is on a surface that is tilted in another direction than +x"
+            self._finish(entry.number, fault)
+
+    def _acknowledge(self, passed: float, answer: ms.AxesAcknowledgement) -> None:
+        if not answer.refused:
+            self._check_clock("command", passed, answer.at)
+        for command in reversed(self._recent):
+            if command.number == answer.command:
+                command.refused = bool(answer.refused)
+                command.begun = None if answer.refused else answer.at
+                break
 
     def _check_clock(self, what: str, passed: float, at: float) -> None:
         late = passed - at
@@ -340,38 +399,58 @@ class _LogReader:
         ]
         return whole
 
-    def _finish(self, fault: str) -> None:
-        """Keep the run of the parcel on the surface, or count why it is not used."""
-        passage, self._passage = self._passage, None
+    def _finish(self, number: int, fault: str) -> None:
+        """Keep the run of a parcel on the surface, or count why it is not used."""
+        passage = self._passages.pop(number, None)
         if passage is None:
             return
-        if not fault and len(passage.frames) < MIN_FRAMES:
-            fault = f"has fewer than {MIN_FRAMES} pictures"
+        taken = [each for each in sorted(passage.frames) if each < passage.alone_until]
+        if not fault and len(taken) < MIN_FRAMES:
+            alone = "" if len(taken) == len(passage.frames) else " before another may touch it"
+            fault = f"has fewer than {MIN_FRAMES} pictures{alone}"
         if fault:
             self._unused[f"parcel {fault}"] += 1
         else:
-            self._runs.append(_make_run(passage))
+            self._runs.append(_make_run(passage, taken))
 
 
-def _make_run(passage: _Passage) -> LoggedRun:
-    taken = sorted(passage.frames)
-    kept = [  # commands after the last picture have no effect that is seen
-        number
-        for number, (passed, _) in passage.sent.items()
-        if number not in passage.refused and passed <= taken[-1]
-    ]
-    sent = [
-        (passage.begun.get(each, passage.sent[each][0]), passage.sent[each][1]) for each in kept
-    ]
-    sent.sort(key=lambda each: each[0])
-    shape = passage.site.rotor.shape
+def _are_near(bases: tuple[Base, Base], poses: tuple[Array, Array]) -> bool:
+    """Return whether no side of two bases (convex) is further than `APART` from the other base."""
+    away = float(np.linalg.norm(poses[0][:2] - poses[1][:2]))
+    if away > bases[0].reach + bases[1].reach + APART:
+        return False
+    corners = []
+    for base, (x, y, theta) in zip(bases, poses, strict=True):
+        cosine, sine = math.cos(theta), math.sin(theta)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        corners.append((base.outline - np.array(base.centroid)) @ turn + (x, y))
+    for own, other in (corners, corners[::-1]):
+        side = np.roll(own, -1, axis=0) - own
+        side = side[np.linalg.norm(side, axis=1) > 0.0]
+        normal = np.column_stack([side[:, 1], -side[:, 0]])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        # Whether corners are in clockwise order or not, one sign of each normal points outwards.
+        for outwards in (normal, -normal):
+            gap = (other @ outwards.T).min(axis=0) - (own @ outwards.T).max(axis=0)
+            if gap.max() > APART:
+                return False
+    return True
+
+
+def _make_run(passage: _Passage, taken: list[float]) -> LoggedRun:
+    """Make the run of a parcel from its pictures taken at some times [s]."""
+    # Commands after the last picture have no effect that is seen.
+    sent = [each for each in passage.commands if not each.refused and each.passed <= taken[-1]]
+    begun = np.array([each.passed if each.begun is None else each.begun for each in sent])
+    order = np.argsort(begun, kind="stable")
+    axes = np.array([each.axes for each in sent]).reshape(-1, *passage.site.rotor.shape)
     return LoggedRun(
         parcel=passage.entry.parcel,
         tilt=passage.entry.tilt,
         rotor=passage.site.rotor,
         taken=np.array(taken),
         poses=np.array([passage.frames[each] for each in taken]),
-        sent=np.array([at for at, _ in sent]),
-        axes=np.array([axes for _, axes in sent]).reshape(-1, *shape),
-        acknowledged=all(number in passage.begun for number in kept),
+        sent=begun[order],
+        axes=axes[order],
+        acknowledged=all(each.begun is not None for each in sent),
     )

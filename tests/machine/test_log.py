@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import Line
+from surface_gym.machine import messages as ms
 from surface_gym.machine.log import LoggedSurface, LogWriter, read_log
-from tests.machine.recorded import SITE, SURFACE, write_log
+from tests.machine.recorded import BOX, SHAPE, SITE, SURFACE, write_log
 
 
 def lines_of(file: Path) -> list[dict]:
@@ -50,6 +52,37 @@ def test_a_line_of_several_frictions_is_not_logged() -> None:
     line = Line(mu_max=np.linspace(0.4, 0.6, 600).reshape(20, 30))
     with pytest.raises(ValueError, match="one friction of each kind"):
         LoggedSurface.of_line(line, 0.05, (4, 16))
+
+
+@pytest.mark.parametrize(("behind", "kept"), [(0.30, 40), (0.24, 20)], ids=["apart", "touching"])
+def test_parcels_that_share_a_surface_are_told_apart_until_they_may_touch(
+    tmp_path, behind: float, kept: int
+) -> None:
+    """The second of two boxes of 0.25 m comes nearer after 20 pictures."""
+    log = LogWriter(tmp_path / "shared.jsonl.gz", SURFACE)
+    log.write_site(0.0, SITE, shared=True)
+    for number, at in enumerate((0.0, 0.1, 0.2)):  # the last command that every parcel meets
+        log.write(at, "out", ms.axes_to_fields(number, np.full(SHAPE, 0.25 * number)))
+    for number, x in enumerate((0.6, 0.2)):
+        entry = ms.ParcelEntry(number, 1.0, BOX, (x, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        log.write(1.0, "in", ms.to_fields(entry))
+        waiting = replace(entry, number=2, waits=True)
+        log.write(1.0, "in", ms.to_fields(waiting))
+    for k in range(40):
+        x, taken = 0.6 + 0.02 * k, 1.0 + 0.02 * k
+        poses = {0: np.array([x, 1.0, 0.0]), 1: np.array([x - (0.4 if k < 20 else behind), 1.0, 0])}
+        seen = ms.Detections(taken, tuple(map(ms.triple, poses.values())))
+        log.write(taken + 0.03, "in", ms.to_fields(seen))
+        log.write_tracked(taken + 0.03, taken, poses)
+    for number in range(2):
+        log.write(3.0, "in", ms.to_fields(ms.ParcelDeparture(number, "success")))
+    log.close()
+    read = read_log(tmp_path / "shared.jsonl.gz")
+    assert [len(run.taken) for run in read.runs] == [kept] * 2
+    assert read.delay == pytest.approx(0.03)
+    for run in read.runs:
+        assert run.sent.tolist() == [0.0, 0.1, 0.2]
+        assert run.axes.shape == (3, *SITE.rotor.shape)
 
 
 @pytest.mark.parametrize("kept", [0.2, 0.5, 0.9, 0.999])

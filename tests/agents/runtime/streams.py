@@ -1,5 +1,6 @@
 """A short flow led by pictures without identity, for tests."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -60,10 +61,12 @@ class Rolls:
         return choices, state
 
 
-def loop_of(device: Any, clock: Any, controller: Any = None) -> StreamLoop:
+def loop_of(
+    device: Any, clock: Any, controller: Any = None, listeners: Sequence[Any] = ()
+) -> StreamLoop:
     """A loop with a tracker without parcels."""
     timing = runtime.LoopConfig(CONFIG.control_period)
-    return StreamLoop(device, fresh(), controller or Rolls(), CONFIG, clock, timing)
+    return StreamLoop(device, fresh(), controller or Rolls(), CONFIG, clock, timing, listeners)
 
 
 def lead(machine: SimulatedStream, controller: Any, between: Any, seconds: float) -> StreamLoop:

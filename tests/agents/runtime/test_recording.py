@@ -5,6 +5,7 @@ import pytest
 
 import surface_gym as sg
 from benchmarks.tracking import SimulatedClock, SimulatedDevice
+from surface_gym.agents.rules.sorting import StreamEventRule
 from surface_gym.agents.runtime.cli import load_controller, main
 from surface_gym.agents.runtime.config import RuntimeConfig, WorldOptions
 from surface_gym.agents.runtime.deciders import ExcitationController
@@ -14,6 +15,7 @@ from surface_gym.config import EnvConfig
 from surface_gym.machine.command import main as identify
 from surface_gym.machine.log import LoggedSurface, LogWriter, read_log
 from surface_gym.machine.messages import ParcelEntry
+from tests.agents.runtime import streams
 from tests.agents.runtime.made import QUARTER_TURN
 
 CONFIG = EnvConfig(
@@ -63,6 +65,24 @@ def test_a_log_tells_the_friction_of_the_machine(tmp_path, capsys, monkeypatch) 
     assert found.values["mu_max"] == pytest.approx(0.5, abs=0.02)
     assert "mu_max" in capsys.readouterr().out
     assert (tmp_path / "found/report.html").is_file()
+
+
+def test_a_log_of_a_stream_tells_the_friction_from_parcels_that_are_alone(tmp_path) -> None:
+    """Detections have no identity, so the log tells which parcels were seen in each picture."""
+    clock, world = SimulatedClock(), streams.world(lost=0.05, false=0.05)
+    surface = LoggedSurface.of_line(streams.CONFIG.chosen_line, QUARTER_TURN, world.shape)
+    log = LogWriter(tmp_path / "run.jsonl.gz", surface)
+    listener = MessageLog(log, lambda _: streams.CONFIG.site, clock.now, shared=True)
+    rule = StreamEventRule(streams.CONFIG)
+    loop = streams.loop_of(SimulatedDevice(world, clock), clock, rule, [listener])
+    loop.run(15.0, lambda _: None)
+    log.close()
+    read = read_log(tmp_path / "run.jsonl.gz")
+    assert len(read.runs) >= 8
+    assert all(np.diff(run.taken).min() > 0.0 for run in read.runs)
+    assert all(run.sent[0] < run.taken[0] for run in read.runs[1:])  # axes had turned before
+    found = sg.identify([read], free=["mu_max"], dt=0.002)
+    assert found.values["mu_max"] == pytest.approx(0.5, abs=0.02)
 
 
 def test_identify_ends_with_one_line(tmp_path) -> None:

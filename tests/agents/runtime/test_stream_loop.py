@@ -16,6 +16,7 @@ from surface_gym.agents.runtime.worlds import SimulatedMachine, SimulatedStream
 from surface_gym.flow.state import ENTERED
 from surface_gym.layouts import ROLLING
 from surface_gym.machine import messages as ms
+from surface_gym.machine.log import read_log
 from surface_gym.machine.messages import AxesAcknowledgement, Detections, ParcelEntry
 from tests.agents.runtime import made, streams
 from tests.agents.runtime.made import TOKEN, of_kind
@@ -191,21 +192,21 @@ def test_the_simulators_stream_is_the_policys() -> None:
     assert policy is not None
 
 
-def test_rules_of_streams_are_led_and_have_no_log(tmp_path) -> None:
+def test_rules_of_streams_are_led() -> None:
     rule, env_config = cli.load_controller(RuntimeConfig("singulate: time slots", preset="camera"))
     assert env_config.task.name == "singulate"
     assert rule.predict(np.zeros((1, *env_config.observation_space().shape), dtype=np.float32))
-    with pytest.raises(SystemExit, match="log must be left out"):
-        cli.main(["flow: event rule", "--log", str(tmp_path / "run.jsonl.gz")])
 
 
 def test_the_command_leads_a_stream(tmp_path, capsys) -> None:
     cli.main(
         ["flow: event rule", "--preset", "camera", "--minutes", "0.05", "--out", str(tmp_path),
-         "--world.rate", "3000", "--world.false", "0.05"]
+         "--log", str(tmp_path / "run.jsonl.gz"), "--world.rate", "3000", "--world.false", "0.05"]
     )  # fmt: skip
     counts = json.loads((tmp_path / "report.json").read_text())["counts"]
     assert counts["decisions"] > 0.5 * counts["periods"]
     assert counts["frames"] > 50
     assert not counts["faults"]
     assert f"decisions {counts['decisions']}" in capsys.readouterr().out
+    log = read_log(tmp_path / "run.jsonl.gz")
+    assert len(log.runs) + sum(log.unused.values()) >= 1
