@@ -102,7 +102,8 @@ class ProcessWatch(threading.Thread):
         """Return the limit that is exceeded, if there is one."""
         if self._printed > MAX_OUTPUT:
             return f"printed more than {MAX_OUTPUT >> 20} MiB"
-        if self._find_others() and not self.allows_children:
+        allowed = self.allows_children  # read first, since it may change while others are sought
+        if self._find_others() and not allowed:
             return "started a process"
         if read_memory(self._process.pid) > self._memory:
             return f"used more than {self._memory / 2**30:g} GiB of memory"

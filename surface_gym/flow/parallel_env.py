@@ -184,6 +184,8 @@ class FlowParallelEnv(StreamParallelEnv):
         for slot in np.nonzero(streams.number[0] != NOBODY)[0].tolist():
             number = int(streams.number[0, slot])
             agent = _name(number)
+            if outcome != RUNNING and agent not in self.agents:
+                continue  # it entered as the episode ended, so it was never an agent
             asked = int(streams.exit[0, number])
             departed = not streams.present[0, slot]
             info = {"time": float(streams.clock[0]), "exit": self.config.exits.names[asked]}
