@@ -127,7 +127,9 @@ def is_library(module: types.ModuleType) -> bool:
     return module.__name__.partition(".")[0] in ("math", "numba", "numpy")
 
 
-KEPT = 16  # number of latest versions of a function in the cache
+KEPT = 16  # number of latest versions of a kernel in the cache
+# The same of a linked function, which has a version for each constant index that it is called with.
+KEPT_LINKED = 128
 # Errors from reading a truncated file, or a file written before a class was moved.
 STALE = (
     AttributeError,
@@ -196,6 +198,7 @@ class _DigestCache(FunctionCache):
     """
 
     _is_precompiled = True
+    _kept = KEPT
 
     def __init__(self, dispatcher: Any, label: str) -> None:
         super().__init__(dispatcher.py_func)
@@ -272,10 +275,20 @@ class _DigestCache(FunctionCache):
         folder = Path(self._cache_path)
         with self._guard_against_spurious_io_errors():
             found = list(folder.glob(f"{self.label}-*.nbi"))
-            found.sort(key=lambda index: index.stat().st_mtime, reverse=True)
-            for index in found[KEPT:]:
+            if len(found) <= self._kept:
+                return
+            found.sort(key=_find_time, reverse=True)
+            for index in found[self._kept :]:
                 for file in folder.glob(f"{index.stem}.*"):
                     file.unlink(missing_ok=True)
+
+
+def _find_time(file: Path) -> float:
+    """Return the time [s] of a file's last change; 0 if another process has removed it."""
+    try:
+        return file.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
 
 
 class _LinkedCache(_DigestCache):
@@ -283,6 +296,7 @@ class _LinkedCache(_DigestCache):
 
     _impl_class = LinkedCacheImpl
     _is_precompiled = False
+    _kept = KEPT_LINKED
 
     def __init__(self, dispatcher: Any, label: str) -> None:
         super().__init__(dispatcher, label)
