@@ -244,7 +244,7 @@ class _LogReader:
         self._site: Site | None = None
         self._shared = False  # whether parcels share the surface
         self._recent: list[_LoggedCommand] = []
-        self._runs: list[LoggedRun] = []
+        self._finished: list[tuple[_Passage, list[float]]] = []  # with the times of pictures
         self._unused: Counter[str] = Counter()
         self._delays: list[float] = []  # [s] from pictures to their messages
         self._surface = self._read_header()
@@ -280,7 +280,9 @@ class _LogReader:
             self._finish(each, "is still on the surface")
         self._check_drift()
         delay = float(np.median(self._delays)) if self._delays else 0.0
-        return MachineLog(self._surface, tuple(self._runs), dict(self._unused), delay)
+        # Only now, since the last commands of a parcel are acknowledged after it has left.
+        runs = tuple(_make_run(*each) for each in self._finished)
+        return MachineLog(self._surface, runs, dict(self._unused), delay)
 
     def _take(self, passed: float, way: str, fields: dict[str, Any]) -> None:
         if way == "note":
@@ -332,7 +334,7 @@ class _LogReader:
         if isinstance(message, ms.ParcelEntry):
             if not message.waits:
                 self._enter(message)
-        elif not self._passages:
+        elif not (self._passages or self._shared):
             return
         elif isinstance(message, ms.ParcelDeparture):
             self._finish(message.number, "")
@@ -411,7 +413,7 @@ class _LogReader:
         if fault:
             self._unused[f"parcel {fault}"] += 1
         else:
-            self._runs.append(_make_run(passage, taken))
+            self._finished.append((passage, taken))
 
 
 def _are_near(bases: tuple[Base, Base], poses: tuple[Array, Array]) -> bool:

@@ -63,6 +63,7 @@ def test_parcels_that_share_a_surface_are_told_apart_until_they_may_touch(
     log.write_site(0.0, SITE, shared=True)
     for number, at in enumerate((0.0, 0.1, 0.2)):  # the last command that every parcel meets
         log.write(at, "out", ms.axes_to_fields(number, np.full(SHAPE, 0.25 * number)))
+        log.write(at + 0.04, "in", ms.to_fields(ms.AxesAcknowledgement(number, at + 0.01)))
     for number, x in enumerate((0.6, 0.2)):
         entry = ms.ParcelEntry(number, 1.0, BOX, (x, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         log.write(1.0, "in", ms.to_fields(entry))
@@ -81,7 +82,8 @@ def test_parcels_that_share_a_surface_are_told_apart_until_they_may_touch(
     assert [len(run.taken) for run in read.runs] == [kept] * 2
     assert read.delay == pytest.approx(0.03)
     for run in read.runs:
-        assert run.sent.tolist() == [0.0, 0.1, 0.2]
+        assert run.sent.tolist() == pytest.approx([0.01, 0.11, 0.21])
+        assert run.acknowledged
         assert run.axes.shape == (3, *SITE.rotor.shape)
 
 
