@@ -440,7 +440,7 @@ def write_report(sweep: SearchConfig, study: optuna.Study, folder: Path) -> None
         f"# Search of hyper-parameters: {sweep.task}, {sweep.algo}",
         f"{sweep.trials} trials of {sweep.steps:,} control periods (seed {sweep.seed}). What "
         f"counts is the {sweep.metric} of the greedy policy on {STARTS} fresh starts; on the way, "
-        f"that of the latest episodes. {summary(sweep, trials)}.",
+        f"the {sweep.metric} of the latest episodes. {summary(sweep, trials)}.",
     ]
     if best is not None:
         # As long as the task is usually learned: few steps are for trials alone.

@@ -15,10 +15,11 @@ import numpy as np
 
 import surface_gym as sg
 from benchmarks.figure import Figure
+from surface_gym.parcel import make_bodies
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.rollout import Records, run_implicit, run_world
 from surface_gym.physics.types import STATE_SIZE, Array, make_scratch
-from surface_gym.simulation import make_bodies, simulate_together, start_state
+from surface_gym.simulation import simulate_together, start_state
 from surface_gym.validation.drawn import draw_parcel, scatter
 
 PARCELS = 24

@@ -1,6 +1,7 @@
 """Parcels: bases, mass and load, and random assortments."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.physics.types import Body
+from surface_gym.physics.types import Bodies, Body
 
 
 class Base(Protocol):
@@ -329,6 +330,14 @@ def filled_up(
     more = (NO_EDGE,) * (sides - len(edges))
     repeats = np.repeat(corners[:1], sides - len(corners), axis=0)
     return np.concatenate([edges, np.reshape(more, (-1, 3))]), np.concatenate([corners, repeats])
+
+
+def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
+    """Return parcels as input of the compiled physics, one row each."""
+    sides = max(3, *(len(parcel.corners) for parcel in parcels))
+    bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
+    edges, corners = map(np.stack, zip(*bases, strict=True))
+    return Bodies(np.stack([parcel.row for parcel in parcels]), edges, corners)
 
 
 CORNERS = (5, 8)  # range of a polygon's number of corners, the upper end excluded

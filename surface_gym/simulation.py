@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
-from surface_gym.parcel import Parcel, filled_up
+from surface_gym.parcel import Parcel, make_bodies
 from surface_gym.physics import references, rollout, step as stepping, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, WorldScratch, make_world_scratch
 from surface_gym.physics.signed_distance import CONTACT_DISTANCE
-from surface_gym.physics.types import Array, Bodies, Body, Grid, Scratch
+from surface_gym.physics.types import Array, Body, Grid, Scratch
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Run, Trajectory
 
@@ -353,14 +353,6 @@ def simulate_together(
     )
     touches = Touches(time[records.step], records.pair, records.impulse)
     return Encounter(trajectories, touches)
-
-
-def make_bodies(parcels: Sequence[Parcel]) -> Bodies:
-    """Return parcels as input of the compiled physics, one row each."""
-    sides = max(3, *(len(parcel.corners) for parcel in parcels))
-    bases = [filled_up(parcel.body.edges, parcel.corners, sides) for parcel in parcels]
-    edges, corners = map(np.stack, zip(*bases, strict=True))
-    return Bodies(np.stack([parcel.row for parcel in parcels]), edges, corners)
 
 
 def _make_world(

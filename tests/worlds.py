@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike
 
 import surface_gym as sg
 from surface_gym.compiler.jit import compiled
+from surface_gym.parcel import make_bodies
 from surface_gym.physics import collision, contact_solver
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.physics.types import OMEGA, THETA, VX, Array, X
-from surface_gym.simulation import make_bodies, start_state
+from surface_gym.simulation import start_state
 
 G = 9.81  # [m/s^2]
 step_together = compiled(contact_solver.step_world.py_func)

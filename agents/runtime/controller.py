@@ -404,8 +404,9 @@ class StreamLoop(ControlLoop):
         before = self.counts.frames_unused
         super()._correct(frame)
         if isinstance(frame, ms.Detections) and self.counts.frames_unused == before:
-            for each in self._listeners:
-                each.hear_tracked(frame.taken_at, self._tracker.tracked)
+            with faults_of_device():  # as where others hear
+                for each in self._listeners:
+                    each.hear_tracked(frame.taken_at, self._tracker.tracked)
 
     def _enter(self, entered: ms.ParcelEntry) -> None:
         try:

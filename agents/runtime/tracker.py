@@ -383,9 +383,14 @@ class StreamTracker(Estimator):
             values[NOW] = values[SEEN]
 
     @property
+    def _number_of(self) -> dict[int, int]:
+        """Number of the parcel by its arrival."""
+        return {column: number for number, column in self._columns.items()}
+
+    @property
     def numbers(self) -> Integers:
         """Number of the parcel in each row (slots,) at the last observed time; NOBODY: none."""
-        number_of = {column: number for number, column in self._columns.items()}
+        number_of = self._number_of
         shown = self._streams.present[NOW, : self._slots]
         columns = np.where(shown, self._streams.number[NOW, : self._slots], fs.NOBODY)
         return np.array([number_of.get(each, fs.NOBODY) for each in columns.tolist()])
@@ -396,7 +401,7 @@ class StreamTracker(Estimator):
 
         Angles are continuous: no turn that leaves a base unchanged lies between two pictures.
         """
-        number_of = {column: number for number, column in self._columns.items()}
+        number_of = self._number_of
         return {number_of[each]: pose for each, pose in self._seen.items() if each in number_of}
 
     @property

@@ -20,12 +20,12 @@ from surface_gym.compiler.jit import compiled, inlined
 from surface_gym.executors import Cluster
 from surface_gym.layouts import ROLLING, lead_in_under, rows_under
 from surface_gym.parallel import Workers, check_count, map_jobs, without_report
-from surface_gym.parcel import Parcel
+from surface_gym.parcel import Parcel, make_bodies
 from surface_gym.physics import step as stepping, types as ph
 from surface_gym.physics.collision import read_body
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.types import Array, Bodies, Booleans, Grid, Integers, Places, Scratch
-from surface_gym.simulation import base_motion, make_bodies
+from surface_gym.simulation import base_motion
 from surface_gym.surface import ElementGrid, Surface
 
 RUN_OUT = 1.0  # [m] of rolling columns behind the zone, beyond the base's length

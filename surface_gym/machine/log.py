@@ -14,7 +14,7 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,10 @@ from surface_gym import checks, files
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine, Site
 from surface_gym.machine import messages as ms
-from surface_gym.parcel import Base, Parcel
-from surface_gym.physics.types import Array, Booleans
+from surface_gym.parcel import Parcel, make_bodies
+from surface_gym.physics.collision import World
+from surface_gym.physics.rollout import distance_between
+from surface_gym.physics.types import STATE_SIZE, Array, Booleans
 
 VERSION = 1  # of the format
 MAX_LINES = 10_000_000
@@ -318,8 +320,8 @@ class _LogReader:
             self._passages[number].frames.setdefault(taken, ms.triple(seen[number]))
         for pair in combinations(self._passages.keys() & seen.keys(), 2):
             one, other = (self._passages[number] for number in pair)
-            bases = (one.entry.parcel.base, other.entry.parcel.base)
-            if _are_near(bases, (seen[pair[0]], seen[pair[1]])):
+            parcels = one.entry.parcel, other.entry.parcel
+            if _are_near(parcels, (seen[pair[0]], seen[pair[1]])):
                 one.alone_until = min(one.alone_until, taken)
                 other.alone_until = min(other.alone_until, taken)
 
@@ -416,27 +418,16 @@ class _LogReader:
             self._finished.append((passage, taken))
 
 
-def _are_near(bases: tuple[Base, Base], poses: tuple[Array, Array]) -> bool:
-    """Return whether no side of two bases (convex) is further than `APART` from the other base."""
+def _are_near(parcels: tuple[Parcel, Parcel], poses: tuple[Array, Array]) -> bool:
+    """Return whether two parcels are less than `APART` from each other."""
     away = float(np.linalg.norm(poses[0][:2] - poses[1][:2]))
-    if away > bases[0].reach + bases[1].reach + APART:
+    if away > parcels[0].base.reach + parcels[1].base.reach + APART:
         return False
-    corners = []
-    for base, (x, y, theta) in zip(bases, poses, strict=True):
-        cosine, sine = math.cos(theta), math.sin(theta)
-        turn = np.array([[cosine, sine], [-sine, cosine]])
-        corners.append((base.outline - np.array(base.centroid)) @ turn + (x, y))
-    for own, other in (corners, corners[::-1]):
-        side = np.roll(own, -1, axis=0) - own
-        side = side[np.linalg.norm(side, axis=1) > 0.0]
-        normal = np.column_stack([side[:, 1], -side[:, 0]])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        # Whether corners are in clockwise order or not, one sign of each normal points outwards.
-        for outwards in (normal, -normal):
-            gap = (other @ outwards.T).min(axis=0) - (own @ outwards.T).max(axis=0)
-            if gap.max() > APART:
-                return False
-    return True
+    states = np.zeros((2, STATE_SIZE))
+    states[:, :3] = poses  # of the centroid, where an even load has its centre of mass
+    bodies = make_bodies([replace(each, com_offset=(0.0, 0.0)) for each in parcels])
+    world = World(states, np.ones(2, np.bool_), np.arange(2), bodies)
+    return bool(distance_between(world, 0, 1) <= APART)
 
 
 def _make_run(passage: _Passage, taken: list[float]) -> LoggedRun:

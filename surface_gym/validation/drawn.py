@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from surface_gym import checks
-from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle
+from surface_gym.parcel import Base, Disc, Parcel, Polygon, Rectangle, make_bodies
 from surface_gym.physics.collision import World
 from surface_gym.physics.references import advance_implicit, find_support, load_point
 from surface_gym.physics.rollout import distance_between
@@ -45,7 +45,7 @@ from surface_gym.physics.types import (
     make_scratch,
     table_row,
 )
-from surface_gym.simulation import Encounter, make_bodies, simulate, simulate_together, start_state
+from surface_gym.simulation import Encounter, simulate, simulate_together, start_state
 from surface_gym.surface import Surface
 from surface_gym.trajectory import Trajectory
 from surface_gym.validation import simulation

@@ -14,18 +14,11 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
-from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle
+from surface_gym.parcel import Disc, Parcel, Polygon, Rectangle, make_bodies
 from surface_gym.physics import rollout, types as ph
 from surface_gym.physics.collision import ContactMaterial, World, make_world_scratch
 from surface_gym.registration import SHIPPED
-from surface_gym.simulation import (
-    Encounter,
-    Touches,
-    make_bodies,
-    make_trajectory,
-    run_stretch,
-    start_state,
-)
+from surface_gym.simulation import Encounter, Touches, make_trajectory, run_stretch, start_state
 from surface_gym.surface import Surface
 from surface_gym.web.table import PARCELS
 

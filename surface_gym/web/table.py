@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym.compiler.jit import compiled
-from surface_gym.parcel import Parcel, Rectangle
+from surface_gym.parcel import Parcel, Rectangle, make_bodies
 from surface_gym.physics.collision import (
     ContactMaterial,
     World,
@@ -20,7 +20,6 @@ from surface_gym.physics.collision import (
 from surface_gym.physics.contact_solver import step_world
 from surface_gym.physics.step import OFF_SURFACE, axis_direction
 from surface_gym.physics.types import Array, Grid
-from surface_gym.simulation import make_bodies
 from surface_gym.surface import Surface
 
 PARCELS = 24  # maximum number of parcels

@@ -10,11 +10,11 @@ from scipy.optimize import nnls
 
 import surface_gym as sg
 from surface_gym.compiler.jit import compiled
+from surface_gym.parcel import make_bodies
 from surface_gym.physics import island
 from surface_gym.physics.collision import make_world_scratch
 from surface_gym.physics.island import Island
 from surface_gym.physics.types import Array
-from surface_gym.simulation import make_bodies
 from tests.worlds import G, Meeting, ice, supports
 
 

@@ -11,11 +11,11 @@ from hypothesis import given, strategies as st
 
 import surface_gym as sg
 from surface_gym.compiler.jit import compiled
+from surface_gym.parcel import make_bodies
 from surface_gym.physics import signed_distance
 from surface_gym.physics.references import step_implicit
 from surface_gym.physics.signed_distance import BaseOutline, StepMotion
 from surface_gym.physics.types import OMEGA, STATE_SIZE, THETA, VX, VY, Array, X, Y, make_scratch
-from surface_gym.simulation import make_bodies
 from tests.strategies import angles, bases, speeds, spins
 
 gap_between = compiled(signed_distance.signed_distance.py_func)
