@@ -314,6 +314,13 @@ class Playground {
     return this.reopen({ stuck: [...stuck].map((each) => each.split(",").map(Number)) });
   }
 
+  /** Let one module in ten stick, at least one, of those that still obey. */
+  stickSome() {
+    const obeying = this.shown[0].run.modules().map((module) => [Math.random(), module]);
+    obeying.sort(([a], [b]) => a - b);
+    return this._stick(obeying.slice(0, Math.ceil(obeying.length / 10)).map(([, each]) => each));
+  }
+
   /** Open the scene anew with a part of it changed. */
   reopen(change) {
     const scene = structuredClone(this.scene);
