@@ -12,6 +12,7 @@ import numpy as np
 
 from surface_gym.config import EnvConfig, Preset
 from surface_gym.files import DAMAGE, describe_damage
+from surface_gym.machine.estimate import Estimate
 from surface_gym.registration import TASKS
 from surface_gym.registry import Registry
 from surface_gym.tasks import Task
@@ -20,11 +21,12 @@ from surface_gym.tasks.benchmark import Benchmark, StreamBenchmark
 from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
-from ..learning.runs import CONFIG, preset_name, task_name
+from ..learning.runs import CONFIG, ESTIMATE, preset_name, task_name
 from ..planning.planner import Planner, RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
 
 FIXED = "fixed layout"
+IDENTIFIED = "identified"  # ends the names of agents trained on an identified surface
 BEST_FIXED = "best fixed layout"
 ANY_ANGLE = "fixed layout, any angle"
 ROLL_ON = "roll on"
@@ -52,6 +54,7 @@ class Method:
     presets: tuple[str, ...] | None = None  # names of presets; None: all
     # task with a richer observation; None: the benchmark's
     observed_task: Callable[[Task], Task] | None = None
+    estimate: Estimate | None = None  # of the surface; None: the task's own surface
 
     @property
     def control_period(self) -> float:
@@ -61,7 +64,8 @@ class Method:
     def config(self, task: Task, preset: Preset) -> EnvConfig:
         """Return the configuration of one parcel's environment under a preset."""
         shown = task if self.observed_task is None else self.observed_task(task)
-        return EnvConfig(task=shown, preset=preset, **self.arguments)
+        config = EnvConfig(task=shown, preset=preset, **self.arguments)
+        return config if self.estimate is None else self.estimate.adapt(config)
 
     def controller(self, config: EnvConfig, seed: int, most_touches: float = 0.0) -> Any:
         """Make the controller of a seed for an environment; None if it cannot sort."""
@@ -185,7 +189,7 @@ def of_runs(task: str, folder: Path) -> list[Method]:
 def of_run(run: Path, task: str | None = None) -> Method:
     """Return the policies of a run, named by the preset of their training."""
     agent = trained(policy_folders(run), task)
-    preset = preset_name(run / CONFIG) or NOMINAL
+    preset = IDENTIFIED if (run / ESTIMATE).is_file() else preset_name(run / CONFIG) or NOMINAL
     return agent if preset == NOMINAL else replace(agent, name=f"{agent.name}, {preset}")
 
 

@@ -14,9 +14,11 @@ from rich.console import Console
 
 from surface_gym.config import PRESETS
 from surface_gym.executors import Processes
+from surface_gym.machine.estimate import Estimate
 from surface_gym.parallel import Workers, map_jobs, without_report
 
 from .. import library
+from ..learning.runs import ESTIMATE
 from . import pictures, views
 from .method import (
     AGENT,
@@ -30,6 +32,7 @@ from .method import (
     of_runs,
     rivals,
     rules,
+    shipped,
     start_benchmark,
     stream_benchmark,
 )
@@ -260,7 +263,7 @@ def evaluate_run(
     """
     agent = of_run(run, task)
     streams = is_on_streams(agent.task)
-    scenarios, methods = (_stream_rivals if streams else _start_rivals)(agent)
+    scenarios, methods = (_stream_rivals if streams else partial(_start_rivals, run))(agent)
     jobs = make_jobs(scenarios, methods)
     with show_progress(console, f"comparing on {agent.task}", len(jobs)) as advance:
         results = Results(compute(jobs, workers, advance=advance))
@@ -269,9 +272,10 @@ def evaluate_run(
     show_tables(tables, console, "")
     if not streams:
         with console.status("drawing and filming"):
+            both = [methods[0], methods[-1]]
             drawn: list[Callable[[], Any]] = [
-                partial(write_trajectories, methods, run / "trajectories.png"),
-                partial(write_example, methods, run),
+                partial(write_trajectories, both, run / "trajectories.png"),
+                partial(write_example, both, run),
             ]
             # Processes that begin now would load for longer than drawing takes.
             ready = workers if isinstance(workers, Processes) else 1
@@ -289,9 +293,17 @@ def evaluate_run(
     return card
 
 
-def _start_rivals(agent: Method) -> tuple[list[Any], list[Method]]:
-    both = [each.under(*COMPARED) for each in (rules(agent.task)[0], agent)]
-    return start_scenarios(agent.task), both
+def _start_rivals(run: Path, agent: Method) -> tuple[list[Any], list[Method]]:
+    """List the scenarios for comparing an agent, and the methods: the fixed layout and the agent.
+
+    On an identified surface the shipped agents compete as well.
+    """
+    others, estimate = [rules(agent.task)[0]], None
+    if (run / ESTIMATE).is_file():
+        estimate = Estimate.load(run / ESTIMATE)
+        others += shipped(agent.task)
+    methods = [replace(each.under(*COMPARED), estimate=estimate) for each in (*others, agent)]
+    return start_scenarios(agent.task), methods
 
 
 def _stream_rivals(agent: Method) -> tuple[list[Any], list[Method]]:

@@ -74,7 +74,8 @@ class PPOConfig(ParcelConfig, RolloutConfig):
         if checks.one_of("device", self.device, get_args(DeviceName)) == CPU:
             return
         # A device has no cameras or zones.
-        for name, only in (("preset", NOMINAL), ("camera_share", 0.0), ("zones", ())):
+        allowed = {"preset": NOMINAL, "camera_share": 0.0, "zones": (), "estimate": None}
+        for name, only in allowed.items():
             if getattr(self, name) != only:
                 raise ValueError(
                     f"{name} must be {only!r} for device {self.device!r}, "

@@ -13,6 +13,7 @@ from surface_gym import checks
 from surface_gym.feature_groups import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.lines import Line
+from surface_gym.machine.estimate import Estimate
 from surface_gym.registration import DEFAULT_TASK, PERIODS, env_id
 from surface_gym.tasks.features import compute_digest
 
@@ -116,6 +117,8 @@ class ParcelConfig(TrainConfig):
     """
     friction: float = 0.2
     """[-] spread of the varied friction."""
+    estimate: Path | None = None
+    """File of a surface identified by `surface-gym identify`; all environments are on it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,6 +126,10 @@ class ParcelConfig(TrainConfig):
         checks.within("camera_share", self.camera_share, 0.0, 1.0)
         if checks.within("friction", self.friction, 0.0, 1.0) == 1.0:
             raise ValueError(f"friction must be less than 1, got {self.friction!r}")
+        if self.estimate is not None:
+            if not self.estimate.is_file():
+                raise ValueError(f"estimate must be a file of identify, got {self.estimate}")
+            Estimate.load(self.estimate)
         for columns in self.zones:
             checks.integer("zones", columns, least=1)
         if self.zones and not isinstance(find_task(self.task).line, Line):
@@ -161,7 +168,7 @@ FOLDER = Path(__file__).parents[1] / "hyperparams"
 _ZOO = {"num_envs": "n_envs", "steps": "n_timesteps"}  # the zoo's names of fields
 _FIELDS = {zoo: name for name, zoo in _ZOO.items()}
 # Fields that are no hyper-parameters:
-_OF_THE_RUN = ("task", "algo", "preset", "device", "seed", "seeds", "out", "name")
+_OF_THE_RUN = ("task", "algo", "preset", "estimate", "device", "seed", "seeds", "out", "name")
 _OF_THE_ENV = {"actions", "control_period", "observe"}
 # Fields that the zoo does not accept, in a separate section.
 BESIDE = "beside the zoo"

@@ -9,6 +9,7 @@ resumed run gives the same result as an uninterrupted one.
 import csv
 import math
 import os
+import shutil
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -59,6 +60,7 @@ PLAIN = 2**19  # [bytes] maximum size of plain values in a checkpoint; 1000 epis
 CURVE = "curve.csv"
 TENSORBOARD = "tensorboard"  # folder
 CARD = "card.yaml"
+ESTIMATE = "estimate.json"  # copy of the surface's estimate, which later steps read
 CURVE_EVERY = 10_000  # control periods between rows of the curve
 FIGURES = ("steps", "success", "return", "length")  # columns of every curve
 RECENT_EPISODES = 1000
@@ -103,6 +105,8 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
         raise ValueError(
             f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
         ) from None
+    if estimate := getattr(config, "estimate", None):
+        shutil.copyfile(estimate, folder / ESTIMATE)
     write_config(config, folder / CONFIG)
     (folder / COMMAND).write_text(command_line(TRAIN, *arguments) + "\n")
     return folder
@@ -154,6 +158,8 @@ def read_config(file: Path, task: str | None = None, algo: str | None = None) ->
             for name, value in plain.items()
         }
         plain["out"] = Path(plain["out"])
+        if plain.get("estimate") is not None:
+            plain["estimate"] = file.parent / ESTIMATE
         config: TrainConfig = kind(**plain)
         return config
     except FileNotFoundError:

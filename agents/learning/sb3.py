@@ -15,7 +15,7 @@ from stable_baselines3.common.type_aliases import TrainFreq
 
 import surface_gym as sg
 from surface_gym import checks
-from surface_gym.config import PRESETS, Preset
+from surface_gym.config import PRESETS, EnvConfig, Preset
 from surface_gym.parallel import usable_cores
 from surface_gym.parcel import assortment
 
@@ -89,17 +89,22 @@ def _make_envs(
         assert isinstance(line, sg.lines.Line)
         periods = round(periods * time_for(line, columns))
         line = with_zone(line, columns)
-    return sg.SmartSurfaceVectorEnv(
-        num_envs=num_envs,
-        threads=_count_threads(),
-        max_episode_steps=periods,
-        task=task,
+    env_config = EnvConfig(
+        task,
         line=line,
         actions=config.actions,
         control_period=config.control_period,
         observe=config.observe,
         preset=preset,
+    )
+    if config.estimate is not None:
+        env_config = sg.Estimate.load(config.estimate).adapt(env_config)
+    return sg.SmartSurfaceVectorEnv(
+        num_envs=num_envs,
+        threads=_count_threads(),
+        max_episode_steps=periods,
         autoreset_mode=gym.vector.AutoresetMode.SAME_STEP,
+        **env_config.arguments(),
     )
 
 

@@ -17,7 +17,7 @@ from urllib.parse import urlparse
 
 from surface_gym.cli import parse_options
 
-from .config import OPC_UA, RuntimeConfig, find_token, parse_address
+from .config import OPC_UA, RuntimeConfig, find_token, make_env_config, parse_address
 from .report import make_report, show_report, write_report
 
 if TYPE_CHECKING:
@@ -55,17 +55,8 @@ def load_policy(config: RuntimeConfig) -> "TrainedPolicy":
     )
 
 
-def make_env_config(policy: "TrainedPolicy", preset: str) -> "EnvConfig":
-    """Return the configuration of a policy's environment under a preset."""
-    from surface_gym.config import EnvConfig
-
-    return EnvConfig(**{"task": policy.card.task, **policy.env_kwargs, "preset": preset})
-
-
 def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
     """Load the controller of a command and its environment."""
-    from surface_gym.config import EnvConfig
-
     from ..library import find_task, load, names
     from ..rules import RULES
     from .deciders import ExcitationController
@@ -73,16 +64,16 @@ def load_controller(config: RuntimeConfig) -> "tuple[Controller, EnvConfig]":
     if config.name == EXCITATION:
         if config.task is None:
             raise ValueError(f"task must be given for {EXCITATION!r}, got none")
-        env_config = EnvConfig(find_task(config.task), preset=config.preset, actions="modules")
+        env_config = make_env_config(config, task=find_task(config.task), actions="modules")
         if env_config.task.is_stream:
             raise ValueError(f"task must be of one parcel at a time, got {config.task!r}")
         return ExcitationController(env_config), env_config
     if config.name in RULES and find_task(RULES[config.name].task).is_stream:
         rule = RULES[config.name]
-        env_config = EnvConfig(rule.task, actions=rule.actions, preset=config.preset)
+        env_config = make_env_config(config, task=rule.task, actions=rule.actions)
         return rule.make(env_config), env_config
     policy = load_policy(config)
-    env_config = make_env_config(policy, config.preset)
+    env_config = make_env_config(config, **{"task": policy.card.task, **policy.env_kwargs})
     if env_config.task.is_stream and config.name in names():
         return load(config.name, config.seed, env_config), env_config
     return policy, env_config
@@ -146,6 +137,7 @@ def simulator_arguments(config: RuntimeConfig, env_config: "EnvConfig") -> list[
     arguments = [
         *("--task", config.task or env_config.task.name),
         *("--preset", config.preset),
+        *(() if config.estimate is None else ("--estimate", str(config.estimate.absolute()))),
         *("--control-period", repr(env_config.control_period)),
         *("--seed", str(config.start)),
     ]

@@ -5,10 +5,14 @@ import re
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from surface_gym import checks
+
+if TYPE_CHECKING:
+    from surface_gym.config import EnvConfig
 
 TOKEN = "SURFACE_GYM_TOKEN"  # environment variable
 TOKEN_FILE = Path("runs/runtime/token")
@@ -58,6 +62,8 @@ class RuntimeConfig:
     """Duration of the run in minutes."""
     preset: str = "lab"
     """Preset of the machine: friction, noise and turning axes of the filter and the simulator."""
+    estimate: Path | None = None
+    """File of the surface identified by surface-gym identify, which changes the preset."""
     address: str | None = None
     """Address of a running device, host:port, or opc.tcp://host:port of an OPC UA server; the
     default starts a simulator."""
@@ -104,6 +110,8 @@ class SimulatorConfig:
     """Task of the package, or custom task as path/to/file.py:Class."""
     preset: str = "lab"
     """Preset of the machine."""
+    estimate: Path | None = None
+    """File of an identified surface, which changes the preset."""
     control_period: float = 0.04
     """Seconds between decisions; the task's time limit is a number of decisions."""
     port: int = 0
@@ -121,6 +129,15 @@ class SimulatorConfig:
     parent: int | None = None
     """Process whose end also ends the simulator."""
     world: WorldOptions = field(default_factory=WorldOptions)
+
+
+def make_env_config(config: RuntimeConfig | SimulatorConfig, **given: Any) -> "EnvConfig":
+    """Return the configuration of an environment: the preset, on an identified surface if any."""
+    from surface_gym.config import EnvConfig
+    from surface_gym.machine.estimate import Estimate
+
+    made = EnvConfig(**given, preset=config.preset)
+    return made if config.estimate is None else Estimate.load(config.estimate).adapt(made)
 
 
 def parse_address(text: str) -> tuple[str, int]:

@@ -23,7 +23,7 @@ from surface_gym.machine import messages as ms
 
 from ..library import find_task
 from . import protocol
-from .config import TOKEN, SimulatorConfig, find_token, parse_address
+from .config import TOKEN, SimulatorConfig, find_token, make_env_config, parse_address
 from .worlds import SimulatedMachine, SimulatedStream, SimulatedWorld
 
 HOST = "127.0.0.1"  # local only, since messages contain times of the local clock
@@ -242,17 +242,17 @@ async def serve_opcua(
         await server.stop()
 
 
-def make_env_config(config: SimulatorConfig) -> EnvConfig:
+def find_env_config(config: SimulatorConfig) -> EnvConfig:
     """Return the configuration of the simulated environment."""
     task, world = find_task(config.task), config.world
-    given: dict[str, Any] = {"preset": config.preset, "control_period": config.control_period}
+    given: dict[str, Any] = {"control_period": config.control_period}
     if isinstance(task, StreamTask):
         given |= {"actions": "parcels", "gate": world.gate}
         if world.most is not None:
             given["max_parcels"] = world.most
         if world.rate is not None:
             given["stream"] = task.stream.with_rate(world.rate)
-    return EnvConfig(task=task, **given)
+    return make_env_config(config, task=task, **given)
 
 
 def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> SimulatedWorld:
@@ -263,7 +263,7 @@ def make_world(config: SimulatorConfig, env_config: EnvConfig, begun: float) -> 
 
 def run_simulator(config: SimulatorConfig) -> None:
     """Serve until Ctrl-C, or until the parent process has ended."""
-    clock, env_config = protocol.WallClock(), make_env_config(config)
+    clock, env_config = protocol.WallClock(), find_env_config(config)
     world = make_world(config, env_config, clock.now())
     world.advance(clock.now())  # compile now
     token = find_token(config.token_file, make=True)

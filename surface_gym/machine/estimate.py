@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from surface_gym import checks, files
-from surface_gym.config import Preset
+from surface_gym.config import EnvConfig, Preset
 from surface_gym.lines import BaseLine
 from surface_gym.randomisation import Actuators, Randomisation
-from surface_gym.sensors import AdaptiveCamera
+from surface_gym.sensors import AdaptiveCamera, Camera
 
 VERSION = 1  # of the file's format
 MAX_BYTES = 2**20  # of an estimate's file
@@ -83,6 +83,12 @@ class Estimate:
         """Return whether the logs tell a parameter."""
         return name in self.intervals and math.isfinite(self.intervals[name][0])
 
+    @property
+    def late(self) -> float:
+        """[s] from a picture's exposure to its message."""
+        stale = self.values["latency"] if self.is_determined("latency") else 0.0
+        return max(0.0, self.delay + stale)
+
     def line(self, line: BaseLine) -> BaseLine:
         """Return an environment's line with the identified friction."""
         found: Any = {name: self.values[name] for name in filter(self.is_determined, FRICTIONS)}
@@ -96,13 +102,12 @@ class Estimate:
         speed = math.inf
         if self.is_determined("quarter_turn"):
             speed = 0.5 * math.pi / max(self.values["quarter_turn"], 1e-3)
-        stale = self.values["latency"] if self.is_determined("latency") else 0.0
         return Preset(
             name,
             name,
             f"The machine of {len(self.misfits)} logged runs.",
             sensors=AdaptiveCamera(
-                latency=max(0.0, self.delay + stale),
+                latency=self.late,
                 position_noise=self.noise[0],
                 angle_noise=self.noise[1],
             ),
@@ -111,6 +116,32 @@ class Estimate:
                 friction=self._spread("mu_max"),
                 rolling=max(self._spread("mu_min"), self._spread("mu_support")),
             ),
+        )
+
+    def adapt(self, config: EnvConfig) -> EnvConfig:
+        """Return an environment's configuration on the identified surface.
+
+        It has friction as `line`, and as `preset` the spreads of friction, the speed of the axes
+        and a camera's noise and latency. What the logs do not tell stays.
+        """
+        found, sensors = self.preset(), config.sensors
+        if isinstance(sensors, Camera):
+            position, angle = self.noise
+            sensors = replace(sensors, position_noise=position, angle_noise=angle)
+            if self.is_determined("latency"):
+                sensors = replace(sensors, latency=self.late)
+        actuators, spread = config.actuators, config.randomisation
+        if self.is_determined("quarter_turn"):
+            actuators = replace(actuators, axis_speed=found.actuators.axis_speed)
+        if self.is_determined("mu_max"):
+            spread = replace(spread, friction=found.randomisation.friction)
+        if self.is_determined("mu_min") or self.is_determined("mu_support"):
+            spread = replace(spread, rolling=found.randomisation.rolling)
+        return config.replace(
+            line=self.line(config.chosen_line),
+            sensors=sensors,
+            actuators=actuators,
+            randomisation=spread,
         )
 
     def _spread(self, name: str) -> float:

@@ -10,6 +10,8 @@ from surface_gym.agents import train_cli
 from surface_gym.agents.learning import algorithms, config as configs, runs
 from surface_gym.agents.learning.cuda import gym as gym_of_device
 from surface_gym.agents.train_cli import SWEEP, Request, parse_arguments
+from surface_gym.machine.estimate import Estimate
+from tests.machine.recorded import ESTIMATE
 
 NO_GPU = "cuda must be there, got none"
 
@@ -41,12 +43,25 @@ def test_a_new_run_has_a_new_folder_which_is_resumed_as_it_was_asked_for(tmp_pat
         runs.make_folder(named, arguments)
 
 
+def test_a_run_keeps_the_estimate_of_its_surface(tmp_path) -> None:
+    ESTIMATE.save(tmp_path / "found.json")
+    arguments = ["--task", "stop", "--estimate", str(tmp_path / "found.json"), "--out", "."]
+    config = config_of(*arguments)
+    folder = runs.make_folder(config, arguments)
+    (tmp_path / "found.json").unlink()
+    resumed = parse_arguments(["--resume", str(folder)]).config
+    assert resumed == replace(config, estimate=folder / runs.ESTIMATE)
+    assert Estimate.load(resumed.estimate) == ESTIMATE
+    assert f"--estimate {resumed.estimate}" in runs.training_command(resumed)
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         ("--steps 0", "steps"), ("--gamma 2", "gamma"), ("--task juggle", "juggle"),
         ("--algo sac", "sac"), ("--hidden x", "hidden"), ("--algo dqn --actions window", "actions"),
         ("--algo modules --task slow", "task must be one of 'sort'"),
+        ("--estimate nowhere.json", "estimate must be a file of identify, got nowhere.json"),
         ("--resume nowhere", "nowhere"),
         ("--resume nowhere --steps 5", "--resume must stand alone"),
         ("--resume there --steps 5", "--resume must stand alone"),

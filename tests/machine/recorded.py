@@ -1,5 +1,6 @@
-"""Logs for tests: of hidden surfaces, and as files."""
+"""Logs for tests: of hidden surfaces, and as files; and an estimate."""
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +19,25 @@ BOX = sg.Parcel(sg.Rectangle(0.25, 0.25))
 SHAPE = (4, 16)  # of the widest zone
 SURFACE = LoggedSurface.of_line(Line(), 0.05, SHAPE)
 SITE = Site(Line().site(BOX.base).rotor, (9, 2, 3, 16))
+
+ESTIMATE = sg.Estimate(
+    values={"mu_max": 0.42, "mu_min": 0.013, "quarter_turn": 0.08, "latency": 0.01},
+    intervals={
+        "mu_max": (0.41, 0.43), "mu_min": (-math.inf, math.inf), "quarter_turn": (0.07, 0.09),
+        "latency": (0.009, 0.011),
+    },
+    correlations=((1.0, 0.0, 0.0, 0.0),) * 4,
+    correlated=("mu_max", "mu_min", "quarter_turn", "latency"),
+    inseparable=(("mu_min", "tilt"),),
+    unknown=("mu_min",),
+    misfit=1.7,
+    is_explained=False,
+    misfits=(1.0, 2.4),
+    frames=120,
+    noise=(0.002, 0.01),
+    delay=0.03,
+    unused={"parcel is still on the surface": 1},
+)  # fmt: skip
 
 
 @lru_cache(maxsize=8)

@@ -9,27 +9,10 @@ import gymnasium as gym
 import pytest
 
 import surface_gym as sg
+from surface_gym.config import EnvConfig
 from surface_gym.lines import Line
 from surface_gym.machine.estimate import write_report
-
-ESTIMATE = sg.Estimate(
-    values={"mu_max": 0.42, "mu_min": 0.013, "quarter_turn": 0.08, "latency": 0.01},
-    intervals={
-        "mu_max": (0.41, 0.43), "mu_min": (-math.inf, math.inf), "quarter_turn": (0.07, 0.09),
-        "latency": (0.009, 0.011),
-    },
-    correlations=((1.0, 0.0, 0.0, 0.0),) * 4,
-    correlated=("mu_max", "mu_min", "quarter_turn", "latency"),
-    inseparable=(("mu_min", "tilt"),),
-    unknown=("mu_min",),
-    misfit=1.7,
-    is_explained=False,
-    misfits=(1.0, 2.4),
-    frames=120,
-    noise=(0.002, 0.01),
-    delay=0.03,
-    unused={"parcel is still on the surface": 1},
-)  # fmt: skip
+from tests.machine.recorded import ESTIMATE
 
 
 def test_an_estimate_comes_back(tmp_path) -> None:
@@ -76,6 +59,28 @@ def test_a_preset_makes_environments() -> None:
     env = gym.make("SmartSurface/Stop-v0", preset=preset, line=ESTIMATE.line(Line()))
     env.reset(seed=0)
     env.step(env.action_space.sample())
+
+
+def test_an_environment_is_put_on_the_identified_surface() -> None:
+    """Parcels, entries and stuck modules stay, and friction that the logs do not tell."""
+    lab = EnvConfig("slow", preset="lab", actions="quadrants")
+    found = ESTIMATE.adapt(lab)
+    assert (found.chosen_line.mu_max, found.chosen_line.mu_min) == (0.42, Line().mu_min)
+    assert found.sensors.latency == pytest.approx(0.04)
+    assert (found.sensors.position_noise, found.sensors.angle_noise) == ESTIMATE.noise
+    assert found.actuators == replace(lab.actuators, axis_speed=0.5 * math.pi / 0.08)
+    assert found.randomisation == replace(
+        lab.randomisation, friction=ESTIMATE.preset().randomisation.friction
+    )
+    assert (found.task, found.actions) == (lab.task, lab.actions)
+    assert isinstance(ESTIMATE.adapt(EnvConfig("sort")).sensors, sg.sensors.Exact)
+
+
+def test_an_estimate_of_nothing_leaves_an_environment_its_preset() -> None:
+    lab = EnvConfig("stop", preset="lab")
+    noise = lab.sensors.position_noise, lab.sensors.angle_noise
+    nothing = replace(ESTIMATE, values={}, intervals={}, noise=noise)
+    assert nothing.adapt(lab) == lab.replace(line=lab.chosen_line)
 
 
 def test_a_preset_of_nothing_determined_is_exact_about_axes() -> None:

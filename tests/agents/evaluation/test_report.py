@@ -21,7 +21,7 @@ from rich.console import Console
 
 from surface_gym.agents.evaluation import cli, report, streams as ladder, views
 from surface_gym.agents.evaluation.cli import EvaluateConfig, evaluate
-from surface_gym.agents.evaluation.method import all_methods, rules, start_benchmark
+from surface_gym.agents.evaluation.method import all_methods, of_run, rules, start_benchmark
 from surface_gym.agents.evaluation.pictures import Player, write_comparison
 from surface_gym.agents.evaluation.report import filmed_scenario, stream_player
 from surface_gym.agents.evaluation.results import FILE, write_results
@@ -31,13 +31,14 @@ from surface_gym.agents.library import SHELF
 from surface_gym.agents.rules.sorting import StreamEventRule
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups, make_library
 from surface_gym.agents.scheduling.scheduler import Scheduler
-from surface_gym.config import EnvConfig
+from surface_gym.config import PRESETS, EnvConfig
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.registration import SHIPPED
 from surface_gym.rendering import with_caption
 from tests.agents.evaluation import made
 from tests.agents.evaluation.test_views import SLOW
 from tests.flow.flows import DENSE, SHORT
+from tests.machine.recorded import ESTIMATE
 
 RULES = [each for each in all_methods("flow") if each.name in made.SHARES]
 ROOT = Path(__file__).parents[3]
@@ -178,6 +179,21 @@ def test_every_seed_of_a_run_on_streams_is_measured_beside_the_rules(tmp_path, m
     assert made_card["capacity_of_each_seed"] == [0]
     assert made_card["share_right"] == [None]
     assert made_card["scheduler"] == pytest.approx(0.6 * made.CEILINGS[2], rel=0.01)
+
+
+def test_on_an_identified_surface_a_run_meets_the_shipped_agents(tmp_path) -> None:
+    copytree(SHELF / "slow-ppo-lab" / "seed-0", tmp_path / "seed-0")
+    ESTIMATE.save(tmp_path / report.ESTIMATE)
+    agent = of_run(tmp_path)
+    assert agent.name == "PPO, identified"
+    _, methods = report._start_rivals(tmp_path, agent)
+    assert [each.name for each in methods] == [
+        "fixed layout", "PPO", "DQN", "PPO, lab", "PPO, identified"
+    ]  # fmt: skip
+    task, lab = start_benchmark("slow").task, PRESETS["lab"]
+    for each in methods:
+        assert each.config(task, lab).chosen_line.mu_max == ESTIMATE.values["mu_max"]
+    assert agent.config(task, lab).chosen_line == task.line
 
 
 def test_methods_on_a_slope_are_filmed_side_by_side(tmp_path) -> None:

@@ -24,6 +24,7 @@ from surface_gym.randomisation import Randomisation
 from surface_gym.registration import env_id
 from surface_gym.sensors import Exact
 from surface_gym.tasks import TASKS
+from tests.machine.recorded import ESTIMATE
 
 NUM_ENVS = 4
 
@@ -100,6 +101,21 @@ def test_half_of_the_environments_with_exact_sensors_have_zones_of_other_lengths
     lines = [each.chosen_line for each in sb3.make_mirrored_envs(config).get_attr("config")]
     assert [line.zone_columns for line in lines] == [16] * 8 + [8] * 4 + [24] * 4 + [16] * 16
     assert len({line.columns - line.zone_columns for line in lines}) == 1
+
+
+@pytest.mark.usefixtures("uncompiled")
+def test_environments_are_on_the_identified_surface(tmp_path) -> None:
+    ESTIMATE.save(tmp_path / "estimate.json")
+    config = PPOConfig(
+        task="stop", preset="lab", num_envs=8, batch_size=64, estimate=tmp_path / "estimate.json"
+    )
+    plain = sb3.make_mirrored_envs(replace(config, estimate=None)).get_attr("config")
+    found = sb3.make_mirrored_envs(config).get_attr("config")
+    for each, other in zip(found, plain, strict=True):
+        asked = ESTIMATE.adapt(other)
+        for name in ("line", "sensors", "actuators", "randomisation"):
+            assert getattr(each, name) == getattr(asked, name)
+    assert {each.chosen_line.mu_max for each in found} == {ESTIMATE.values["mu_max"]}
 
 
 def test_samples_keep_their_modules() -> None:

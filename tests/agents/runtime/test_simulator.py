@@ -23,7 +23,7 @@ import surface_gym as sg
 from benchmarks.tracking import SimulatedClock
 from surface_gym import agents
 from surface_gym.agents.runtime import cli, config, deciders, protocol, report, simulator
-from surface_gym.agents.runtime.cli import load_policy, main, make_env_config, simulator_arguments
+from surface_gym.agents.runtime.cli import load_controller, load_policy, main, simulator_arguments
 from surface_gym.agents.runtime.config import RuntimeConfig, SimulatorConfig, WorldOptions
 from surface_gym.agents.runtime.controller import ControlLoop, LoopConfig
 from surface_gym.agents.runtime.protocol import DeviceLost, SocketDevice
@@ -35,6 +35,7 @@ from surface_gym.machine.messages import Frame
 from surface_gym.tasks.start import Draw, Start
 from tests.agents.runtime import made
 from tests.agents.runtime.made import CONFIG, PATIENCE, TOKEN, entered, estimator, of_kind, until
+from tests.machine.recorded import ESTIMATE
 
 PAUSE = 0.1
 BRAKE = 0
@@ -271,14 +272,26 @@ def test_the_environment_is_the_policys_and_the_simulators() -> None:
     """A run's folder holds a policy, too."""
     folder = Path(agents.__file__).parent / "shipped/stop-ppo/seed-0"
     assert load_policy(RuntimeConfig(str(folder))).card.task == "stop"
-    policy = load_policy(RuntimeConfig("slow-dqn", seed=1))
-    lab = EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
-    assert make_env_config(policy, "lab") == lab
+    policy, lab = load_controller(RuntimeConfig("slow-dqn", seed=1))
+    assert lab == EnvConfig(task="slow", preset="lab", **policy.env_kwargs)
     options = RuntimeConfig("stop-ppo", preset="camera", start=3)
-    env_config = make_env_config(load_policy(options), options.preset)
+    _, env_config = load_controller(options)
     given = tyro.cli(SimulatorConfig, args=simulator_arguments(options, env_config))
     assert given == SimulatorConfig(task="stop", preset="camera", control_period=0.04, seed=3)
-    assert simulator.make_env_config(given).actuators == env_config.actuators
+    assert simulator.find_env_config(given).actuators == env_config.actuators
+
+
+def test_both_are_on_the_identified_surface(tmp_path) -> None:
+    file = tmp_path / "estimate.json"
+    ESTIMATE.save(file)
+    options = RuntimeConfig("stop-ppo", estimate=file)
+    _, env_config = load_controller(options)
+    assert env_config.chosen_line.mu_max == ESTIMATE.values["mu_max"]
+    assert env_config.sensors.latency == pytest.approx(0.04)
+    given = tyro.cli(SimulatorConfig, args=simulator_arguments(options, env_config))
+    simulated = simulator.find_env_config(given)
+    assert simulated.chosen_line == env_config.chosen_line
+    assert simulated.actuators == env_config.actuators
 
 
 def test_a_token_is_of_a_file_that_nobody_else_reads_or_of_the_environment(

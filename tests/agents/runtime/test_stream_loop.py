@@ -181,7 +181,7 @@ def test_the_simulators_stream_is_the_policys() -> None:
     options = replace(options, world=replace(options.world, rate=900.0, lost=0.1, late=0.02))
     policy, env_config = cli.load_controller(options)
     given = tyro.cli(SimulatorConfig, args=cli.simulator_arguments(options, env_config))
-    made_config = simulator.make_env_config(given)
+    made_config = simulator.find_env_config(given)
     assert made_config.stream_task.gate
     assert made_config.stream_task.stream.arrivals.rate == 900.0
     assert made_config.stream_task.max_parcels == env_config.stream_task.max_parcels
