@@ -375,7 +375,9 @@ def test_stuck_modules_and_late_axes(play):
     page.click("#mend")
     wait_for(page, "playground.scene.stuck.length === 0")
     page.click("#stick-some")
-    wait_for(page, "playground.scene.stuck.length > 0")
+    wait_for(page, "playground.scene.stuck.length === 4")
+    page.click("#stick-some")
+    wait_for(page, "playground.scene.stuck.length === 8")
 
 
 def test_a_task_s_scene_is_shared_with_what_was_done(play):

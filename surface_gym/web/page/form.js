@@ -257,9 +257,7 @@ export function connect(page) {
       return { friction: [Math.max(number("along"), number("across")), number("across"), support] };
     });
   }
-  on("stick-some", "click", () =>
-    page._stick(page.shown[0].run.modules().filter(() => Math.random() < 0.1)),
-  );
+  on("stick-some", "click", () => page.stickSome());
   on("mend", "click", () => page.reopen({ stuck: [] }));
   on("link", "click", async () => {
     await page.writeAddress();

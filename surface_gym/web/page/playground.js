@@ -314,6 +314,16 @@ class Playground {
     return this.reopen({ stuck: [...stuck].map((each) => each.split(",").map(Number)) });
   }
 
+  /** Let one module in ten stick, at least one, of those that still obey. */
+  stickSome() {
+    const { run } = this.shown[0];
+    const stuck = new Set(this.scene.stuck.map(([row, column]) => row * run.columns + column));
+    const modules = run.modules();
+    const drawn = modules.filter((module) => !stuck.has(module)).map((each) => [Math.random(), each]);
+    drawn.sort(([a], [b]) => a - b);
+    return this._stick(drawn.slice(0, Math.ceil(modules.length / 10)).map(([, module]) => module));
+  }
+
   /** Open the scene anew with a part of it changed. */
   reopen(change) {
     const scene = structuredClone(this.scene);
