@@ -193,7 +193,8 @@ def page(name: str) -> str:
         ),
         "## Observation",
         _feature_table(task.features),
-        'With `actions="window"` 25 more follow: the occupancy of the window.',
+        'With `actions="window"` 25 more follow, one per module around the parcel\'s centre: 1 if '
+        "the module obeys and is under the parcel, else 0.",
         "## Arguments of the task",
         _argument_table(task_class),
         "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ".",
