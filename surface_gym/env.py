@@ -291,10 +291,6 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ...     observation, reward, terminated, truncated, info = env.step(all_at_minus_45)
     >>> info["outcome"], round(info["time"], 3)
     ('success', 0.51)
-
-    ## Version history
-
-    - v0: first version.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}
