@@ -37,7 +37,7 @@ def main() -> None:
         mode = gym.vector.AutoresetMode.SAME_STEP
         made = {"actions": options.actions, "autoreset_mode": mode}
         envs = SurfaceVecEnv(gym.make_vec(options.env, options.num_envs, **made))
-        rollout = {"n_steps": 64, "batch_size": 1024}
+        rollout = {"n_steps": 4096 // options.num_envs, "batch_size": 1024}
     model = PPO(POLICIES[options.policy], envs, seed=options.seed, device="cpu", **rollout)
     model.learn(options.steps)
     if options.save is not None:

@@ -229,12 +229,12 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
     | "omni" | in eight directions: three omni-wheels |
 
-    A choice is then a direction and a speed. It is a stop if 0 is among the kind's speeds. The rows
-    of `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes
-    a module without a command, which conveys towards +x. Directions take the place of
-    `orientations`, which must not be given. Kinds with other speeds and directions are made with
-    the classes of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven
-    modules can move a parcel at rest, so no episode ends as "stalled".
+    A choice is then a direction and a speed; with speed 0 it is a stop. The rows of
+    `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes a
+    module without a command, which conveys towards +x. Directions take the place of `orientations`,
+    which must not be given. Kinds with other speeds and directions are made with the classes of
+    `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move
+    a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
 
@@ -249,8 +249,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Info
 
-    `outcome` is "running", or why the episode ended: a number that prints as its name and equals
-    its name. `outcomes` of the env lists all. `info` also has `is_success`, `time` [s], the true
+    `outcome` is "running" or why the episode ended; `outcomes` of the env lists all. It is a number
+    that prints as its name and equals this text. `info` also has `is_success`, `time` [s], the true
     `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length,
     width [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward,
     with the prefix `reward_`, and the task's own metrics. The argument `info=("axes",

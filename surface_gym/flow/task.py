@@ -114,17 +114,16 @@ class Flow(StreamTask):
 
     `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due
     parcel enters on the line's middle, with its rear at x = 0, as soon as there is room: the place
-    of its base and `entry_gap` ahead must be clear. At most `max_parcels` are on the line. Until
-    then, it and all later parcels wait; waiting is counted.
+    of its base and `entry_gap` ahead must be clear, with fewer than `max_parcels` on the line.
+    Until then, it and all later parcels wait; waiting is counted.
 
     ### Exits
 
     A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it
     departs straight ahead. Otherwise it departs on the side of its centre, by the chute whose span
     of x contains its centre. It departs by its own exit, by a wrong exit, or between exits.
-    `exits="chutes"` (default) has two chutes per side and an exit straight ahead; "sides" has one
-    chute per side, as long as the line, and an exit straight ahead; `surface_gym.flow.exits.Exits`
-    defines others.
+    `exits="chutes"` (default) has two chutes per side, "sides" has one, as long as the line. Both
+    have an exit straight ahead. `surface_gym.flow.exits.Exits` defines others.
 
     ### Actions
 
@@ -186,8 +185,8 @@ class Flow(StreamTask):
     -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
     `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward.
     The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0
-    until the episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000
-    parcels, gaps, times on the surface and at the entry, and turns per module and hour.
+    until the episode ends. They have parcels per hour, share of missorted parcels, touches and jams
+    per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and
