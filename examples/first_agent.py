@@ -6,6 +6,7 @@ python examples/first_agent.py --env SmartSurface/Stop-v0 --num-envs 64 --steps 
 """
 
 import argparse
+from typing import Any
 
 import gymnasium as gym
 import torch
@@ -32,11 +33,15 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     env = gym.make(options.env, actions=options.actions)
-    envs, rollout = env, {}
+    envs: Any = env
+    rollout = {}
     if options.num_envs > 1:
         mode = gym.vector.AutoresetMode.SAME_STEP
-        made = {"actions": options.actions, "autoreset_mode": mode}
-        envs = SurfaceVecEnv(gym.make_vec(options.env, options.num_envs, **made))
+        envs = SurfaceVecEnv(
+            gym.make_vec(
+                options.env, options.num_envs, actions=options.actions, autoreset_mode=mode
+            )
+        )
         rollout = {"n_steps": 4096 // options.num_envs, "batch_size": 1024}
     model = PPO(POLICIES[options.policy], envs, seed=options.seed, device="cpu", **rollout)
     model.learn(options.steps)
