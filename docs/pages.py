@@ -101,9 +101,7 @@ def _overview(task: str) -> str:
                 "Observation space",
                 f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})",
             ),
-            ("Import", "`import gymnasium, surface_gym`"),
-            ("Make", f'`gymnasium.make("{env_id(task)}")`'),
-            ("Version", "v0, the first"),
+            ("Make", f'`import gymnasium, surface_gym`; `gymnasium.make("{env_id(task)}")`'),
         ),
     )
 
@@ -193,11 +191,12 @@ def page(name: str) -> str:
         ),
         "## Observation",
         _feature_table(task.features),
-        'With `actions="window"` 25 more follow: the occupancy of the window.',
+        'With `actions="window"` 25 more follow, one per module around the parcel\'s centre: 1 if '
+        "the module obeys and is under the parcel, else 0.",
         "## Arguments of the task",
         _argument_table(task_class),
-        "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ".",
-        f"Episodes are truncated after {limit} control periods, {limit * period:g} s.",
+        "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
+        f"Episodes are truncated after {limit} control periods, {limit * period:g} s.\n"
         f"Actions, sensors and the environment's own arguments: {ENVIRONMENT}",
     )
 
@@ -243,8 +242,7 @@ def stream_page(name: str) -> str:
         *features,
         "## Arguments of the task",
         *arguments,
-        f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}",
-        STREAMS[name],
+        f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}\n{STREAMS[name]}",
     )
 
 

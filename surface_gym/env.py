@@ -229,12 +229,12 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
     | "omni" | in eight directions: three omni-wheels |
 
-    A choice is then a direction and a speed, or a stop if the kind has speed 0. The choices are the
-    rows of `env.unwrapped.config.modes`, except the last: a module without a command, which conveys
-    towards +x. Directions take the place of `orientations`, which must not be given. Kinds with
-    other speeds and directions are made with the classes of `surface_gym.modules`, e.g.
-    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move a parcel at rest, so no
-    episode ends as "stalled".
+    A choice is then a direction and a speed; with speed 0 it is a stop. The rows of
+    `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes a
+    module without a command, which conveys towards +x. Directions take the place of `orientations`,
+    which must not be given. Kinds with other speeds and directions are made with the classes of
+    `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move
+    a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
 
@@ -249,29 +249,31 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Info
 
-    `is_success`, `outcome` (why the episode ended, or "running"; a number that prints as its name
-    and equals it; `outcomes` of the env lists all), `time` [s], the true `pose` (x, y, theta) and
-    `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length, width [m], mass [kg] and
-    height of the centre of mass [m]), the terms whose sum is the reward, each as `reward_` and its
-    name, and the task's own metrics. On request, by `info=("axes", "normal_forces")`, the axis
-    angles [rad] of all elements, (rows, columns), and the normal force [N] of the parcel on each.
-    `info=("energy",)` adds three sums since the start [J]: `drive_work` is the work of all drives,
-    `drawn_energy` leaves out braking drives, and `friction_heat` is the heat of friction. It also
-    adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In a stream, these values
-    cover all parcels.
+    `outcome` is "running" or why the episode ended; `outcomes` of the env lists all. It is a number
+    that prints as its name and equals this text. `info` also has `is_success`, `time` [s], the true
+    `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length,
+    width [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward,
+    with the prefix `reward_`, and the task's own metrics. The argument `info=("axes",
+    "normal_forces")` adds two arrays (rows, columns): the axis angle [rad] of every element, and
+    the normal force [N] on it. `info=("energy",)` adds three sums since the start [J]: `drive_work`
+    is the work of all drives, `drawn_energy` leaves out braking drives, and `friction_heat` is the
+    heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
+    a stream, these values cover all parcels.
 
     ## End
 
     Success and failure terminate an episode; the time limit truncates it. `gym.make` adds
-    Gymnasium's `TimeLimit`. It sets `truncated`, too, if an episode terminates in its last control
-    period, and the `outcome` then says why it terminated. The native vector env sets one flag only.
+    Gymnasium's `TimeLimit`. If an episode terminates in its last control period, `TimeLimit` also
+    sets `truncated`; `outcome` still says why it terminated. The native vector env sets one flag
+    only.
 
     ## Arguments
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation. It replaces the study's boxes; a task with
-    other parcels keeps them. `render_mode` is None, "rgb_array" (without a display) or "human".
+    "lab", sets sensors, actuators and randomisation. A preset with parcels of its own replaces the
+    study's boxes, but not other parcels of a task. `render_mode` is None, "rgb_array" (without a
+    display) or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running
@@ -289,10 +291,6 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ...     observation, reward, terminated, truncated, info = env.step(all_at_minus_45)
     >>> info["outcome"], round(info["time"], 3)
     ('success', 0.51)
-
-    ## Version history
-
-    - v0: first version.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": RENDER_FPS}

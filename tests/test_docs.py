@@ -10,7 +10,7 @@ from tests.docs.reading import PAGES, code_blocks
 # Pages that need a package, and the extra that has it.
 NEEDS = {"docs/flow.md": ("pettingzoo", "multi"), "docs/validation.md": ("mujoco", "validation")}
 # Learning takes as few steps as there are.
-SHORTER = {"learn(20_000)": "learn(1)"}
+SHORTER = {"learn(20_000)": "learn(1)", "learn(300_000)": "learn(1)"}
 WITH_CODE = [page for page in PAGES if "python" in dict(code_blocks(page))]
 
 

@@ -253,10 +253,11 @@ def test_a_task_on_streams_is_learned_without_a_rule(tmp_path, monkeypatch):
     assert policy.predict(observation)[0] in env.action_space
 
 
-def test_the_first_agent_learns_by_one_command(monkeypatch, capsys):
+@pytest.mark.parametrize("num_envs", ["1", "2"])
+def test_the_first_agent_learns_by_one_command(num_envs, monkeypatch, capsys):
     from examples import first_agent
 
     monkeypatch.setattr(first_agent, "EPISODES", 2)
-    monkeypatch.setattr("sys.argv", ["first_agent.py", "--steps", "1"])
+    monkeypatch.setattr("sys.argv", ["first_agent.py", "--steps", "1", "--num-envs", num_envs])
     first_agent.main()
     assert " of 2 episodes" in capsys.readouterr().out

@@ -450,10 +450,10 @@ class FlowAnswer(Answer):
         if fewest.actuators == shortest.actuators:
             text += ", and none has fewer actuators"
         else:
-            text += f"; the fewest actuators has {_describe(fewest)}"
+            text += f"; the line with the fewest actuators is {_describe(fewest)}"
         unable = [row for row in self.rows if not row.carries and row.actuators < fewest.actuators]
         best = max(unable, key=lambda row: row.predicted, default=None)
-        more = "" if best is None else f". With fewer, {best.predicted:.0f} are carried at most"
+        more = "" if best is None else f". Fewer actuators carry at most {best.predicted:.0f}"
         return text + more
 
     def tables(self) -> tuple[ReportTable, ...]:

@@ -302,6 +302,17 @@ class _LinkedCache(_DigestCache):
         super().__init__(dispatcher, label)
         self.label = LINKED + self.label
 
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a version for the types of this process.
+
+        Its own types may contain a class that another process made, such as `Columns` of features.
+        """
+        found = super()._load_overload(sig, target_context)
+        if found is None:
+            return None
+        found.fndesc.argtypes = sig
+        return found._replace(signature=found.signature.replace(args=sig))
+
 
 class _NoCache(NullCache):
     """Empty cache, used if no folder is writable."""

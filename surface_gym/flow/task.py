@@ -29,17 +29,21 @@ from surface_gym.tasks.sort import SIDE_FEATURES, lateral_reach
 # sort each parcel of a stream.
 NEIGHBOUR_FEATURES = (
     GAP, SPEED, replace(ASIDE, meaning="its y minus this parcel's, towards the asked side"),
-    Feature("side", -1.0, 1.0, "of its exit: 1 as this parcel's, -1 the other, 0 straight on"),
+    Feature("side", -1.0, 1.0, "of its exit: 1 the same, -1 the opposite, 0 straight on"),
     replace(SIZE, meaning="half length, shown as feature 6"),
 )  # fmt: skip
 FEATURES: tuple[Feature, ...] = (
     *SIDE_FEATURES,
     TIME,
-    Feature("past the exit's start", -20.0, 20.0, "by its rear; straight on: the zone's", "m", 0.5),
+    Feature(
+        "past the exit's start", -20.0, 20.0, "by its rear; if straight on: the zone's", "m", 0.5
+    ),
     Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
     PRESENT,
     WIDTH,
-    Feature("to the exit's end", -20.0, 20.0, "from its centre; straight on: shows 20", "m", 0.5),
+    Feature(
+        "to the exit's end", -20.0, 20.0, "from its centre; shown as 20 if straight on", "m", 0.5
+    ),
     WAITS,
     *both_ways(NEIGHBOUR_FEATURES),
 )
@@ -109,8 +113,8 @@ class Flow(StreamTask):
     ### Stream and entry
 
     `stream` sets arrivals, parcels, speeds and destinations: see `surface_gym.flow.stream`. A due
-    parcel enters with its rear at the edge (x = 0) on the line's middle as soon as there is room:
-    its base and `entry_gap` ahead of it are clear, and fewer than `max_parcels` are on the line.
+    parcel enters on the line's middle, with its rear at x = 0, as soon as there is room: the place
+    of its base and `entry_gap` ahead must be clear, with fewer than `max_parcels` on the line.
     Until then, it and all later parcels wait; waiting is counted.
 
     ### Exits
@@ -118,9 +122,8 @@ class Flow(StreamTask):
     A parcel departs when no rotor carries it. If its rear is past the last column of rotors, it
     departs straight ahead. Otherwise it departs on the side of its centre, by the chute whose span
     of x contains its centre. It departs by its own exit, by a wrong exit, or between exits.
-    `exits="chutes"` (default) has two chutes per side and an exit straight ahead; "sides" has one
-    chute per side, as long as the line, and an exit straight ahead; `surface_gym.flow.exits.Exits`
-    defines others.
+    `exits="chutes"` (default) has two chutes per side, "sides" has one, as long as the line. Both
+    have an exit straight ahead. `surface_gym.flow.exits.Exits` defines others.
 
     ### Actions
 
@@ -133,21 +136,22 @@ class Flow(StreamTask):
     | "parcels" | MultiDiscrete, 2 per row of the observation | two choices per parcel: the modules ahead of its centre and behind it |
 
     With "parcels", a module obeys the parcel on it, or else the first parcel that will reach it
-    within `ahead` seconds. Both follow from the sensed boxes and velocities. If two parcels are on
+    within `ahead` seconds. Sensed bounding boxes and velocities decide this. If two parcels are on
     a module, it obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
 
-    With `gate`, the action has one more entry at the end: 0 keeps the gate closed for the control
-    period; k opens it for one parcel from the k-th physics step.
+    With `gate`, the controller also decides when a parcel enters. The action then has one more
+    entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel from
+    the k-th physics step.
 
     ### Observation
 
     A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
-    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored, so
-    that a policy for one side serves both. Choices are not mirrored.
+    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y.
+    Choices are not mirrored: 45 deg always leads to y < 0. Feature 14 shows the side.
 
     | feature | meaning |
     | --- | --- |
-    | 0 to 14 | features of Sort, with a zone that begins at the exit's span |
+    | 0 to 14 | features of Sort; the zone begins where the parcel's exit begins |
     | 15 | 1 for a parcel, 0 for a free row |
     | 16 | half width |
     | 17 | distance to the exit's end |
@@ -165,7 +169,7 @@ class Flow(StreamTask):
     | `correct` | 1 | per departure by the parcel's exit |
     | `wrong` | -1 | per other departure |
     | `touch` | -0.5 | per parcel that begins to touch another |
-    | `reach` | 1 per metre | progress to the parcel's exit. An exit at a side: 0.2 of the distance along the line up to the exit's start, then lateral reach as in Sort. The exit straight ahead: 0.2 of the distance along the line, minus the distance from the middle |
+    | `reach` | 1 per metre | progress to the parcel's exit. To an exit at a side, it is 0.2 of the distance along the line up to the exit's start, then lateral reach as in Sort. Straight ahead, it is 0.2 of the distance along the line, minus the distance from the middle |
     | `time` | -0.2 per second | per parcel on the line |
     | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |
@@ -177,16 +181,16 @@ class Flow(StreamTask):
 
     ### Info
 
-    `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
-    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and
-    of `waiting` parcels; the terms of the reward, each as `reward_` and its name. The fields of
-    `surface_gym.flow.state.FlowStatistics`, each as `episode_` and its name, are 0 until the
-    episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000 parcels,
-    gaps, times on the surface and at the entry, and turns per module and hour.
+    `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each row's parcel,
+    -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
+    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward.
+    The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0
+    until the episode ends. They have parcels per hour, share of missorted parcels, touches and jams
+    per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and
-    randomisation apply to each parcel, but friction and stiffness to the surface.
+    randomisation apply to each parcel; random friction and stiffness are the same for all parcels.
 
     ### Example
 

@@ -72,9 +72,9 @@ class Sort(Task):
     ### Start
 
     The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. Parcel
-    and side, +1 (y > 0) or -1 (y < 0): equal odds. Side 0, straight ahead, is available as an
-    option only.
+    with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. The
+    parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0, straight
+    ahead, is available as an option only.
 
     ### Goal and end
 
@@ -87,18 +87,18 @@ class Sort(Task):
     - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the surface": the centre of mass passes the edge of the surface.
 
-    Running out of time is `truncated`, and is not a failure of the reward.
+    Running out of time is `truncated`, and does not count as a failure.
 
     ### Reward
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `reach` | 2 per metre | gain of lateral reach: the offset to the goal side plus the distance \
-that the parcel would still coast at 45 deg, up to 0.6 m. For side 0, it is 0.3 x minus the \
-distance from the line's middle |
+    | `reach` | 2 per metre | gain of lateral reach, which counts up to 0.6 m. It is the offset to the goal \
+side plus the distance that the parcel would still coast at 45 deg. For side 0, it is 0.3 of \
+the distance along the line, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |
-    | `haste` | 4 | once, at success, times 1 s over the time it took |
+    | `haste` | 4 | once, at success, divided by the time in s |
     | `failure` | -1 | once, at any failure |
 
     ### Info

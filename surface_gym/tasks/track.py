@@ -101,8 +101,8 @@ class Track(Task):
     The centre starts on the path's first point, at the asked speed along the path, with theta 0.
     Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path: equal odds.
     The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
-    spline: see `surface_gym.tasks.paths.random_path`. The option `path` takes a class of that
-    module, or points (n, 2) [m] of a polyline. Its slope is at most 3.
+    spline: see `surface_gym.tasks.paths.random_path`. The option `path` is a path of that
+    module, or points (n, 2) [m] of a polyline. A path's slope is at most 3.
 
     ### Goal and end
 
@@ -122,8 +122,8 @@ class Track(Task):
     | --- | --- | --- |
     | `distance` | 0.3 per metre | x gained |
     | `precision` | 1 per metre | times exp(-abs(`cross_error`) / 5 mm) |
-    | `cross_error` | -8 per metre and metre of error | times abs(`cross_error`) |
-    | `speed_error` | -2 per metre and m/s | times the absolute difference between the speed along \
+    | `cross_error` | -8 per metre | times abs(`cross_error`) in m |
+    | `speed_error` | -2 per metre | times the absolute difference in m/s between the speed along \
 the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |

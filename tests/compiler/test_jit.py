@@ -252,36 +252,46 @@ def test_linked_functions_are_read_from_the_cache(cache: Path) -> None:
 
 
 KERNELS = """
+from collections import namedtuple
 from surface_gym.compiler.jit import compiled, inlined, kernel_function, linked
+
+TERMS = namedtuple("Made", "one two")(1.0, 2.0)  # each process makes a class of its own
 
 @linked
 def halve(x):
     return 0.5 * x
 
 @inlined
-def halve_sum(x, y):
-    return halve(x + y)
+def halve_sum(x, terms):
+    return halve(x + terms.one)
 
 @kernel_function
 def add(x):
-    return halve_sum(x, 1.0) + halve(x)
+    return halve_sum(x, TERMS) + halve(x)
 
 def kernel(x):
     return FACTOR * add(x)
 
-print(compiled(kernel)(3.0), *(sum(each.stats.cache_hits.values()) for each in (add, halve)))
+print(compiled(kernel)(3.0))
+print(*(sum(each.stats.cache_hits.values()) for each in (add, halve_sum, halve)))
 """
 
 
 def test_a_new_process_reads_inlined_functions_for_another_kernel(tmp_path: Path) -> None:
     file = tmp_path / "kernels.py"
     printed = []
-    for factor in (1.0, 2.0):
-        file.write_text(f"FACTOR = {factor}\n{KERNELS}")
+    edited = KERNELS.replace("halve_sum(x, TERMS) + halve(x)", "halve(x) + halve_sum(x, TERMS)")
+    for factor, source in ((1.0, KERNELS), (2.0, KERNELS), (2.0, edited)):
+        file.write_text(f"FACTOR = {factor}\n{source}")
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
         command = [sys.executable, str(file)]
         printed.append(subprocess.check_output(command, env=environment, text=True).split())
-    assert printed == [["3.5", "0", "0"], ["7.0", "1", "0"]]  # `halve` is part of what is read
+    # `halve_sum` and `halve` are part of `add`; they are read on their own if `add` is edited.
+    assert printed == [
+        ["3.5", "0", "0", "0"],
+        ["7.0", "1", "0", "0"],
+        ["7.0", "0", "1", "1"],
+    ]
 
 
 @pytest.mark.usefixtures("cache")
