@@ -235,6 +235,11 @@ class EnvConfig:
                 "orientations must not be given beside driven modules, whose headings they are, "
                 f"got {self.orientations!r} and {self.modules!r}"
             )
+        if self.module_kind.drives and self.actuators.has_limits:
+            raise ValueError(
+                "actuators must have turns_loaded=True, step=0 and backlash=0 with driven modules, "
+                f"got {self.actuators!r} and {self.modules!r}"
+            )
 
     def _check_places(self) -> None:
         """Raise a ValueError if the zone, a stuck module or a start is not on the surface."""
@@ -359,6 +364,11 @@ class EnvConfig:
     def meters(self) -> bool:
         """Whether the energy of drives and friction is summed."""
         return "energy" in self.info
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the load of each element is computed before each physics step."""
+        return not self.actuators.turns_loaded
 
     @property
     def draws(self) -> int:

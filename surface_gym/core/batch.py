@@ -13,12 +13,11 @@ from surface_gym.compiler.jit import CompilerError, compile_for, compiled
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
-from surface_gym.core.kernel import EnvParams, make_kernel
+from surface_gym.core.kernel import EnvParams, add_loads, make_kernel
 from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
-from surface_gym.physics.contacts import bounded, invalidate_contacts
-from surface_gym.physics.step import find_support, support_load
+from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.types import Array, Booleans, Integers, Scratch
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.start import Parcels, Start
@@ -541,11 +540,11 @@ class Batch(BaseBatch):
         if "axes" in self.config.info:
             found["axes"] = st.axis_angles(self.surfaces)
         if "normal_forces" in self.config.info:
-            loads = np.zeros(self.surfaces.axis.shape)
+            loads = np.zeros((*self.surfaces.axis.shape, 2))
             map_normal_forces(*self._arrays, self._workers.scratches[0], loads)
             used, which = np.unique(self.parcels.body, return_inverse=True)
             mass = np.array([self._plan.parcel(body).mass for body in used])[which]
-            found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
+            found["normal_forces"] = loads[..., st.NOW] * mass[:, np.newaxis, np.newaxis]
         return found
 
 
@@ -558,25 +557,9 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns)."""
-    table = scratch.table
-    elements = params.elements
+    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns, 2)."""
     for i in range(parcels.clock.shape[0]):
-        for row in range(loads.shape[1]):
-            for column in range(loads.shape[2]):
-                loads[i, row, column] = 0.0
         row = parcels.body[i]
-        grid = st.read_grid(surfaces, bodies, i, row, elements, params.friction)
-        body = st.read_body(bodies, row)
-        state = parcels.state[i]
+        grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)
         invalidate_contacts(scratch)
-        contacts = find_support(grid, body, state, scratch, 0.0)
-        if contacts.total == 0:
-            continue
-        support_load(grid, body, state, scratch, contacts)
-        for k in range(contacts.total):
-            along = (state[ph.X] + table[ph.ARM_X + k] - elements.x0) / elements.pitch_x
-            across = (state[ph.Y] + table[ph.ARM_Y + k] - elements.y0) / elements.pitch_y
-            column = round(bounded(along, 0.0, loads.shape[2] - 1))
-            row = round(bounded(across, 0.0, loads.shape[1] - 1))
-            loads[i, int(row), int(column)] = table[ph.NORMAL + k]
+        add_loads(grid, st.read_body(bodies, row), parcels.state[i], 1.0, scratch, loads[i])

@@ -98,6 +98,7 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
         **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
         meters=config.meters,
+        weighs=config.weighs,
         part_of=claims.part_of_module if config.actions == "modules" else claims.part_of_owner,
         commanded=claims.commanded_angle if kind.continuous else claims.commanded_choice,
         actuation=choose_actuation(config),

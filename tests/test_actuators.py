@@ -1,0 +1,241 @@
+"""Axes of real actuators: they wait under load, move in steps, and have play."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surface_gym as sg
+from surface_gym.config import EnvConfig
+from surface_gym.layouts import ROLLING
+from surface_gym.physics.references import scipy_normal_forces
+from surface_gym.physics.types import GRAVITY
+from tests import environments as te
+from tests.environments import SORT, assert_same, bare, outside
+from tests.flow import flows
+from tests.test_axes import Bench
+
+STEP = math.radians(1.8)  # of a stepper with 200 steps a turn
+PLAY = math.radians(1.0)
+REAL: dict[str, Any] = {
+    "actions": "modules",
+    "orientations": "any",
+    "actuators": sg.Actuators(
+        axis_speed=20.0, turns_loaded=False, step=math.radians(7.0), backlash=PLAY
+    ),
+}
+
+
+class Axis:
+    """An axis by itself: a list of positions, and a motor that drags it through its play."""
+
+    def __init__(self, step: float, play: float) -> None:
+        self.positions = [ROLLING + k * step for k in range(-200, 201)] if step else None
+        self.play, self.motor, self.angle = play, ROLLING, ROLLING
+
+    def turn(self, command: float) -> None:
+        """Turn the motor in small parts; the axis follows when the play is used up."""
+        target = command
+        if self.positions is not None:
+            target = min(self.positions, key=lambda each: abs(each - command))
+        for motor in np.linspace(self.motor, target, 2000):
+            self.angle = min(max(self.angle, motor - 0.5 * self.play), motor + 0.5 * self.play)
+        self.motor = target
+
+
+class TestRest:
+    """Where axes come to rest, whatever their speed."""
+
+    @pytest.mark.parametrize(("step", "play"), [(STEP, 0.0), (0.0, 0.1), (0.07, 0.05), (0.3, 0.4)])
+    @pytest.mark.parametrize("speed", [math.inf, 3.0])
+    def test_it_is_that_of_a_motor_with_play(self, step, play, speed):
+        actuators = sg.Actuators(axis_speed=speed, step=step, backlash=play)
+        bench, axis = Bench(orientations="any", actuators=actuators), Axis(step, play)
+        moved = []
+        for command in np.random.default_rng(3).uniform(0.3, 1.4, 12).tolist():
+            for _ in range(1 if speed == math.inf else 14):
+                bench.step(command)
+            before = axis.angle
+            axis.turn(command)
+            moved.append(axis.angle != before)
+            np.testing.assert_allclose(bench.angle[bench.obeying], axis.angle, rtol=0, atol=1e-9)
+            np.testing.assert_array_equal(bench.angle[~bench.obeying], ROLLING)
+        assert sum(moved) >= 5
+        assert play < 0.4 or not all(moved)  # the largest play swallows some commands
+
+    def test_backlash_depends_on_the_side_it_comes_from(self):
+        bench = Bench(actuators=sg.Actuators(backlash=PLAY))
+        for choice, degrees in ((te.PLUS_45, 45.5), (2, 134.5), (te.PLUS_45, 45.5), (0, 0.5)):
+            bench.step(choice)
+            np.testing.assert_allclose(np.degrees(bench.angle[bench.obeying]), degrees, atol=1e-9)
+
+    @pytest.mark.parametrize("step", [math.radians(1.8), math.radians(45.0), math.radians(0.9)])
+    def test_steps_that_meet_the_orientations_change_nothing(self, step):
+        plain, stepped = (
+            tuple(te.steps(bare(info=("axes",), actuators=each), seed=1))
+            for each in (sg.Actuators(axis_speed=15.0), sg.Actuators(axis_speed=15.0, step=step))
+        )
+        for one, other in zip(plain, stepped, strict=True):
+            np.testing.assert_allclose(one[4]["pose"], other[4]["pose"], rtol=0, atol=1e-9)
+
+
+TALL = sg.Parcel(sg.Rectangle(0.45, 0.45), mass=4.0, com_height=0.24)  # braking lifts its rear
+
+
+def independent_loads(env: sg.SmartSurfaceEnv, parcel: sg.Parcel, info: Any, rate: Any) -> Any:
+    """(rows, columns) [N] on each element, by another solver of Eq. (1)."""
+    rows, columns = np.indices(info["axes"].shape)
+    x, y = 0.05 + 0.1 * columns, 0.05 + 0.1 * rows
+    pose = info["pose"]
+    under = outside(parcel.base, pose, x, y, parcel.base.centroid) <= 1e-9
+    arms = np.stack([x[under] - pose[0], y[under] - pose[1]], axis=1)
+    load = -parcel.com_height / GRAVITY * np.asarray(rate)[:2]
+    loads = np.zeros(under.shape)
+    loads[under] = parcel.mass * scipy_normal_forces(arms, GRAVITY, load)[0]
+    return loads, under
+
+
+class TestWaiting:
+    @pytest.mark.filterwarnings("ignore::surface_gym.TippingWarning")
+    @pytest.mark.parametrize("speed", [math.inf, 25.0])
+    def test_an_axis_turns_exactly_while_nothing_presses_on_it(self, speed):
+        """Control periods of one physics step, so that loads are seen before each step."""
+        dt = 0.005
+        env = bare(
+            actions="modules", orientations="any", control_period=dt, info=("axes",),
+            actuators=sg.Actuators(axis_speed=speed, turns_loaded=False),
+        )  # fmt: skip
+        _, info = env.reset(seed=0, options={"parcel": TALL, "speed": 1.4, "side": 1})
+        obeys, rng = env.batch.view(0).obeys.copy(), np.random.default_rng(5)
+        rate, waited, lifted = np.zeros(3), 0, 0
+        for _ in range(120):
+            loads, under = independent_loads(env, TALL, info, rate)
+            before, action = info, rng.uniform(-1.5, 1.5, env.action_space.shape)
+            target = np.full(obeys.shape, ROLLING)
+            target[8:12, 5:21] = action.reshape(4, 16)
+            came = before["axes"]
+            *_, info = env.step(action)
+            apart = (target - came + math.pi / 2) % math.pi - math.pi / 2
+            due = came + np.clip(apart, -speed * dt, speed * dt)
+            free = obeys & (loads == 0.0)
+            wanted = np.where(free, due, came)
+            sure = (loads == 0.0) | (loads > 1e-6)
+            difference = (info["axes"] - wanted + math.pi / 2) % math.pi - math.pi / 2
+            np.testing.assert_allclose(difference[sure], 0.0, rtol=0, atol=1e-9)
+            waited += int((obeys & ~free).sum())
+            lifted += int((obeys & under & free).sum())
+            rate = (info["velocity"] - before["velocity"]) / dt
+        assert waited > 100
+        assert lifted > 10  # also under the base, an element without load turns
+
+    def test_the_command_is_kept_until_the_parcel_has_gone(self):
+        bench = Bench(actuators=sg.Actuators(turns_loaded=False))
+        bench.place(speed=1.0, x=0.7)
+        x, _, theta = bench.batch.parcels.truth[0, :3]
+        columns = 0.05 + 0.1 * np.arange(bench.angle.shape[1])
+        assert theta == 0.0
+        bench.step(te.PLUS_45)
+        under = bench.obeying & (np.abs(columns - x) <= 0.125)
+        turned = np.isclose(bench.angle, math.pi / 4)
+        on_rows = (bench.angle[:, np.abs(columns - x) <= 0.125] == math.pi / 2).any()
+        assert on_rows
+        assert under.any()
+        assert turned[bench.obeying & (columns > x + 0.2)].all()
+        for _ in range(25):
+            bench.step(te.PLUS_45)
+        assert bench.batch.parcels.truth[0, 0] > x + 0.3
+        np.testing.assert_allclose(bench.angle[under], math.pi / 4)  # it has gone
+
+    def test_without_load_it_is_as_any_axis(self):
+        waits = Bench(actuators=sg.Actuators(axis_speed=9.0, turns_loaded=False))
+        turns = Bench(actuators=sg.Actuators(axis_speed=9.0))
+        for bench in (waits, turns):
+            bench.place(x=2.7)  # behind the zone
+        for choice in (te.PLUS_45, 0, te.MINUS_45, te.MINUS_45, te.ROLL):
+            waits.step(choice)
+            turns.step(choice)
+            np.testing.assert_array_equal(waits.angle, turns.angle)
+
+    @pytest.mark.parametrize("actions", ["modules", "parcels"])
+    def test_under_streams_too(self, actions):
+        flat = sg.Parcel(sg.Rectangle(0.25, 0.25), com_height=0.0)
+        stream = sg.flow.stream.Stream(
+            flows.DENSE.arrivals, parcels=((flat, 1.0),), speeds=flows.DENSE.speeds
+        )
+        env = flows.bare(
+            actions=actions, stream=stream, control_period=0.005, info=("axes",),
+            actuators=sg.Actuators(turns_loaded=False),
+        )  # fmt: skip
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        batch, waited, turned = env.batch, 0, 0
+        x, y = (a.ravel() for a in np.meshgrid(*places(env.unwrapped.config)))
+        for number in range(300):
+            present = np.nonzero(batch.streams.present[0])[0]
+            poses = batch.parcels.truth[present, :3].copy()
+            covered = np.zeros(x.size, dtype=bool)
+            for pose in poses:
+                covered |= outside(flat.base, pose, x, y) <= 1e-9
+            covered = covered.reshape(batch.surfaces.angle.shape[1:])
+            came = batch.surfaces.angle[0].copy()
+            if number % 40 == 0:
+                action = env.action_space.sample()
+            env.step(action)
+            moved = batch.surfaces.angle[0] != came
+            wanted = batch.surfaces.target[0] != came
+            np.testing.assert_array_equal(moved, wanted & ~covered)
+            waited += int((wanted & covered).sum())
+            turned += int(moved.sum())
+        assert waited > 50
+        assert turned > 10
+
+
+def places(config: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
+    """x and y [m] of a line's columns and rows."""
+    line, at = config.chosen_line, config.chosen_line.geometry
+    return at.x0 + at.pitch_x * np.arange(line.columns), at.y0 + at.pitch_y * np.arange(line.rows)
+
+
+def test_many_are_as_one_and_continue_from_a_snapshot():
+    envs = te.native(num_envs=5, **REAL)
+    singles = [bare(**REAL) for _ in range(5)]
+    for i, env in enumerate(singles):
+        env.reset(seed=i)
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    actions = [envs.action_space.sample() for _ in range(12)]
+    for action in actions:
+        many = envs.step(action)
+        for i, env in enumerate(singles):
+            one = env.step(action[i])
+            assert_same(many[0][i], one[0])
+            assert float(many[1][i]) == float(one[1])
+    batch, kept = envs.batch, envs.batch.snapshot()
+    runs = []
+    for _ in range(2):
+        batch.restore(kept)
+        for action in actions[:4]:
+            batch.step(action)
+        runs.append((batch.observation.copy(), batch.surfaces.angle.copy()))
+    assert_same(*runs)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("turns_loaded", (1, "no", None)),
+        ("step", (-0.1, 2.0, math.nan, "1")),
+        ("backlash", (-0.1, 2.0, math.inf, None)),
+    ],
+)
+def test_bad_arguments_are_named(name, values):
+    for value in values:
+        with pytest.raises(ValueError, match=rf"^{name} must"):
+            sg.Actuators(**{name: value})
+
+
+@pytest.mark.parametrize("limit", [{"turns_loaded": False}, {"step": 0.1}, {"backlash": 0.1}])
+def test_driven_modules_have_no_limits_of_axes(limit):
+    with pytest.raises(ValueError, match="actuators must have turns_loaded=True.*got .*'steered'"):
+        EnvConfig(modules="steered", actuators=sg.Actuators(**limit))
