@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Parcel
 
-
 MOST_STEP = math.pi / 2.0  # [rad] largest step and backlash of an axis
 
 

@@ -12,7 +12,7 @@ from surface_gym.layouts import ROLLING
 from surface_gym.physics.references import scipy_normal_forces
 from surface_gym.physics.types import GRAVITY
 from tests import environments as te
-from tests.environments import SORT, assert_same, bare, outside
+from tests.environments import assert_same, bare, outside
 from tests.flow import flows
 from tests.test_axes import Bench
 
@@ -83,8 +83,8 @@ class TestRest:
 TALL = sg.Parcel(sg.Rectangle(0.45, 0.45), mass=4.0, com_height=0.24)  # braking lifts its rear
 
 
-def independent_loads(env: sg.SmartSurfaceEnv, parcel: sg.Parcel, info: Any, rate: Any) -> Any:
-    """(rows, columns) [N] on each element, by another solver of Eq. (1)."""
+def independent_loads(parcel: sg.Parcel, info: Any, rate: Any) -> tuple[Any, Any]:
+    """Forces (rows, columns) [N] by another solver of Eq. (1), and what is under the base."""
     rows, columns = np.indices(info["axes"].shape)
     x, y = 0.05 + 0.1 * columns, 0.05 + 0.1 * rows
     pose = info["pose"]
@@ -110,7 +110,7 @@ class TestWaiting:
         obeys, rng = env.batch.view(0).obeys.copy(), np.random.default_rng(5)
         rate, waited, lifted = np.zeros(3), 0, 0
         for _ in range(120):
-            loads, under = independent_loads(env, TALL, info, rate)
+            loads, under = independent_loads(TALL, info, rate)
             before, action = info, rng.uniform(-1.5, 1.5, env.action_space.shape)
             target = np.full(obeys.shape, ROLLING)
             target[8:12, 5:21] = action.reshape(4, 16)
@@ -237,5 +237,5 @@ def test_bad_arguments_are_named(name, values):
 
 @pytest.mark.parametrize("limit", [{"turns_loaded": False}, {"step": 0.1}, {"backlash": 0.1}])
 def test_driven_modules_have_no_limits_of_axes(limit):
-    with pytest.raises(ValueError, match="actuators must have turns_loaded=True.*got .*'steered'"):
+    with pytest.raises(ValueError, match=r"actuators must have turns_loaded=True.*got .*'steered'"):
         EnvConfig(modules="steered", actuators=sg.Actuators(**limit))

@@ -27,7 +27,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {"slow": {"preset": "lab", "actions": "ha
         ("limits", {"actuators": Actuators(9.0, turns_loaded=False, step=0.12, backlash=0.05)}),
     ],
 )
-def test_driven_modules_and_limits_of_axes_are_equal_too(name, given, modules):
+def test_driven_modules_are_equal_too(name, given, modules):
     config = EnvConfig("sort", actions="halves", **given)
     twins = Twins(config, 2, file=modules / f"sort-{name}.wasm")
     twins.begin()
