@@ -24,6 +24,7 @@ class Actuators:
     step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
     # [rad] play of an axis, which stops half of it before its position, on the side it comes from
     backlash: float = 0.0
+    load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
     stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
     stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
 
@@ -33,6 +34,8 @@ class Actuators:
         checks.one_of("turns_loaded", self.turns_loaded, (False, True))
         checks.angle("step", self.step, 0.0, MOST_STEP)
         checks.angle("backlash", self.backlash, 0.0, MOST_STEP)
+        if self.load_limit != math.inf:
+            checks.positive("load_limit", self.load_limit, *checks.MASS)
         checks.within("stuck_share", self.stuck_share, 0.0, 1.0)
         if not isinstance(self.stuck, (tuple, list)):
             raise ValueError(f"stuck must hold (row, column) pairs, got {self.stuck!r}")

@@ -1,6 +1,7 @@
 """Axes of real actuators: they wait under load, move in steps, and have play."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,71 @@ class TestWaiting:
         assert turned > 10
 
 
+class TestLoadLimit:
+    def test_the_peak_is_the_largest_force_before_a_step_on_each_rotor(self):
+        env = bare(control_period=0.005, info=("normal_forces", "load"))
+        rng = np.random.default_rng(1)
+        for start in ({"parcel": "B", "speed": 1.5}, {"parcel": "S", "speed": 1.0}):
+            _, info = env.reset(seed=0, options=start)
+            assert not info["peak_load"].any()
+            rotor, largest = env.batch.view(0).rotor, np.zeros((20, 30))
+            for _ in range(80):
+                largest = np.maximum(largest, rotor * info["normal_forces"])
+                info = env.step(rng.integers(0, 4, env.action_space.shape))[4]
+                np.testing.assert_allclose(info["peak_load"], largest / GRAVITY, rtol=1e-14)
+            assert (largest > 0.0).sum() > 10
+
+    @pytest.mark.parametrize("waits", [True, False])
+    def test_a_heavier_load_than_the_limit_is_a_fault_and_changes_nothing_else(self, waits):
+        settings = {"actions": "quadrants", "control_period": 0.04, "info": ("load",)}
+        free = sg.Actuators(axis_speed=20.0, turns_loaded=not waits)
+        seen = list(te.steps(bare(**settings, actuators=free), seed=4))
+        peaks = [step[4]["peak_load"].max() for step in seen]
+        limit = 0.5 * (peaks[0] + peaks[-1])
+        limited = replace(free, load_limit=limit)
+        for one, other in zip(
+            seen, te.steps(bare(**settings, actuators=limited), seed=4), strict=True
+        ):
+            info = dict(other[4])
+            assert info.pop("overloaded") == (one[4]["peak_load"].max() > limit)
+            assert_same((*one[:4], one[4]), (*other[:4], info))
+        assert info["peak_load"].max() > limit > peaks[0]
+
+    def test_it_is_in_the_info_of_many_and_of_streams(self):
+        limit = sg.Actuators(load_limit=3.0)
+        envs = te.native(num_envs=4, actuators=limit)
+        envs.reset(seed=0)
+        envs.action_space.seed(0)
+        found = [envs.step(envs.action_space.sample())[4] for _ in range(8)]
+        assert found[-1]["overloaded"].shape == (4,)
+        assert found[-1]["overloaded"].dtype == np.bool_
+        assert "peak_load" not in found[-1]
+        assert "overloaded" not in bare().reset(seed=0)[1]
+
+    def test_under_streams_it_is_that_of_another_solver(self):
+        env = flows.bare(actions="parcels", control_period=0.005, info=("load",))
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        batch, largest = env.batch, 0.0
+        *_, normal = batch.surfaces.conditions[0]
+        downhill = batch.surfaces.conditions[0, 3:5]
+        x, y = np.meshgrid(*places(env.config))
+        rotor = batch.bodies.rotor[0]
+        for number in range(200):
+            for slot in np.nonzero(batch.streams.present[0])[0].tolist():
+                parcel, state = batch.parcel(0, slot), batch.parcels.state[slot].copy()
+                under = outside(parcel.base, batch.parcels.truth[slot, :3], x, y) <= 1e-9
+                arms = np.stack([x[under] - state[0], y[under] - state[1]], axis=1)
+                load = parcel.com_height / normal * (downhill - state[6:8])
+                forces = parcel.mass * scipy_normal_forces(arms, normal, load)[0] / GRAVITY
+                largest = max(largest, forces[rotor[under]].max(initial=0.0))
+            if number % 40 == 0:
+                action = env.action_space.sample()
+            info = env.step(action)[4]
+            assert info["peak_load"].max() == pytest.approx(largest, rel=1e-5)
+        assert largest > 1.0
+
+
 def places(config: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
     """x and y [m] of a line's columns and rows."""
     line, at = config.chosen_line, config.chosen_line.geometry
@@ -227,6 +293,7 @@ def test_many_are_as_one_and_continue_from_a_snapshot():
         ("turns_loaded", (1, "no", None)),
         ("step", (-0.1, 2.0, math.nan, "1")),
         ("backlash", (-0.1, 2.0, math.inf, None)),
+        ("load_limit", (0.0, -1.0, math.nan, "20")),
     ],
 )
 def test_bad_arguments_are_named(name, values):

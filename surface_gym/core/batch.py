@@ -1,5 +1,6 @@
 """Batches: environments of one configuration, stepped together by compiled code."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -309,6 +310,17 @@ class BaseBatch(ABC):
     def _put_parcels(self, chosen: Integers, parcels: Any) -> None:
         """Restore the parcels of the chosen environments (count,) from a snapshot."""
 
+    def _loads(self) -> Infos:
+        """Return the largest load [kg] of each module since the start, and faults, on request."""
+        found, limit = {}, self.config.actuators.load_limit
+        if "load" in self.config.info or limit != math.inf:
+            peak = self.surfaces.load[..., st.PEAK_LOAD] / ph.GRAVITY
+            if "load" in self.config.info:
+                found["peak_load"] = peak
+            if limit != math.inf:
+                found["overloaded"] = (peak > limit).any(axis=(1, 2))
+        return found
+
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
         return st.axis_angles(self.surfaces, slice(env_index, env_index + 1))[0]
@@ -420,11 +432,12 @@ class Batch(BaseBatch):
             "velocity": state.truth[:, 3:].copy(),
             "parcel": self._plan.sizes[state.body],
             **dict(zip(self.task.metrics, state.metrics.T.copy(), strict=True)),
+            **self._loads(),
             **(self._on_request() if self.config.info else {}),
         }
 
     def info(self, env_index: int) -> dict[str, Any]:
-        if self.config.info:
+        if self.config.has_extras:
             return super().info(env_index)
         state = self.parcels  # faster for a single environment than arrays of all
         truth = state.truth[env_index].copy()

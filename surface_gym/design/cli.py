@@ -314,6 +314,23 @@ class AskFriction(ParcelQuestion):
 
 
 @dataclass(frozen=True)
+class AskLoad(ParcelQuestion):
+    """Find the largest load of a module, and the heaviest parcel that the modules bear."""
+
+    limit: float = 20.0
+    """Load [kg] that a module bears; the default is the study's."""
+
+    @property
+    def remark(self) -> str:
+        return ""
+
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        return design.module_loads(
+            self.check(), self.columns, self.rows, self.limit, self.shared_by, on_progress
+        )
+
+
+@dataclass(frozen=True)
 class AskLayout(ParcelQuestion):
     """Search for the best fixed layout over a range of entry speeds."""
 
@@ -448,6 +465,7 @@ QUESTIONS = {
     "speed": AskSpeed,
     "tilt": AskTilt,
     "friction": AskFriction,
+    "load": AskLoad,
     "layout": AskLayout,
     "flow": AskFlow,
 }

@@ -209,6 +209,7 @@ class StreamBatch(BaseBatch):
             "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
             **(self._energies() if self.config.meters else {}),
+            **self._loads(),
         }
 
     def _energies(self) -> Infos:
@@ -219,7 +220,7 @@ class StreamBatch(BaseBatch):
         return dict(zip(st.ENERGIES, found.T.copy(), strict=True))
 
     def info(self, env_index: int) -> dict[str, Any]:
-        if self.config.info:
+        if self.config.has_extras:
             return super().info(env_index)
         streams = self.streams  # faster for a single environment than arrays of all
         present, number = streams.present[env_index], streams.number[env_index]
