@@ -105,7 +105,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 
 LONGEST_STEP = 0.005  # [s]
-INFOS = ("axes", "normal_forces", "energy", "load")  # optional entries of `info`
+INFOS = ("axes", "normal_forces", "energy", "load", "turns")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
@@ -156,7 +156,7 @@ class EnvConfig:
     # a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
-    # optional entries of `info`: "axes", "normal_forces", "energy", "load"
+    # optional entries of `info`: "axes", "normal_forces", "energy", "load", "turns"
     info: tuple[str, ...] = ()
     # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
     observe: tuple[str, ...] = ()

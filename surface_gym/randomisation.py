@@ -25,6 +25,8 @@ class Actuators:
     # [rad] play of an axis, which stops half of it before its position, on the side it comes from
     backlash: float = 0.0
     load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
+    turn_energy: float = 0.0  # [J] energy of a turn of an axis, by its data sheet
+    turn_life: float = math.inf  # turns of an axis until it fails, by its data sheet
     stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
     stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
 
@@ -34,6 +36,9 @@ class Actuators:
         checks.one_of("turns_loaded", self.turns_loaded, (False, True))
         checks.angle("step", self.step, 0.0, MOST_STEP)
         checks.angle("backlash", self.backlash, 0.0, MOST_STEP)
+        checks.not_negative("turn_energy", self.turn_energy)
+        if self.turn_life != math.inf:
+            checks.positive("turn_life", self.turn_life)
         if self.load_limit != math.inf:
             checks.positive("load_limit", self.load_limit, *checks.MASS)
         checks.within("stuck_share", self.stuck_share, 0.0, 1.0)

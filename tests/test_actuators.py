@@ -293,6 +293,8 @@ def test_many_are_as_one_and_continue_from_a_snapshot():
         ("turns_loaded", (1, "no", None)),
         ("step", (-0.1, 2.0, math.nan, "1")),
         ("backlash", (-0.1, 2.0, math.inf, None)),
+        ("turn_energy", (-0.1, math.inf, None)),
+        ("turn_life", (0.0, -1.0, math.nan)),
         ("load_limit", (0.0, -1.0, math.nan, "20")),
     ],
 )
@@ -306,3 +308,75 @@ def test_bad_arguments_are_named(name, values):
 def test_driven_modules_have_no_limits_of_axes(limit):
     with pytest.raises(ValueError, match=r"actuators must have turns_loaded=True.*got .*'steered'"):
         EnvConfig(modules="steered", actuators=sg.Actuators(**limit))
+
+
+class TestWear:
+    DATA = sg.Actuators(turn_energy=0.4, turn_life=1e5)
+
+    @pytest.mark.parametrize("speed", [math.inf, 12.0])
+    def test_turns_are_the_changes_of_commands(self, speed):
+        """Beside a count in Python; a turn that is not over goes on, unless it is told anew."""
+        env = bare(
+            actions="modules", info=("turns", "axes"),
+            actuators=replace(self.DATA, axis_speed=speed),
+        )  # fmt: skip
+        _, info = env.reset(seed=0, options={"parcel": "B", "speed": 1.5})
+        assert not info["axis_turns"].any()
+        rng, counts = np.random.default_rng(2), np.zeros(64)
+        angle, target = np.full(64, ROLLING), np.full(64, ROLLING)
+        orientations = np.array(env.config.chosen_orientations)
+        for number in range(20):
+            if number % 3 != 2:
+                action = rng.integers(0, 4, 64)
+            told = orientations[action]
+            apart = np.abs((told - angle + math.pi / 2) % math.pi - math.pi / 2)
+            counts += (apart > 1e-9) & (told != target)
+            *_, over, _, info = env.step(action)
+            angle, target = info["axes"][8:12, 5:21].ravel(), told
+            np.testing.assert_array_equal(info["axis_turns"][8:12, 5:21].ravel(), counts)
+            assert info["axis_turns"].sum() == counts.sum()
+            assert info["axis_energy"] == pytest.approx(0.4 * counts.sum())
+            assert info["axis_wear"] == pytest.approx(1e-5 * counts.max())
+            if over:
+                break
+        assert counts.max() > 4
+        assert not env.reset(seed=1)[1]["axis_turns"].any()
+
+    def test_a_command_that_never_turns_an_axis_does_not_wear_it(self):
+        actuators = replace(self.DATA, turns_loaded=False)
+        env = bare(actions="quadrants", info=("turns", "axes"), actuators=actuators)
+        _, info = env.reset(seed=0, options={"parcel": "B", "speed": 1.5})
+        counts, told = np.zeros((20, 30)), 0
+        for number in range(8):
+            came = info["axes"]
+            info = env.step(te.same_choice(env, 1 + number % 2))[4]
+            counts += np.abs(info["axes"] - came) > 1e-9
+            told += 64
+            np.testing.assert_array_equal(info["axis_turns"], counts)
+        assert 64 < counts.sum() < told
+
+    def test_a_stream_counts_the_turns_that_it_tells(self):
+        env = flows.bare(actions="parcels", info=("turns",), actuators=self.DATA)
+        env.action_space.seed(0)
+        env.reset(seed=0)
+        for _ in range(40):
+            info = env.step(env.action_space.sample())[4]
+            assert info["axis_turns"].sum() == info["turns"]
+        assert info["turns"] > 50
+
+    def test_they_come_with_a_snapshot_and_one_by_one(self):
+        settings = {"info": ("turns",), "actuators": replace(self.DATA, axis_speed=9.0)}
+        envs, single = te.native(num_envs=3, **settings), bare(**settings)
+        envs.reset(seed=0)
+        single.reset(seed=1)
+        envs.action_space.seed(0)
+        for _ in range(6):
+            action = envs.action_space.sample()
+            many, one = envs.step(action)[4], single.step(action[1])[4]
+            assert_same(many["axis_turns"][1], one["axis_turns"])
+            assert float(many["axis_energy"][1]) == one["axis_energy"]
+        kept = envs.batch.snapshot()
+        before = envs.batch.infos()["axis_turns"].copy()
+        envs.batch.step(action[::-1].copy())
+        envs.batch.restore(kept)
+        assert_same(envs.batch.infos()["axis_turns"], before)

@@ -1,6 +1,5 @@
 """Batches: environments of one configuration, stepped together by compiled code."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -15,6 +14,7 @@ from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, add_loads, make_kernel
+from surface_gym.core.wear import WearMeter
 from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
@@ -70,6 +70,7 @@ class BaseBatch(ABC):
         self._steps_remaining = np.zeros(num_envs, dtype=np.int64)
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
+        self._wear = WearMeter(config, self.surfaces)
         self._make_memory()
         steps = config.timing.steps * self.rows
         self._workers = Workers(self._threads, steps, self._make_scratch)
@@ -297,6 +298,8 @@ class BaseBatch(ABC):
         for name, array in self.parcels._asdict().items():
             if array.size:
                 found[f"parcels.{name}"] = array.reshape(self.num_envs, self.rows, *array.shape[1:])
+        if self._wear.turns.size:
+            found |= {"wear.turns": self._wear.turns, "wear.moving": self._wear.moving}
         for name, array in self.surfaces._asdict().items():
             if len(array) == self.num_envs and (axes or name in ("conditions", "stiffness")):
                 found[f"surfaces.{name}"] = array
@@ -309,17 +312,6 @@ class BaseBatch(ABC):
     @abstractmethod
     def _put_parcels(self, chosen: Integers, parcels: Any) -> None:
         """Restore the parcels of the chosen environments (count,) from a snapshot."""
-
-    def _loads(self) -> Infos:
-        """Return the largest load [kg] of each module since the start, and faults, on request."""
-        found, limit = {}, self.config.actuators.load_limit
-        if "load" in self.config.info or limit != math.inf:
-            peak = self.surfaces.load[..., st.PEAK_LOAD] / ph.GRAVITY
-            if "load" in self.config.info:
-                found["peak_load"] = peak
-            if limit != math.inf:
-                found["overloaded"] = (peak > limit).any(axis=(1, 2))
-        return found
 
     def axes(self, env_index: int) -> Array:
         """(rows, columns) [rad] axis angles of an environment."""
@@ -365,6 +357,7 @@ class BaseBatch(ABC):
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         """Step the chosen environments (count,), or begin newly placed ones."""
+        before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
         except IndexError as error:
@@ -375,6 +368,7 @@ class BaseBatch(ABC):
                 f"{len(task.metrics)} metrics, {task.goals} goals, {task.memories} memories, "
                 f"{self.config.sensors.sensor_size} sensor numbers: one index is out of bounds"
             ) from error
+        self._wear.count(self.surfaces, before)
         if faults:
             raise self._fault()
 
@@ -432,7 +426,7 @@ class Batch(BaseBatch):
             "velocity": state.truth[:, 3:].copy(),
             "parcel": self._plan.sizes[state.body],
             **dict(zip(self.task.metrics, state.metrics.T.copy(), strict=True)),
-            **self._loads(),
+            **self._wear.infos(self.surfaces),
             **(self._on_request() if self.config.info else {}),
         }
 

@@ -1,7 +1,9 @@
-"""Loads of the modules under a parcel, beside the load that a module bears."""
+"""Loads of the modules under a parcel, beside the load that a module bears; wear of actuators."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -105,3 +107,30 @@ def module_loads(
         asked = drawn.runs(case.speed, case.tilt, passed)
         loads[group] = case.run(arrangement.line, axes, asked, drawn, workers, part).load
     return ModuleLoads(arrangement, limit, loads)
+
+
+def wear_tables(
+    energy: float, life: float, lines: Sequence[tuple[tuple[str, ...], float, Any]]
+) -> tuple[cases.ReportTable, ...]:
+    """Return energy and life of the actuators of lines; none without numbers of a data sheet.
+
+    Args:
+        energy: [J] of a turn of an actuator.
+        life: turns of an actuator until it fails; infinite: unknown.
+        lines: names, turns of all actuators per parcel, and a run, which has `turns_per_hour` of
+            the mean actuator and `rate` [1/h].
+    """
+    if not energy and life == math.inf:
+        return ()
+    rows = []
+    for names, turns, run in lines:
+        hours = life / run.turns_per_hour if run.turns_per_hour else math.inf
+        rows.append((*names, turns, energy * turns, hours, hours * run.rate))
+    return (
+        cases.ReportTable(
+            "flow-wear",
+            f"Actuators of {energy:g} J and a life of {life:g} turns: the mean actuator",
+            ("hardware", "angles", "turns/parcel", "J/parcel", "life [h]", "life [parcels]"),
+            tuple(rows),
+        ),
+    )

@@ -209,7 +209,7 @@ class StreamBatch(BaseBatch):
             "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
             **(self._energies() if self.config.meters else {}),
-            **self._loads(),
+            **self._wear.infos(self.surfaces),
         }
 
     def _energies(self) -> Infos:
