@@ -12,26 +12,11 @@ from typing import Any, NamedTuple
 from surface_gym import state as st
 from surface_gym.actions import ActionParams, window_corner
 from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.friction import friction_work
 from surface_gym.physics.step import OFF_SURFACE, find_support, step_implicit, support_load
-from surface_gym.physics.types import (
-    MASS,
-    NORMAL,
-    OMEGA,
-    SPAN_FIRST,
-    SPAN_LAST,
-    SPAN_ROW,
-    SPANS,
-    VX,
-    VY,
-    Array,
-    Body,
-    Contacts,
-    Grid,
-    Integers,
-    Scratch,
-)
+from surface_gym.physics.types import MASS, OMEGA, VX, VY, Array, Contacts, Integers, Scratch
 from surface_gym.sensors.base import Physics, Singles
 from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState, Timing
 
@@ -221,7 +206,7 @@ def clear_loads(load: Array, entries: int) -> None:
 
 @inlined
 def add_loads(
-    grid: Grid, body: Body, com: Array, mass: float, scratch: Scratch, load: Array
+    grid: ph.Grid, body: ph.Body, com: Array, mass: float, scratch: Scratch, load: Array
 ) -> None:
     """Write a parcel's normal forces [N] at its present pose into the loads (rows, columns, 2)."""
     contacts = find_support(grid, body, com, scratch, 0.0)
@@ -229,10 +214,10 @@ def add_loads(
         return
     support_load(grid, body, com, scratch, contacts)
     marks, k = scratch.marks, 0
-    for span in range(marks[SPANS]):
-        row = marks[SPAN_ROW + span]
-        for column in range(marks[SPAN_FIRST + span], marks[SPAN_LAST + span] + 1):
-            force = mass * scratch.table[NORMAL + k]
+    for span in range(marks[ph.SPANS]):
+        row = marks[ph.SPAN_ROW + span]
+        for column in range(marks[ph.SPAN_FIRST + span], marks[ph.SPAN_LAST + span] + 1):
+            force = mass * scratch.table[ph.NORMAL + k]
             load[row, column, st.NOW] = force
             if grid.rotor[row, column]:
                 load[row, column, st.PEAK_LOAD] = max(load[row, column, st.PEAK_LOAD], force)
