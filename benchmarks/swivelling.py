@@ -94,6 +94,12 @@ class SwivelCase:
         return rate * (DURATION - BEGIN - 0.5 * turning)
 
 
+def describe_scrubbing(patch: float, load: float = 20.0, mu: float = 0.5) -> str:
+    """Return the torque of a turning axis under a load [kg], and the work of a quarter turn."""
+    torque = 2.0 / 3.0 * mu * load * GRAVITY * patch
+    return f"{torque:.3f} N m and {0.5 * math.pi * torque:.3f} J a quarter turn under {load:g} kg"
+
+
 def run_case(case: SwivelCase) -> Array:
     """Return end poses (4 + patches, 3).
 
@@ -161,7 +167,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         turned = np.abs(ends[:, :, point + k, 2] - ends[:, :, point, 2])
         console.print(
             f"patches of {1e3 * patch:g} mm: at most {np.degrees(bound.max()):.2f} deg by the "
-            f"bound; turned by up to {(turned / bound).max():.0%} of it"
+            f"bound, turned by up to {(turned / bound).max():.0%} of it; an axis needs "
+            f"{describe_scrubbing(patch)}"
         )
 
 
