@@ -21,7 +21,7 @@ class WearMeter:
     """
 
     def __init__(self, config: EnvConfig, surfaces: SurfaceState) -> None:
-        self._info, self._actuators = config.info, config.actuators
+        self._info, self._actuators, self._asked = config.info, config.actuators, config.has_extras
         self._period = math.tau if config.module_kind.drives else math.pi
         shape = surfaces.axis.shape if "turns" in config.info else (0,)
         self.turns = np.zeros(shape, dtype=np.int64)  # (num_envs, rows, columns)
@@ -50,14 +50,16 @@ class WearMeter:
     def infos(self, surfaces: SurfaceState) -> dict[str, NDArray[Any]]:
         """Return the infos that are asked for, each (num_envs, ...)."""
         found: dict[str, NDArray[Any]] = {}
+        if not self._asked:
+            return found
         actuators, turns = self._actuators, self.turns
         if turns.size:
             found["axis_turns"] = turns.copy()
             found["axis_energy"] = actuators.turn_energy * turns.sum(axis=(1, 2))
             found["axis_wear"] = turns.max(axis=(1, 2)) / actuators.turn_life
-        peak = surfaces.load[..., st.PEAK_LOAD] / GRAVITY
         if "load" in self._info:
-            found["peak_load"] = peak
+            found["peak_load"] = surfaces.load[..., st.PEAK_LOAD] / GRAVITY
         if actuators.load_limit != math.inf:
-            found["overloaded"] = np.asarray((peak > actuators.load_limit).any(axis=(1, 2)))
+            over = surfaces.load[..., st.PEAK_LOAD] > GRAVITY * actuators.load_limit
+            found["overloaded"] = np.asarray(over.any(axis=(1, 2)))
         return found
