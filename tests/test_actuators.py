@@ -315,7 +315,7 @@ class TestWear:
 
     @pytest.mark.parametrize("speed", [math.inf, 12.0])
     def test_turns_are_the_changes_of_commands(self, speed):
-        """Beside a count in Python; a turn that is not over goes on, unless it is told anew."""
+        """Beside a count in Python; a turn that is not over goes on without a new command."""
         env = bare(
             actions="modules", info=("turns", "axes"),
             actuators=replace(self.DATA, axis_speed=speed),
@@ -328,11 +328,11 @@ class TestWear:
         for number in range(20):
             if number % 3 != 2:
                 action = rng.integers(0, 4, 64)
-            told = orientations[action]
-            apart = np.abs((told - angle + math.pi / 2) % math.pi - math.pi / 2)
-            counts += (apart > 1e-9) & (told != target)
+            wanted = orientations[action]
+            apart = np.abs((wanted - angle + math.pi / 2) % math.pi - math.pi / 2)
+            counts += (apart > 1e-9) & (wanted != target)
             *_, over, _, info = env.step(action)
-            angle, target = info["axes"][8:12, 5:21].ravel(), told
+            angle, target = info["axes"][8:12, 5:21].ravel(), wanted
             np.testing.assert_array_equal(info["axis_turns"][8:12, 5:21].ravel(), counts)
             assert info["axis_turns"].sum() == counts.sum()
             assert info["axis_energy"] == pytest.approx(0.4 * counts.sum())
@@ -346,14 +346,14 @@ class TestWear:
         actuators = replace(self.DATA, turns_loaded=False)
         env = bare(actions="quadrants", info=("turns", "axes"), actuators=actuators)
         _, info = env.reset(seed=0, options={"parcel": "B", "speed": 1.5})
-        counts, told = np.zeros((20, 30)), 0
+        counts, wanted = np.zeros((20, 30)), 0
         for number in range(8):
             came = info["axes"]
             info = env.step(te.same_choice(env, 1 + number % 2))[4]
             counts += np.abs(info["axes"] - came) > 1e-9
-            told += 64
+            wanted += 64
             np.testing.assert_array_equal(info["axis_turns"], counts)
-        assert 64 < counts.sum() < told
+        assert 64 < counts.sum() < wanted
 
     def test_a_stream_counts_the_turns_that_it_tells(self):
         env = flows.bare(actions="parcels", info=("turns",), actuators=self.DATA)
