@@ -12,15 +12,22 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+import surface_gym as sg
 from surface_gym import checks
 from surface_gym.agents.base import Booleans
 from surface_gym.agents.evaluation.method import Method, rules, shipped, start_benchmark
 from surface_gym.agents.evaluation.results import interval
 from surface_gym.agents.evaluation.scenario import SEED, Change, situation
 from surface_gym.agents.rollout import run_episodes
+from surface_gym.agents.scheduling.design import SIX, FlowCase
+from surface_gym.agents.scheduling.scheduler import begin_streams, make_scheduler
 from surface_gym.config import PRESETS, Preset
+from surface_gym.flow.state import CORRECT, JAM, WRONG
+from surface_gym.state import RUNNING
 
 LAB = PRESETS["lab"]
+UNLOADED = sg.Actuators(turns_loaded=False)
+STREAMS = 16
 WAITING = replace(LAB, name="waiting", actuators=replace(LAB.actuators, turns_loaded=False))
 
 
@@ -61,6 +68,21 @@ def describe(success: Booleans) -> str:
     return f"{success.mean():.3f} ({low:.3f} to {high:.3f})"
 
 
+def describe_stream(actuators: sg.Actuators) -> str:
+    """Return the deliveries and jams of a line of 3.2 m with a parcel always at its gate."""
+    case = FlowCase(3000.0, (("S", 1.0), ("B", 1.0)), speed=1.5)
+    config = case.config(columns=32, orientations=SIX)
+    scheduler, state = make_scheduler(config), None
+    assert scheduler is not None  # the line sorts every parcel
+    batch = begin_streams(config.replace(actuators=actuators), STREAMS, SEED)
+    while (batch.outcome == RUNNING).any():
+        action, state = scheduler.predict(batch.observation, state)
+        batch.step(config.action_kind.commands(action, STREAMS))
+    correct, wrong = batch.streams.tally[:, [CORRECT, WRONG]].sum(axis=0)
+    jams = int((batch.outcome == JAM).sum())
+    return f"{correct} correct, {wrong} wrong, {jams} of {STREAMS} streams jam"
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the comparison."""
     options = tyro.cli(ActuatorOptions, args=arguments, prog="python -m benchmarks.actuators")
@@ -72,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for method in track(methods, console=Console(stderr=True), transient=True):
         both = (describe(successes(method, each, options.starts)) for each in (LAB, WAITING))
         table.add_row(method.task, method.name, *both)
+    for name, each in (("under load", sg.Actuators()), ("only unloaded", UNLOADED)):
+        console.print(f"Flow, scheduler of modules, axes turn {name}: {describe_stream(each)}")
     console.print(table)
 
 
