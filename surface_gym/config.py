@@ -148,7 +148,7 @@ class EnvConfig:
     zone: tuple[int, int] | None = None
     # [rad] at least two axis angles; "any"; or None: the line's (0, pi/4, -pi/4, pi/2)
     orientations: tuple[float, ...] | str | None = None
-    actuators: Actuators = Actuators()  # `axis_speed` [rad/s], `stuck` modules, `stuck_share`
+    actuators: Actuators = Actuators()  # speed and limits of axes, stuck modules, load limit, wear
     # kind of module: "idle", "steered", "omni", "belt", "popup", or one of `surface_gym.modules`
     modules: str | ModuleKind = "idle"
     # spreads of friction, mass, size, load and start

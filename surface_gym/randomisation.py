@@ -18,6 +18,8 @@ class Actuators:
     """The modules' actuators."""
 
     axis_speed: float = math.inf  # [rad/s] turning speed of an axis
+    stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
+    stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
     # whether an axis turns under load; if not, it waits, and keeps its command, until no parcel
     # presses on its module
     turns_loaded: bool = True
@@ -27,8 +29,6 @@ class Actuators:
     load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
     turn_energy: float = 0.0  # [J] energy of a turn of an axis, by its data sheet
     turn_life: float = math.inf  # turns of an axis until it fails, by its data sheet
-    stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
-    stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
 
     def __post_init__(self) -> None:
         if self.axis_speed != math.inf:
