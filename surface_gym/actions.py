@@ -8,7 +8,7 @@ and how an axis turns. Only obeying rotors turn; all other axes stay.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from surface_gym.state import EnvState, SurfaceState
 
 WINDOW_SIDE = 5  # modules
 JUST_OVER_HALF = 0.5 + 1e-9  # midway between two rows, with round-off
+SAME = 1e-9  # [rad] angles that differ by less are the same
 CONVEYOR = (0.0, 1.0)  # cosine and sine of `ROLLING`, an axis without a command
 
 
@@ -36,6 +37,8 @@ class ActionParams(NamedTuple):
     turn: float  # [rad] turn of an axis per physics step; infinite: at once
     modes: Array  # (choices + 1, 4) what modules do by choice, as in `surface_gym.modules`
     ramp: float  # [m/s] change of a driven surface's velocity per physics step; infinite: at once
+    step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
+    play: float = 0.0  # [rad] half of an axis's backlash
 
 
 class Corner(NamedTuple):
@@ -170,6 +173,31 @@ def angle_after(came: float, target: float, turned: float) -> float:
 
 
 @inlined
+def played_angle(came: float, target: float, step: float, play: float) -> float:
+    """Return where an axis [rad] comes to rest that turns to the position nearest its target.
+
+    Its motor moves in steps from 90 deg. Within the play of its gear the axis stays.
+    """
+    if step > 0.0:
+        nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
+        if abs(nearest - target) > SAME:  # else the target is a position, without round-off
+            target = nearest
+    apart = target - came
+    apart -= math.pi * math.floor(apart / math.pi + 0.5)
+    return came if abs(apart) <= play else target - math.copysign(play, apart)
+
+
+@inlined
+def move_axis(surfaces: SurfaceState, i: int, row: int, column: int, angle: float) -> None:
+    """Set a turning axis to an angle [rad]."""
+    axis = surfaces.axis[i, row, column]
+    surfaces.angle[i, row, column] = angle
+    cosine, sine = axis_direction(angle)
+    surfaces.direction[i, axis, 0] = cosine
+    surfaces.direction[i, axis, 1] = sine
+
+
+@inlined
 def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Turn each axis of the zone towards its target for a physics step; return whether any did."""
     turned = False
@@ -179,13 +207,33 @@ def turn_axes(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Intege
             if target - came == 0.0:
                 continue
             turned = True
-            angle = angle_after(came, target, acting.turn)
-            axis = surfaces.axis[i, row, column]
-            surfaces.angle[i, row, column] = angle
-            cosine, sine = axis_direction(angle)
-            surfaces.direction[i, axis, 0] = cosine
-            surfaces.direction[i, axis, 1] = sine
+            move_axis(surfaces, i, row, column, angle_after(came, target, acting.turn))
     return turned
+
+
+@lru_cache(maxsize=2)
+def turning_with_limits(loaded: bool) -> Any:
+    """Build `turn_limited_axes`, which acts like `turn_axes` with steps, play and waiting.
+
+    If `loaded` is false, an axis stays where it is while a parcel presses on its module.
+    """
+
+    @inlined
+    def turn_limited_axes(
+        acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers
+    ) -> bool:
+        turned = False
+        for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
+            for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
+                came, target = surfaces.angle[i, row, column], surfaces.target[i, row, column]
+                rest = played_angle(came, target, acting.step, acting.play)
+                if rest == came or not (loaded or surfaces.load[i, row, column, st.NOW] == 0.0):
+                    continue
+                turned = True
+                move_axis(surfaces, i, row, column, angle_after(came, rest, acting.turn))
+        return turned
+
+    return turn_limited_axes
 
 
 @inlined

@@ -105,7 +105,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 
 LONGEST_STEP = 0.005  # [s]
-INFOS = ("axes", "normal_forces", "energy")  # optional entries of `info`
+INFOS = ("axes", "normal_forces", "energy", "load", "turns")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
 
@@ -148,7 +148,7 @@ class EnvConfig:
     zone: tuple[int, int] | None = None
     # [rad] at least two axis angles; "any"; or None: the line's (0, pi/4, -pi/4, pi/2)
     orientations: tuple[float, ...] | str | None = None
-    actuators: Actuators = Actuators()  # `axis_speed` [rad/s], `stuck` modules, `stuck_share`
+    actuators: Actuators = Actuators()  # speed and limits of axes, stuck modules, load limit, wear
     # kind of module: "idle", "steered", "omni", "belt", "popup", or one of `surface_gym.modules`
     modules: str | ModuleKind = "idle"
     # spreads of friction, mass, size, load and start
@@ -156,7 +156,7 @@ class EnvConfig:
     # a `Line`, `Field` or `Pattern` of `surface_gym.lines`; None: the task's own
     line: BaseLine | None = None
     observe_axes: bool = False  # whether the observation shows the modules' axes
-    # optional entries of `info`: "axes", "normal_forces", "energy"
+    # optional entries of `info`: "axes", "normal_forces", "energy", "load", "turns"
     info: tuple[str, ...] = ()
     # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
     observe: tuple[str, ...] = ()
@@ -234,6 +234,11 @@ class EnvConfig:
             raise ValueError(
                 "orientations must not be given beside driven modules, whose headings they are, "
                 f"got {self.orientations!r} and {self.modules!r}"
+            )
+        if self.module_kind.drives and self.actuators.has_limits:
+            raise ValueError(
+                "actuators must have turns_loaded=True, step=0 and backlash=0 with driven modules, "
+                f"got {self.actuators!r} and {self.modules!r}"
             )
 
     def _check_places(self) -> None:
@@ -359,6 +364,17 @@ class EnvConfig:
     def meters(self) -> bool:
         """Whether the energy of drives and friction is summed."""
         return "energy" in self.info
+
+    @property
+    def weighs(self) -> bool:
+        """Whether the load of each element is computed before each physics step."""
+        waits, limit = not self.actuators.turns_loaded, self.actuators.load_limit
+        return waits or limit != math.inf or "load" in self.info
+
+    @property
+    def has_extras(self) -> bool:
+        """Whether `info` has more than the task's entries."""
+        return bool(self.info) or self.actuators.load_limit != math.inf
 
     @property
     def draws(self) -> int:

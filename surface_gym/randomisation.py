@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from surface_gym import checks
 from surface_gym.parcel import Base, Parcel
 
+MOST_STEP = math.pi / 2.0  # [rad] largest step and backlash of an axis
+
 
 @dataclass(frozen=True)
 class Actuators:
@@ -18,10 +20,27 @@ class Actuators:
     axis_speed: float = math.inf  # [rad/s] turning speed of an axis
     stuck: tuple[tuple[int, int], ...] = ()  # (row, column) of modules that ignore commands
     stuck_share: float = 0.0  # [-] probability of other modules to be stuck, drawn at each start
+    # whether an axis turns under load; if not, it waits, and keeps its command, until no parcel
+    # presses on its module
+    turns_loaded: bool = True
+    step: float = 0.0  # [rad] between positions of an axis, counted from 90 deg; 0: any angle
+    # [rad] play of an axis, which stops half of it before its position, on the side it comes from
+    backlash: float = 0.0
+    load_limit: float = math.inf  # [kg] load that a module bears; `info["overloaded"]` beyond it
+    turn_energy: float = 0.0  # [J] energy of a turn of an axis, by its data sheet
+    turn_life: float = math.inf  # turns of an axis until it fails, by its data sheet
 
     def __post_init__(self) -> None:
         if self.axis_speed != math.inf:
             checks.positive("axis_speed", self.axis_speed, *checks.AXIS_SPEED)
+        checks.one_of("turns_loaded", self.turns_loaded, (False, True))
+        checks.angle("step", self.step, 0.0, MOST_STEP)
+        checks.angle("backlash", self.backlash, 0.0, MOST_STEP)
+        checks.not_negative("turn_energy", self.turn_energy)
+        if self.turn_life != math.inf:
+            checks.positive("turn_life", self.turn_life)
+        if self.load_limit != math.inf:
+            checks.positive("load_limit", self.load_limit, *checks.MASS)
         checks.within("stuck_share", self.stuck_share, 0.0, 1.0)
         if not isinstance(self.stuck, (tuple, list)):
             raise ValueError(f"stuck must hold (row, column) pairs, got {self.stuck!r}")
@@ -30,6 +49,11 @@ class Actuators:
                 raise ValueError(f"stuck must hold (row, column) pairs, got {module!r}")
             for place in module:
                 checks.integer("stuck", place, least=0)
+
+    @property
+    def has_limits(self) -> bool:
+        """Return whether an axis may stop elsewhere than at its commanded angle."""
+        return bool(not self.turns_loaded or self.step or self.backlash)
 
 
 ANYWHERE = (-math.inf, math.inf)  # [m]

@@ -20,6 +20,8 @@ CONDITION_COLUMNS = 6
 GRAVITY_COLUMNS = slice(GRAVITY_X, GRAVITY_NORMAL + 1)
 # Columns of `SurfaceState.drive`.
 ALONG, ACROSS, DRIVEN = range(3)
+# Last axis of `SurfaceState.load`.
+NOW, PEAK_LOAD = range(2)
 # Columns of `ParcelState.energy`, and their names in `info`.
 WORK, HEAT, DRAWN, PEAK = range(4)
 ENERGIES = ("drive_work", "friction_heat", "drawn_energy", "peak_acceleration")
@@ -55,6 +57,9 @@ class SurfaceState(NamedTuple):
     conditions: Array
     # (surfaces, command size) the action: choices, or angles [rad]
     command: NDArray[Any]
+    # (surfaces or 1, rows, columns, 2) [N] force on each element before the last physics step, and
+    # the largest on each rotor since the start, if loads are asked for
+    load: Array
 
 
 class ParcelState(NamedTuple):

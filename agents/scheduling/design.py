@@ -15,6 +15,7 @@ import numpy as np
 from surface_gym import checks
 from surface_gym.config import EnvConfig
 from surface_gym.design.case import Answer, ReportTable, new_figure, plural
+from surface_gym.design.loads import wear_tables
 from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.exits import PITCH, Exits, flow_line
 from surface_gym.flow.state import CORRECT, JAM, TURNS, WRONG, compute_statistics
@@ -75,9 +76,12 @@ class FlowCase:
     exits: str | Exits = "sides"
     speed: float | tuple[float, float] = 1.5  # [m/s] one speed, or the smallest and the largest
     longest: float = LONGEST  # [m] longest line to try
+    turn_energy: float = 0.0  # [J] energy of a turn of an actuator, by its data sheet
+    turn_life: float = math.inf  # turns of an actuator until it fails, by its data sheet
 
     def __post_init__(self) -> None:
         checks.positive("rate", self.rate, *checks.RATE)
+        Actuators(turn_energy=self.turn_energy, turn_life=self.turn_life)
         checks.positive("longest", self.longest, PITCH * (LEAD_IN + 1), 50.0)
         if PITCH * self.columns[0] > self.longest + 1e-9:
             raise ValueError(
@@ -506,6 +510,14 @@ class FlowAnswer(Answer):
                 "Capacity as modules are stuck at 90 deg, unknown to the scheduler",
                 (*who, "stuck", "correct/h", "of all", "correct", "jams"),
                 tuple(stuck),
+            ),
+            *wear_tables(
+                self.case.turn_energy,
+                self.case.turn_life,
+                [
+                    (name, each.run.turns_per_parcel / (ROTOR_ROWS * each.zone or 1), each.run)
+                    for name, each in self._distinct()
+                ],
             ),
             ReportTable(
                 "flow-curves", "", (*who, "line [m]", "predicted [1/h]"), tuple(curves), shown=False

@@ -91,6 +91,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         **compiled_functions(sensor, Sensor, "begin update read", "_sensor"),
         watches=sensor.watches,
         meters=config.meters,
+        weighs=config.weighs,
         part_of=kind.part_of,
         actuation=choose_actuation(config),
         show_modules=feature_groups.show_occupancy if window else feature_groups.show_nothing,
@@ -106,7 +107,8 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
 def changes_slowly(config: EnvConfig) -> bool:
     """Return whether modules take time to obey."""
     slow_drive = config.module_kind.drives and config.module_kind.acceleration != math.inf
-    return slow_drive or config.actuators.axis_speed != math.inf
+    actuators = config.actuators
+    return slow_drive or actuators.axis_speed != math.inf or actuators.has_limits
 
 
 def choose_actuation(config: EnvConfig) -> Actuation:
@@ -121,7 +123,10 @@ def choose_actuation(config: EnvConfig) -> Actuation:
         )
     if slow:
         aim = actions.aim_at_angle if any_angle else actions.aim_at_choice
-        return Actuation(aim, actions.turn_axes, actions.straighten_targets, turns=True)
+        turn = actions.turn_axes
+        if config.actuators.has_limits:
+            turn = actions.turning_with_limits(config.actuators.turns_loaded)
+        return Actuation(aim, turn, actions.straighten_targets, turns=True)
     set_axis, straighten = actions.set_choice, actions.straighten_choices
     if any_angle:
         set_axis, straighten = actions.set_angle, actions.straighten_angles
@@ -153,6 +158,8 @@ def make_env_params(config: EnvConfig) -> EnvParams:
             config.actuators.axis_speed * timing.dt,
             config.modes,
             config.module_kind.acceleration * timing.dt,
+            config.actuators.step,
+            0.5 * config.actuators.backlash,
         ),
         friction=line.friction.copy(),
         assumed=config.sensors.friction(line).copy(),
@@ -198,6 +205,7 @@ def _make_surfaces(config: EnvConfig, count: int) -> st.SurfaceState:
         stiffness=np.ones((count if config.randomisation.stiffness > 0.0 else 1, *grid[1:])),
         conditions=np.zeros((count, st.CONDITION_COLUMNS)),
         command=np.zeros((count, kind.size), dtype=np.int64 if kind.choices else np.float64),
+        load=np.zeros((*(grid if config.weighs else (1, 1, 1)), 2)),
     )
 
 

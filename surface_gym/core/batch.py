@@ -13,12 +13,12 @@ from surface_gym.compiler.jit import CompilerError, compile_for, compiled
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
-from surface_gym.core.kernel import EnvParams, make_kernel
+from surface_gym.core.kernel import EnvParams, add_loads, make_kernel
+from surface_gym.core.wear import WearMeter
 from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
 from surface_gym.physics import types as ph
-from surface_gym.physics.contacts import bounded, invalidate_contacts
-from surface_gym.physics.step import find_support, support_load
+from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.types import Array, Booleans, Integers, Scratch
 from surface_gym.state import BodyTable, EnvState, ParcelState, SurfaceState
 from surface_gym.tasks.start import Parcels, Start
@@ -70,6 +70,7 @@ class BaseBatch(ABC):
         self._steps_remaining = np.zeros(num_envs, dtype=np.int64)
         self.params = make_env_params(config)
         self.surfaces, self.parcels = make_state(config, num_envs)
+        self._wear = WearMeter(config, self.surfaces)
         self._make_memory()
         steps = config.timing.steps * self.rows
         self._workers = Workers(self._threads, steps, self._make_scratch)
@@ -297,6 +298,8 @@ class BaseBatch(ABC):
         for name, array in self.parcels._asdict().items():
             if array.size:
                 found[f"parcels.{name}"] = array.reshape(self.num_envs, self.rows, *array.shape[1:])
+        if self._wear.turns.size:
+            found |= {"wear.turns": self._wear.turns, "wear.moving": self._wear.moving}
         for name, array in self.surfaces._asdict().items():
             if len(array) == self.num_envs and (axes or name in ("conditions", "stiffness")):
                 found[f"surfaces.{name}"] = array
@@ -354,6 +357,7 @@ class BaseBatch(ABC):
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         """Step the chosen environments (count,), or begin newly placed ones."""
+        before = self._wear.look(self.surfaces, self.outcome)
         try:
             faults = self._workers.run(threads, self._kernel, self._arrays, chosen)
         except IndexError as error:
@@ -364,6 +368,7 @@ class BaseBatch(ABC):
                 f"{len(task.metrics)} metrics, {task.goals} goals, {task.memories} memories, "
                 f"{self.config.sensors.sensor_size} sensor numbers: one index is out of bounds"
             ) from error
+        self._wear.count(self.surfaces, before)
         if faults:
             raise self._fault()
 
@@ -421,11 +426,12 @@ class Batch(BaseBatch):
             "velocity": state.truth[:, 3:].copy(),
             "parcel": self._plan.sizes[state.body],
             **dict(zip(self.task.metrics, state.metrics.T.copy(), strict=True)),
+            **self._wear.infos(self.surfaces),
             **(self._on_request() if self.config.info else {}),
         }
 
     def info(self, env_index: int) -> dict[str, Any]:
-        if self.config.info:
+        if self.config.has_extras:
             return super().info(env_index)
         state = self.parcels  # faster for a single environment than arrays of all
         truth = state.truth[env_index].copy()
@@ -541,11 +547,11 @@ class Batch(BaseBatch):
         if "axes" in self.config.info:
             found["axes"] = st.axis_angles(self.surfaces)
         if "normal_forces" in self.config.info:
-            loads = np.zeros(self.surfaces.axis.shape)
+            loads = np.zeros((*self.surfaces.axis.shape, 2))
             map_normal_forces(*self._arrays, self._workers.scratches[0], loads)
             used, which = np.unique(self.parcels.body, return_inverse=True)
             mass = np.array([self._plan.parcel(body).mass for body in used])[which]
-            found["normal_forces"] = loads * mass[:, np.newaxis, np.newaxis]
+            found["normal_forces"] = loads[..., st.NOW] * mass[:, np.newaxis, np.newaxis]
         return found
 
 
@@ -558,25 +564,9 @@ def map_normal_forces(
     scratch: Scratch,
     loads: Array,
 ) -> None:
-    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns)."""
-    table = scratch.table
-    elements = params.elements
+    """Write normal forces over mass [m/s^2] into `loads` (num_envs, rows, columns, 2)."""
     for i in range(parcels.clock.shape[0]):
-        for row in range(loads.shape[1]):
-            for column in range(loads.shape[2]):
-                loads[i, row, column] = 0.0
         row = parcels.body[i]
-        grid = st.read_grid(surfaces, bodies, i, row, elements, params.friction)
-        body = st.read_body(bodies, row)
-        state = parcels.state[i]
+        grid = st.read_grid(surfaces, bodies, i, row, params.elements, params.friction)
         invalidate_contacts(scratch)
-        contacts = find_support(grid, body, state, scratch, 0.0)
-        if contacts.total == 0:
-            continue
-        support_load(grid, body, state, scratch, contacts)
-        for k in range(contacts.total):
-            along = (state[ph.X] + table[ph.ARM_X + k] - elements.x0) / elements.pitch_x
-            across = (state[ph.Y] + table[ph.ARM_Y + k] - elements.y0) / elements.pitch_y
-            column = round(bounded(along, 0.0, loads.shape[2] - 1))
-            row = round(bounded(across, 0.0, loads.shape[1] - 1))
-            loads[i, int(row), int(column)] = table[ph.NORMAL + k]
+        add_loads(grid, st.read_body(bodies, row), parcels.state[i], 1.0, scratch, loads[i])

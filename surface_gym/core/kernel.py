@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 from surface_gym import state as st
 from surface_gym.actions import ActionParams, window_corner
 from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.physics import types as ph
 from surface_gym.physics.contacts import invalidate_contacts
 from surface_gym.physics.friction import friction_work
-from surface_gym.physics.step import OFF_SURFACE, step_implicit
+from surface_gym.physics.step import OFF_SURFACE, find_support, step_implicit, support_load
 from surface_gym.physics.types import MASS, OMEGA, VX, VY, Array, Contacts, Integers, Scratch
 from surface_gym.sensors.base import Physics, Singles
 from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState, Timing
@@ -54,6 +55,7 @@ class KernelFunctions(NamedTuple):
     read_sensor: Function
     watches: bool
     meters: bool  # whether energies are summed
+    weighs: bool  # whether loads are computed
     part_of: Function
     actuation: Actuation
     show_modules: Function  # writes features after the task's
@@ -193,6 +195,35 @@ def add_energy(
     parcels.energy[i, st.PEAK] = max(parcels.energy[i, st.PEAK], rate)
 
 
+@inlined
+def clear_loads(load: Array, entries: int) -> None:
+    """Clear the first entries of each element of the loads (rows, columns, 2)."""
+    for row in range(load.shape[0]):
+        for column in range(load.shape[1]):
+            for k in range(entries):
+                load[row, column, k] = 0.0
+
+
+@inlined
+def add_loads(
+    grid: ph.Grid, body: ph.Body, com: Array, mass: float, scratch: Scratch, load: Array
+) -> None:
+    """Write a parcel's normal forces [N] at its present pose into the loads (rows, columns, 2)."""
+    contacts = find_support(grid, body, com, scratch, 0.0)
+    if contacts.total == 0:
+        return
+    support_load(grid, body, com, scratch, contacts)
+    marks, k = scratch.marks, 0
+    for span in range(marks[ph.SPANS]):
+        row = marks[ph.SPAN_ROW + span]
+        for column in range(marks[ph.SPAN_FIRST + span], marks[ph.SPAN_LAST + span] + 1):
+            force = mass * scratch.table[ph.NORMAL + k]
+            load[row, column, st.NOW] = force
+            if grid.rotor[row, column]:
+                load[row, column, st.PEAK_LOAD] = max(load[row, column, st.PEAK_LOAD], force)
+            k += 1
+
+
 def _running(functions: KernelFunctions) -> Any:
     """Build `run(params, surfaces, parcels, bodies, scratch, sensor's scratch, i)`.
 
@@ -201,7 +232,7 @@ def _running(functions: KernelFunctions) -> Any:
     """
     task_is_done, sensor_update = functions.is_done, functions.update_sensor
     watches, turn, turns = functions.watches, functions.actuation.turn, functions.actuation.turns
-    meters = functions.meters
+    meters, weighs = functions.meters, functions.weighs
 
     @inlined
     def run(
@@ -223,6 +254,9 @@ def _running(functions: KernelFunctions) -> Any:
         invalidate_contacts(scratch)
         invalidate_contacts(sensor_scratch)
         for _ in range(params.timing.steps):
+            if weighs:
+                clear_loads(surfaces.load[i], 1)
+                add_loads(grid, body, state.com, state.body[MASS], scratch, surfaces.load[i])
             if turns and turn(params.acting, surfaces, i, state.zone):
                 invalidate_contacts(scratch)
                 invalidate_contacts(sensor_scratch)
@@ -284,6 +318,7 @@ def make_kernel(functions: KernelFunctions) -> Any:
     straighten = functions.actuation.straighten
     obey_command = obeying(functions.part_of, functions.actuation.obey)
     run, end, show_more = _running(functions), _ending(functions), showing(functions)
+    weighs = functions.weighs
 
     def step_envs(
         params: EnvParams,
@@ -308,6 +343,8 @@ def make_kernel(functions: KernelFunctions) -> Any:
                 parcels.reward[i] = 0.0
                 for k in range(parcels.energy.shape[1]):
                     parcels.energy[i, k] = 0.0
+                if weighs:
+                    clear_loads(surfaces.load[i], 2)
             state = st.env_state(surfaces, parcels, bodies, i, i, params.elements)
             mirror = task_mirror(state)
             if begins:

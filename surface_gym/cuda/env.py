@@ -42,6 +42,8 @@ def check_config(config: EnvConfig) -> None:
         ("info", bool(config.info), "()", config.info),
         ("randomisation", varies.varies and not stream, "Randomisation(), without variation",
          varies),
+        ("load_limit", config.actuators.load_limit != math.inf, "inf",
+         config.actuators.load_limit),
         ("stuck_share", share > 0.0 and not stream, "0; stuck names modules that are", share),
     ):  # fmt: skip
         if refused:

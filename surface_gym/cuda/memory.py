@@ -27,7 +27,7 @@ from surface_gym.parcel import Base
 from surface_gym.physics import types
 from surface_gym.state import ParcelState, SurfaceState
 
-GRIDS = ("axis", "angle", "target", "stiffness")  # an environment's elements are adjacent
+GRIDS = ("axis", "angle", "target", "stiffness", "load")  # an environment's elements are adjacent
 # environments of the pattern, whose arrays with this many rows have one per environment
 PATTERN = 2
 

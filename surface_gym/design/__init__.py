@@ -30,15 +30,16 @@ if TYPE_CHECKING:
         least_speed,
         least_tilt,
     )
+    from surface_gym.design.loads import ModuleLoads, module_loads
     from surface_gym.design.runs import DesignLine, line_for
 
 __all__ = [
-    "BestLayout", "Case", "Columns", "DesignLine", "FrictionRange",
-    "Limits", "Purpose", "SlowPurpose", "SortPurpose", "Span", "StopPurpose", "TurnPurpose",
-    "Unknown", "best_layout", "every_layout", "friction_range", "least_columns", "least_speed",
-    "least_tilt", "line_for",
+    "BestLayout", "Case", "Columns", "DesignLine", "FrictionRange", "Limits", "ModuleLoads",
+    "Purpose", "SlowPurpose", "SortPurpose", "Span", "StopPurpose", "TurnPurpose", "Unknown",
+    "best_layout", "every_layout", "friction_range", "least_columns", "least_speed", "least_tilt",
+    "line_for", "module_loads",
 ]  # fmt: skip
-_MODULES = ("case", "columns", "fixed_layout", "limits", "runs")
+_MODULES = ("case", "columns", "fixed_layout", "limits", "loads", "runs")
 
 
 def __getattr__(name: str) -> Any:

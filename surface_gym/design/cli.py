@@ -314,6 +314,23 @@ class AskFriction(ParcelQuestion):
 
 
 @dataclass(frozen=True)
+class AskLoad(ParcelQuestion):
+    """Find the largest load of a module, and the heaviest parcel that the modules bear."""
+
+    limit: float = 20.0
+    """Load [kg] that a module bears; the default is the study's."""
+
+    @property
+    def remark(self) -> str:
+        return ""
+
+    def answer(self, on_progress: "OnProgress") -> "Answer":
+        return design.module_loads(
+            self.check(), self.columns, self.rows, self.limit, self.shared_by, on_progress
+        )
+
+
+@dataclass(frozen=True)
 class AskLayout(ParcelQuestion):
     """Search for the best fixed layout over a range of entry speeds."""
 
@@ -368,6 +385,10 @@ class AskFlow(Question):
     """Entry speed [m/s]: one number, or the smallest and the largest."""
     longest: float = 6.0
     """Longest line to try [m]."""
+    turn_energy: float = 0.0
+    """Energy of a turn of an actuator [J], by its data sheet: adds a table of energy and life."""
+    turn_life: float = math.inf
+    """Turns of an actuator until it fails, by its data sheet: adds the same table."""
 
     workers: int = field(default_factory=parallel.usable_cores)
     """Number of processes; results do not depend on it."""
@@ -386,8 +407,9 @@ class AskFlow(Question):
             raise ValueError(f"speed must be the least and then the greatest, got {self.speed!r}")
         speed = self.speed[0] if len(self.speed) == 1 else self.speed
         return import_module("surface_gym.agents.scheduling.design").FlowCase(
-            self.rate, parse_mix(self.mix), parse_exits(self.exits), speed, self.longest
-        )
+            self.rate, parse_mix(self.mix), parse_exits(self.exits), speed, self.longest,
+            self.turn_energy, self.turn_life,
+        )  # fmt: skip
 
     def answer(self, on_progress: "OnProgress") -> "Answer":
         module = import_module("surface_gym.agents.scheduling.design")
@@ -448,6 +470,7 @@ QUESTIONS = {
     "speed": AskSpeed,
     "tilt": AskTilt,
     "friction": AskFriction,
+    "load": AskLoad,
     "layout": AskLayout,
     "flow": AskFlow,
 }

@@ -208,6 +208,7 @@ class Ends:
     velocity: Array  # (runs, 3) [m/s, m/s, rad/s]
     tipping: Array  # (runs,) [-] share of the steps in which a real parcel would tip
     steps: Integers  # (runs,) number of steps
+    load: Array  # (runs,) [kg] largest load of a rotor
 
 
 def split_progress(on_progress: OnProgress, counts: Sequence[int]) -> list[OnProgress]:
@@ -250,6 +251,7 @@ def run_all(
         line=line, runs=runs, reason=reason, touched=np.maximum(0, touched - line.lead_in + 1),
         time=dt * steps, pose=pose, velocity=velocity, tipping=tipped / np.maximum(1, steps),
         steps=steps,
+        load=np.array([parcel.mass for parcel in parcels])[runs.parcel] * arrays.peak / ph.GRAVITY,
     )  # fmt: skip
 
 
@@ -277,6 +279,7 @@ class RunArrays(NamedTuple):
     state: Array  # (runs, STATE_SIZE) at the start, and in its place at the end
     # (runs, 4) reason of the end; last column with a rotor under it; steps taken, steps tipping
     end: Integers
+    peak: Array  # (runs,) [m/s^2] largest force on a rotor, over the parcel's mass
 
 
 @inlined
@@ -347,14 +350,18 @@ def _run_range(
         touched = -1
         tipped = 0
         steps = 0
+        peak = 0.0
         while steps < number[STEPS]:
             omega = state[ph.OMEGA]
-            report, _ = stepping.step_implicit(grid, body, state, scratch, dt)
+            report, contacts = stepping.step_implicit(grid, body, state, scratch, dt)
             if report >= stepping.OFF_SURFACE:
                 reason = OFF
                 break
             steps += 1
             tipped += report == stepping.TIPPING
+            for k in range(contacts.total):
+                if scratch.marks[ph.KIND + k] != ph.SUPPORT:
+                    peak = max(peak, scratch.table[ph.NORMAL + k])
             lowest, highest = _rotor_span(surfaces.rotor, scratch)
             if highest < 0:
                 reason = OUT
@@ -374,6 +381,7 @@ def _run_range(
         runs.end[run, TOUCHED] = touched
         runs.end[run, DONE] = steps
         runs.end[run, TIPPED] = tipped
+        runs.peak[run] = peak
 
 
 def _make_surfaces(line: DesignLine, layouts: Array, stiffness: Array | None) -> SurfaceSet:
@@ -411,6 +419,7 @@ def _make_arrays(
         conditions=np.column_stack([runs.friction, *stepping.split_gravity(runs.tilt)]),
         state=stepping.com_states(centres, starts, velocity),
         end=np.zeros((count, 4), dtype=np.int64),
+        peak=np.zeros(count),
     )
 
 
@@ -454,16 +463,17 @@ def _run_on_nodes(
         partial(without_report, partial(_run_bundle, surfaces, bodies, part, dt)) for part in given
     ]
     done = 0
-    for place, (state, end) in map_jobs(jobs, cluster):
+    for place, (state, end, peak) in map_jobs(jobs, cluster):
         runs.state[parts[place]] = state
         runs.end[parts[place]] = end
+        runs.peak[parts[place]] = peak
         done += len(end)
         on_progress(done, count)
 
 
 def _run_bundle(
     surfaces: SurfaceSet, bodies: Bodies, runs: RunArrays, dt: float
-) -> tuple[Array, Integers]:
-    """Simulate runs on a node, and return their states and ends."""
+) -> tuple[Array, Integers, Array]:
+    """Simulate runs on a node, and return their states, ends and peaks."""
     _run_range(surfaces, bodies, runs, ph.make_scratch(), dt, 0, len(runs.state))
-    return runs.state, runs.end
+    return runs.state, runs.end, runs.peak

@@ -371,7 +371,7 @@ class StreamTask(Task):
             given = getattr(config, name)
             if given != only:
                 raise ValueError(f"{name} must be {only!r} for a stream of parcels, got {given!r}")
-        checks.some_of("info", config.info, ("axes", "energy"))
+        checks.some_of("info", config.info, ("axes", "energy", "load", "turns"))
         checks.one_of("actions", config.actions, ACTIONS)
         if self.duration < config.control_period:
             raise ValueError(

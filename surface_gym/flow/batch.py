@@ -98,6 +98,7 @@ def stream_functions(config: EnvConfig) -> kernel.StreamFunctions:
         **compiled_functions(config.sensors, Sensor, "begin update read", "_sensor"),
         watches=config.sensors.watches,
         meters=config.meters,
+        weighs=config.weighs,
         part_of=claims.part_of_module if config.actions == "modules" else claims.part_of_owner,
         commanded=claims.commanded_angle if kind.continuous else claims.commanded_choice,
         actuation=choose_actuation(config),
@@ -208,6 +209,7 @@ class StreamBatch(BaseBatch):
             "waiting": streams.due - streams.tally[:, fs.ENTERED],
             **({"axes": st.axis_angles(self.surfaces)} if "axes" in self.config.info else {}),
             **(self._energies() if self.config.meters else {}),
+            **self._wear.infos(self.surfaces),
         }
 
     def _energies(self) -> Infos:
@@ -218,7 +220,7 @@ class StreamBatch(BaseBatch):
         return dict(zip(st.ENERGIES, found.T.copy(), strict=True))
 
     def info(self, env_index: int) -> dict[str, Any]:
-        if self.config.info:
+        if self.config.has_extras:
             return super().info(env_index)
         streams = self.streams  # faster for a single environment than arrays of all
         present, number = streams.present[env_index], streams.number[env_index]

@@ -10,7 +10,14 @@ from typing import Any, NamedTuple
 
 from surface_gym import state as st
 from surface_gym.compiler.jit import compiled, inlined
-from surface_gym.core.kernel import Actuation, EnvParams, Function, add_energy
+from surface_gym.core.kernel import (
+    Actuation,
+    EnvParams,
+    Function,
+    add_energy,
+    add_loads,
+    clear_loads,
+)
 from surface_gym.flow import state as fs
 from surface_gym.flow.claims import assigning, obeying
 from surface_gym.flow.entry import count_due, count_waiting, depart, entering, show_waiting
@@ -50,6 +57,7 @@ class StreamFunctions(NamedTuple):
     read_sensor: Function
     watches: bool
     meters: bool  # whether energies are summed
+    weighs: bool  # whether loads are computed
     part_of: Function  # kind of action
     commanded: Function
     actuation: Actuation
@@ -150,6 +158,20 @@ def add_energies(view: StreamView, scratch: WorldScratch, pairs: int) -> None:
         add_energy(parcels, row, mass, dt, under, contacts, *velocity)
 
 
+@inlined
+def weigh_parcels(view: StreamView, grid: ph.Grid, scratch: WorldScratch) -> None:
+    """Write the loads of all elements at the parcels' present poses."""
+    load = view.surfaces.load[view.i]
+    clear_loads(load, 1)
+    for slot in range(view.slots):
+        if view.streams.present[view.i, slot]:
+            row = view.first + slot
+            parcel = view.parcels.body[row]
+            body, mass = st.read_body(view.bodies, parcel), view.bodies.body[parcel, ph.MASS]
+            under = Scratch(scratch.tables[slot], scratch.marks[slot])
+            add_loads(grid, body, view.parcels.state[row], mass, under, load)
+
+
 # What is built below is kept, so that kernels with some of the same functions share its code.
 
 
@@ -164,6 +186,7 @@ def _moving(
     turn: Function,
     turns: bool,
     meters: bool,
+    weighs: bool,
 ) -> Any:
     """Build `move(view, grid, world, physics, scratch)`, one physics step of a surface."""
 
@@ -187,6 +210,8 @@ def _moving(
         view: StreamView, grid: ph.Grid, world: World, physics: Physics, scratch: WorldScratch
     ) -> None:
         parcels, streams, i, dt = view.parcels, view.streams, view.i, view.params.timing.dt
+        if weighs:
+            weigh_parcels(view, grid, scratch)
         if turns:
             turn(view.params.acting, view.surfaces, i, view.bodies.zone[0])
             invalidate_world(scratch)
@@ -403,12 +428,12 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
     let_in = entering(f.has_room, f.begin, f.begin_sensor)
     move = _moving(
         f.has_departed, f.exit_taken, f.deliver, f.advance, f.update_sensor, f.watches, turn, turns,
-        f.meters,
+        f.meters, f.weighs,
     )  # fmt: skip
     run = _running(move, let_in)
     earn = _earning(f.reward, f.read_sensor)
     observe_parcels = _observing(f.inform, f.observe, f.observe_neighbour, f.observe_no_neighbour)
-    may_jam = f.may_jam
+    may_jam, weighs = f.may_jam, f.weighs
 
     def step_streams(
         params: EnvParams,
@@ -431,6 +456,8 @@ def make_stream_kernel(functions: StreamFunctions) -> Any:
             if begins:
                 straighten(params.acting, surfaces, i)
                 begin_episode(view)
+                if weighs:
+                    clear_loads(surfaces.load[i], 2)
             else:
                 obey_command(view)
             run(view, begins, scratch, sensor_scratch)

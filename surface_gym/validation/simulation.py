@@ -111,6 +111,17 @@ class Sides:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Swivel:
+    """Rotors that turn under load about the verticals through their contacts."""
+
+    target: Array  # (rows, columns) [rad] axes to turn to, by the shorter way
+    start: float  # [s]
+    speed: float  # [rad/s]
+    patch: float = 0.0  # [m] radius of contact patches, with a torque of up to 2/3 mu_max N patch
+
+
+SWIVEL_ARMATURE = 1e3  # [kg m^2] of a turning axis, so that no contact disturbs its motion
 RECIPE = Recipe()
 SIDES = Sides()
 
@@ -140,6 +151,7 @@ def load_mujoco() -> ModuleType:
 def build(
     surface: Surface, parcels: Parcel | Sequence[Parcel], recipe: Recipe = RECIPE,
     heights: ArrayLike | None = None, within: ArrayLike | None = None, sides: Sides = SIDES,
+    swivel: Swivel | None = None,
 ) -> MujocoScene:  # fmt: skip
     """Build a parcel, a hinged sphere for each rotor and a fixed sphere for each other element.
 
@@ -157,6 +169,7 @@ def build(
         within: (rows, columns) elements to build; None: all. `reachable` returns the elements that
             a run can touch.
         sides: contact parameters between parcels.
+        swivel: how axes turn while a run lasts; None: they do not.
     """
     if abs(surface.tilt) > MAX_TILT + 1e-12:
         raise ValueError(
@@ -186,7 +199,7 @@ def build(
         if belts:
             _add_belt(mujoco, spec, body, parcel, belts[k])
     for row, column in zip(*np.nonzero(built), strict=True):
-        _add_element(mujoco, spec, surface, recipe, row, column, top[row, column], bases)
+        _add_element(mujoco, spec, surface, recipe, row, column, top[row, column], bases, swivel)
     for one, other in combinations(belts, 2):
         pair = spec.add_pair(geomname1=one, geomname2=other, condim=3)
         pair.friction = [sides.friction, sides.friction, 0.0, 0.0, 0.0]
@@ -194,7 +207,8 @@ def build(
         pair.solreffriction = [-1e-9, -sides.creep_damping]
         pair.solimp = _constant_impedance(recipe.impedance)
     model = spec.compile()
-    dof = np.where(model.geom_bodyid > 0, model.body_dofadr[model.geom_bodyid], -1)
+    last = model.body_dofadr + model.body_dofnum - 1  # after the joint about which an axis turns
+    dof = np.where(model.geom_bodyid > 0, last[model.geom_bodyid], -1)
     dof[np.isin(model.geom_bodyid, np.flatnonzero(model.body_dofnum == 6))] = -1
     return MujocoScene(model, dof.astype(np.int64))
 
@@ -276,7 +290,7 @@ def _add_belt(mujoco: Any, spec: Any, body: Any, parcel: Parcel, name: str) -> N
 
 def _add_element(
     mujoco: Any, spec: Any, surface: Surface, recipe: Recipe, row: int, column: int, top: float,
-    bases: Sequence[str],
+    bases: Sequence[str], swivel: Swivel | None,
 ) -> None:  # fmt: skip
     """Add a sphere that touches only the bases, hinged along an idle rotor's axis or fixed."""
     name = f"{row},{column}"
@@ -292,6 +306,9 @@ def _add_element(
         rotor = spec.worldbody.add_body(
             name=name, pos=place, quat=[math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)]
         )
+        if swivel is not None:
+            hinge = mujoco.mjtJoint.mjJNT_HINGE
+            rotor.add_joint(type=hinge, axis=[0.0, 0.0, 1.0], armature=SWIVEL_ARMATURE)
         rotor.add_joint(
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[1.0, 0.0, 0.0],
@@ -309,9 +326,12 @@ def _add_element(
         spec.worldbody.add_geom(pos=place, **sphere)
         friction = surface.mu_support
     ratio = surface.grid.stiffness[row, column]
+    spin = 0.0  # [m] largest torque about the vertical over the load
+    if swivel is not None and surface.rotor[row, column]:
+        spin = 2.0 / 3.0 * float(friction) * swivel.patch
     for base in bases:
-        pair = spec.add_pair(geomname1=name, geomname2=base, condim=3)
-        pair.friction = [friction, friction, 0.0, 0.0, 0.0]
+        pair = spec.add_pair(geomname1=name, geomname2=base, condim=4 if spin else 3)
+        pair.friction = [friction, friction, spin, 0.0, 0.0]
         pair.solref = [-recipe.stiffness * ratio, -recipe.damping * math.sqrt(ratio)]
         # A held contact has no spring (zero would select the contact's own solref).
         pair.solreffriction = [-1e-9, -recipe.creep_damping]
@@ -380,23 +400,24 @@ def simulate_together(
     sides: Sides = SIDES,
     turns: Sequence[tuple[float, Array]] = (),
     heights: ArrayLike | None = None,
+    swivel: Swivel | None = None,
 ) -> tuple[Trajectory, ...]:
     """Move several parcels with collisions, like `surface_gym.simulate_together`.
 
     `within` (rows, columns) selects the elements to build. At each time [s] in `turns`, the axes
-    turn to (rows, columns) [rad].
+    turn to (rows, columns) [rad] at once; with a `swivel` they turn in time, under load.
     """
     start = checks.array("poses", poses, (len(parcels), 3))
     motion = checks.array("velocities", velocities, start.shape)
     duration = checks.positive("duration", duration)
-    scene = build(surface, parcels, recipe, heights, within, sides)
+    scene = build(surface, parcels, recipe, heights, within, sides, swivel)
     tops = np.zeros(within.shape) if heights is None else np.asarray(heights, dtype=np.float64)
     sags = []
     for parcel, pose in zip(parcels, start, strict=True):
         bearing = elements_under(surface, parcel, pose) & within
         stiffness = recipe.stiffness * surface.grid.stiffness[bearing]
         sags.append(static_sag(tops[bearing], stiffness, GRAVITY * math.cos(surface.tilt)))
-    return _run(scene, surface, parcels, start, motion, sags, duration, recipe, turns)
+    return _run(scene, surface, parcels, start, motion, sags, duration, recipe, turns, swivel)
 
 
 def elements_under(surface: Surface, parcel: Parcel, pose: ArrayLike) -> Booleans:
@@ -452,6 +473,7 @@ def normal_forces(data: Any) -> tuple[Integers, Array]:
 def _run(
     scene: MujocoScene, surface: Surface, parcels: Sequence[Parcel], start: Array, motion: Array,
     sags: Sequence[float], duration: float, recipe: Recipe, turns: Sequence[tuple[float, Array]],
+    swivel: Swivel | None,
 ) -> tuple[Trajectory, ...]:  # fmt: skip
     """Step the scene from poses (parcels, 3) and velocities (parcels, 3) to the end."""
     mujoco = load_mujoco()
@@ -469,12 +491,18 @@ def _run(
     # A bearing's friction is proportional to its rotor's load, which MuJoCo does not support.
     loss_per_newton = float(surface.mu_min) * recipe.rotor_radius
     turned = {round(when / recipe.step): axis for when, axis in turns}
+    if swivel is not None:
+        swivelling, apart = _find_swivels(scene, surface, swivel)
     for k in range(steps + 1):
         if k > 0:
             if k - 1 in turned:
                 _turn_axes(scene, turned[k - 1])
             if k > whole:
                 model.opt.timestep = rest
+            if swivel is not None:  # what remains to turn, at most at the axes' speed
+                done = max(0.0, data.time - swivel.start) * swivel.speed
+                left = np.clip((np.abs(apart) - done) / recipe.step, 0.0, swivel.speed)
+                data.qvel[swivelling] = np.sign(apart) * left * (data.time >= swivel.start)
             mujoco.mj_step(model, data)
             geoms, force = normal_forces(data)
             dof = scene.rotor_dof[geoms].max(axis=1)
@@ -495,14 +523,25 @@ def _run(
     )
 
 
+def _find_rotors(scene: MujocoScene) -> dict[int, tuple[int, int]]:
+    """Return row and column of each rotor by its body."""
+    names = {k: scene.model.body(k).name.partition(",") for k in range(1, scene.model.nbody)}
+    return {k: (int(row), int(column)) for k, (row, comma, column) in names.items() if comma}
+
+
 def _turn_axes(scene: MujocoScene, axis: Array) -> None:
     """Turn the rotors' hinges to axes (rows, columns) [rad]."""
-    model = scene.model
-    for k in range(1, model.nbody):
-        row, comma, column = model.body(k).name.partition(",")
-        if comma:
-            half_turn = 0.5 * axis[int(row), int(column)]
-            model.body_quat[k] = math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)
+    for k, place in _find_rotors(scene).items():
+        half_turn = 0.5 * axis[place]
+        scene.model.body_quat[k] = math.cos(half_turn), 0.0, 0.0, math.sin(half_turn)
+
+
+def _find_swivels(scene: MujocoScene, surface: Surface, swivel: Swivel) -> tuple[Integers, Array]:
+    """Return the degrees of freedom (rotors,) about which axes turn, and their turns [rad]."""
+    bodies = _find_rotors(scene)
+    places = tuple(np.transpose(list(bodies.values())))
+    apart = swivel.target[places] - surface.axis[places]
+    return scene.model.body_dofadr[list(bodies)], apart - np.pi * np.floor(apart / np.pi + 0.5)
 
 
 def _make_trajectory(

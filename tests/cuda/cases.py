@@ -25,6 +25,10 @@ CASES: dict[str, dict[str, Any]] = {
     "axes that turn": {
         "task": "sort", "actions": "quadrants", "actuators": Actuators(axis_speed=8.0),
     },
+    "axes that wait": {
+        "task": "sort", "actions": "quadrants",
+        "actuators": Actuators(8.0, turns_loaded=False, step=0.12, backlash=0.05),
+    },
     "driven modules": {"task": "sort", "actions": "halves", "modules": "steered"},
 }  # fmt: skip
 # Short lines with more parcels than can pass: some touch.

@@ -6,6 +6,7 @@ import pytest
 
 from surface_gym.config import EnvConfig
 from surface_gym.flow.state import CORRECT, TOUCHES
+from surface_gym.randomisation import Actuators
 from surface_gym.tasks import TASKS
 from tests.environments import STREAMS
 
@@ -18,10 +19,17 @@ PERIODS = 120  # in which parcels of Sort have left, and others come
 ARGUMENTS: dict[str, dict[str, Any]] = {"slow": {"preset": "lab", "actions": "halves"}}
 
 
-@pytest.mark.parametrize("kind", ["omni", "steered"])
-def test_driven_modules_are_equal_too(kind, modules):
-    config = EnvConfig("sort", modules=kind, actions="halves")
-    twins = Twins(config, 2, file=modules / "sort-driven.wasm")
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("driven", {"modules": "omni"}),
+        ("driven", {"modules": "steered"}),
+        ("limits", {"actuators": Actuators(9.0, turns_loaded=False, step=0.12, backlash=0.05)}),
+    ],
+)
+def test_driven_modules_are_equal_too(name, given, modules):
+    config = EnvConfig("sort", actions="halves", **given)
+    twins = Twins(config, 2, file=modules / f"sort-{name}.wasm")
     twins.begin()
     assert not twins.differences()
     for _ in range(30):

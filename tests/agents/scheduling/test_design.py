@@ -113,3 +113,18 @@ def test_an_answer_in_words_tables_and_json(found):
     assert able.get_xlabel() == "line [m]"
     none = answer(replace(row, carries=False), 12_000.0).sentence
     assert none.startswith("No line of up to 1.3 m carries 12000 parcels an hour: most, ")
+
+
+def test_a_data_sheet_tells_energy_and_life(found):
+    row = found[2]
+    case = replace(CASE, turn_energy=0.5, turn_life=1e6)
+    tables = {table.name: table for table in FlowAnswer(case, (row,)).tables()}
+    assert "flow-wear" not in {table.name for table in answer(row, CASE.rate).tables()}
+    ((*_, turns, energy, hours, parcels),) = tables["flow-wear"].rows
+    assert turns == pytest.approx(row.run.turns_per_parcel / 4)  # four rows turn together
+    assert energy == pytest.approx(0.5 * turns)
+    assert hours == pytest.approx(1e6 / row.run.turns_per_hour)
+    # A life's turns of all actuators, over the turns for a parcel.
+    assert parcels == pytest.approx(1e6 * row.actuators / turns, rel=0.2)
+    with pytest.raises(ValueError, match=r"^turn_energy must"):
+        replace(CASE, turn_energy=-1.0)

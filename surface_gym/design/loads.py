@@ -1,0 +1,136 @@
+"""Loads of the modules under a parcel, beside the load that a module bears; wear of actuators."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surface_gym import checks, parallel
+from surface_gym.design import case as cases, runs
+from surface_gym.design.case import NOMINAL, SURE, WORST, Case
+from surface_gym.design.limits import Arrangement, arrange
+from surface_gym.physics.types import Array
+
+LIMIT = 20.0  # [kg] load that a module of the study bears (Section 2)
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleLoads(cases.Answer):
+    """The largest load of a rotor while a parcel passes, by group of unknown quantities."""
+
+    arrangement: Arrangement
+    limit: float  # [kg] load that a module bears
+    loads: dict[str, Array]  # (draws,) [kg] by group; `NOMINAL` has one draw
+
+    name = "load"
+
+    def load(self, group: str = NOMINAL) -> float:
+        """Return the load [kg] that `SURE` of a group's draws do not exceed."""
+        loads = np.sort(self.loads[group])
+        return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
+
+    def heaviest(self, group: str = NOMINAL) -> float:
+        """Return the largest mass [kg] of the parcel for which they are within the limit."""
+        return self.limit * self.arrangement.case.parcel.mass / self.load(group)
+
+    @property
+    def overloaded(self) -> bool:
+        """Whether the limit is exceeded in too many draws."""
+        return any(self.load(group) > self.limit for group in self.loads)
+
+    @property
+    def sentence(self) -> str:
+        arrangement, case = self.arrangement, self.arrangement.case
+        *_, worst = self.loads
+        text = (
+            f"On {arrangement.description} ({arrangement.chosen}), a {case.parcel_text} of "
+            f"{case.parcel.mass:g} kg that comes {case.entry_text} loads a module with up to "
+            f"{self.load():.3g} kg"
+        )
+        bears = f"{self.heaviest():.3g} kg"
+        if worst != NOMINAL:
+            text += f"; {self.load(worst):.3g} kg for {SURE} of the draws"
+            bears += f"; {self.heaviest(worst):.3g} kg for {SURE} of the draws"
+        found = "OVERLOADED: a" if self.overloaded else "A"
+        return f"{text}. {found} module bears {self.limit:g} kg, so the parcel may weigh {bears}"
+
+    def tables(self) -> tuple[cases.ReportTable, ...]:
+        return (
+            cases.ReportTable(
+                "load",
+                f"Largest load of a module, which bears {self.limit:g} kg",
+                ("unknown", "load [kg]", "heaviest parcel [kg]", "draws within the limit"),
+                tuple(
+                    (
+                        cases.group_label(group), self.load(group), self.heaviest(group),
+                        float(np.mean(each <= self.limit)),
+                    )
+                    for group, each in self.loads.items()
+                ),
+            ),
+        )  # fmt: skip
+
+    def draw(self) -> "cases.Figure":
+        """Draw the share of draws by the largest load, and the limit."""
+        case = self.arrangement.case
+        figure, axes = cases.new_panel(
+            "What must a module bear?", f"{case.parcel_text}; {self.arrangement.description}"
+        )
+        for group, loads in self.loads.items():
+            colour, style = cases.LINES[group]
+            axes.ecdf(loads, color=colour, linestyle=style, label=cases.group_label(group))
+        axes.axvline(self.limit, color=cases.ORANGE, linewidth=0.8, label="limit")
+        axes.set(xlabel="largest load of a module [kg]", ylabel="share of the draws")
+        axes.legend(**cases.legend_of_drawn(axes))
+        return figure
+
+
+def module_loads(
+    case: Case, columns: int | None = None, rows: int | None = None, limit: float = LIMIT,
+    workers: parallel.Workers = 1, on_progress: runs.OnProgress = lambda *_: None,
+) -> ModuleLoads:  # fmt: skip
+    """Find the largest load of a module under a parcel, at the case's speed and tilt.
+
+    Loads are the normal forces of Eq. (1) over g, in each step of a run. `limit` is in kg.
+    """
+    checks.positive("limit", limit, *checks.MASS)
+    arrangement = arrange(case, columns, rows, workers)
+    groups = {
+        name: case.draw(arrangement.line, each) for name, each in case.unknown.by_group().items()
+    }
+    passed = arrangement.columns if case.purpose.leaves_zone else -1
+    progress = runs.split_progress(on_progress, [len(drawn) for drawn in groups.values()])
+    axes, loads = arrangement.layout.axis[np.newaxis], {}
+    for (group, drawn), part in zip(groups.items(), progress, strict=True):
+        asked = drawn.runs(case.speed, case.tilt, passed)
+        loads[group] = case.run(arrangement.line, axes, asked, drawn, workers, part).load
+    return ModuleLoads(arrangement, limit, loads)
+
+
+def wear_tables(
+    energy: float, life: float, lines: Sequence[tuple[tuple[str, ...], float, Any]]
+) -> tuple[cases.ReportTable, ...]:
+    """Return energy and life of the actuators of lines; none without numbers of a data sheet.
+
+    Args:
+        energy: [J] of a turn of an actuator.
+        life: turns of an actuator until it fails; infinite: unknown.
+        lines: names, turns of all actuators per parcel, and a run, which has `turns_per_hour` of
+            the mean actuator and `rate` [1/h].
+    """
+    if not energy and life == math.inf:
+        return ()
+    rows = []
+    for names, turns, run in lines:
+        hours = life / run.turns_per_hour if run.turns_per_hour else math.inf
+        rows.append((*names, turns, energy * turns, hours, hours * run.rate))
+    return (
+        cases.ReportTable(
+            "flow-wear",
+            f"Actuators of {energy:g} J and a life of {life:g} turns: the mean actuator",
+            ("hardware", "angles", "turns/parcel", "J/parcel", "life [h]", "life [parcels]"),
+            tuple(rows),
+        ),
+    )
