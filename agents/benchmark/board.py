@@ -8,7 +8,7 @@ by a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) reco
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,14 @@ SEED = 1
 TITLE = """# The board
 
 Results of all entries of [the benchmark](benchmark.md), best first. Made by
-`surface-gym benchmark table` from the entries' files in `benchmarks/results/`."""
+`surface-gym benchmark table` from the entries' files in `benchmarks/results/`.
+
+Tables show success rates or correct deliveries per hour by cell. """
+
+
+# The references of all tasks.
+ZERO, ONE = "fixed layout", "best rule"
+SCORE = f"Score: interquartile mean with its 95 % interval, where 0 is {ZERO} and 1 is {ONE}."
 
 
 @dataclass(frozen=True)
@@ -133,11 +140,7 @@ class Board:
         if not ranked:
             return None
         form = "success rate" if _is_rate(task) else "correct deliveries per hour"
-        zero, one = read_protocol()["references"].get(task, ("", ""))
-        caption = (
-            f"{form.capitalize()} by cell. Score: interquartile mean with its 95 % interval, where "
-            f"0 is {zero} and 1 is {one}."
-        )
+        caption = f"{form.capitalize()} by cell. {SCORE}"
         header = ("entry", "score", *CELLS, "seeds", "decision")
         return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
 
@@ -176,6 +179,6 @@ def _is_rate(task: str) -> bool:
 
 def make_page(board: Board) -> str:
     """Return the tables of all tasks, and of the entries, as a page in Markdown."""
-    tables = [found for task in TASKS if (found := board.table(task)) is not None]
-    tables.append(board.sources())
-    return "\n\n".join([TITLE, *(each.markdown().strip() for each in tables)]) + "\n"
+    found = [each for each in map(board.table, TASKS) if each is not None]
+    tables = [*(replace(each, caption="") for each in found), board.sources()]
+    return "\n\n".join([TITLE + SCORE, *(each.markdown().strip() for each in tables)]) + "\n"

@@ -66,7 +66,8 @@ class Table:
 
     def markdown(self) -> str:
         text = markdown(self.header, self.rows, "---:")
-        return f"## {self.heading}\n\n{self.caption}\n\n{text}\n"
+        parts = (f"## {self.heading}", self.caption, text)
+        return "\n\n".join(filter(None, parts)) + "\n"
 
     def html(self) -> str:
         def line(tag: str, texts: Sequence[str]) -> str:
