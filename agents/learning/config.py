@@ -13,7 +13,6 @@ from surface_gym import checks
 from surface_gym.feature_groups import GROUPS
 from surface_gym.files import DAMAGE, describe_damage, parse_number
 from surface_gym.lines import Line
-from surface_gym.machine.estimate import Estimate
 from surface_gym.registration import DEFAULT_TASK, PERIODS, env_id
 from surface_gym.tasks.features import compute_digest
 
@@ -126,10 +125,6 @@ class ParcelConfig(TrainConfig):
         checks.within("camera_share", self.camera_share, 0.0, 1.0)
         if checks.within("friction", self.friction, 0.0, 1.0) == 1.0:
             raise ValueError(f"friction must be less than 1, got {self.friction!r}")
-        if self.estimate is not None:
-            if not self.estimate.is_file():
-                raise ValueError(f"estimate must be a file of identify, got {self.estimate}")
-            Estimate.load(self.estimate)
         for columns in self.zones:
             checks.integer("zones", columns, least=1)
         if self.zones and not isinstance(find_task(self.task).line, Line):

@@ -46,6 +46,7 @@ from surface_gym.files import (
     read_lines,
     replacing,
 )
+from surface_gym.machine.estimate import Estimate
 from surface_gym.parallel import Workers, map_jobs
 from surface_gym.registration import TASKS
 
@@ -99,13 +100,18 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
     folder = config.out / name
+    estimate = getattr(config, "estimate", None)
+    if estimate is not None:
+        if not estimate.is_file():
+            raise ValueError(f"estimate must be a file of identify, got {estimate}")
+        Estimate.load(estimate)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise ValueError(
             f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
         ) from None
-    if estimate := getattr(config, "estimate", None):
+    if estimate is not None:
         shutil.copyfile(estimate, folder / ESTIMATE)
     write_config(config, folder / CONFIG)
     (folder / COMMAND).write_text(command_line(TRAIN, *arguments) + "\n")
