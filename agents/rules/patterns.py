@@ -62,7 +62,7 @@ LONG = 15  # control periods without motion after which parcels are let go toget
 CREEP = 0.4  # [m/s] speed at which they go
 
 
-class Aim(NamedTuple):
+class PatternTuning(NamedTuple):
     """Parameters of the wanted motion and of the choice, found by search."""
 
     lateral: float = 1.0  # [m/s] maximum wanted speed across the slope,
@@ -84,7 +84,7 @@ class Aim(NamedTuple):
     sooner: float = 0.1  # [s] time before a parcel's arrival at which a module obeys it
 
 
-class Surface(NamedTuple):
+class ModuleGrid(NamedTuple):
     """The modules of a surface, and the model's constants."""
 
     x: Numbers  # (columns,) [m] from the surface's start
@@ -140,20 +140,20 @@ def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
 
 @linked
 def find_below(
-    surface: Surface, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
+    grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
 ) -> int:
     """Write the modules below a parcel in the middle of the predicted time; return their number."""
-    count, columns, half = 0, surface.x.shape[0], 0.5 * PARTS * surface.part
+    count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
     x, y = find_centre(parcels, row, k)
     ahead, aside = half * parcels.vx[k], half * parcels.vy[k]
     reach = parcels.along[k] + parcels.across[k]
     for c in range(columns):
-        dx = surface.x[c] - x - ahead
+        dx = grid.x[c] - x - ahead
         if abs(dx) > reach:
             continue
-        for r in range(surface.y.shape[0]):
-            dy = surface.y[r] - y - aside
-            if not surface.rotor[r, c] or abs(dy) > reach or count == MOST_BELOW:
+        for r in range(grid.y.shape[0]):
+            dy = grid.y[r] - y - aside
+            if not grid.rotor[r, c] or abs(dy) > reach or count == MOST_BELOW:
                 continue
             if find_outside(row, dx, dy, half * parcels.omega[k]) > 0.0:
                 continue
@@ -195,12 +195,12 @@ def find_moments(below: Below, count: int) -> Moments:
 
 
 @linked
-def prepare_axes(surface: Surface, below: Below, count: int, gyration: float) -> None:
+def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
     """Write the axes of the modules below a parcel, for each action and part of the time."""
     for m in range(count):
         for action in range(len(EACH)):
             for part in range(PARTS):
-                target, turned = surface.angles[action], surface.turn * (part + 0.5)
+                target, turned = grid.angles[action], grid.turn * (part + 0.5)
                 angle = angle_after(below.angle[m], target, turned)
                 axis = below.axes[part, m, action]
                 axis[0], axis[1] = math.cos(angle), math.sin(angle)
@@ -211,7 +211,7 @@ def prepare_axes(surface: Surface, below: Below, count: int, gyration: float) ->
 
 @linked
 def predict_motion(
-    surface: Surface, rolls: float, below: Below, count: int, moments: Moments, vx: float,
+    grid: ModuleGrid, rolls: float, below: Below, count: int, moments: Moments, vx: float,
     vy: float, omega: float, pattern: int,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return a parcel's velocity (vx, vy, omega) after the predicted time.
@@ -236,8 +236,8 @@ def predict_motion(
             below.load[m] = max(0.0, level + slope_x * below.x[m] + slope_y * below.y[m])
             below.impulse[m] = 0.0
             total += below.load[m]
-        scale = surface.part * surface.along / max(total, 1e-9)
-        vx += surface.part * rolls
+        scale = grid.part * grid.along / max(total, 1e-9)
+        vx += grid.part * rolls
         before_x, before_y = vx, vy
         for n in range(SWEEPS * count):
             m = n if n < count else 2 * count - 1 - n
@@ -249,33 +249,33 @@ def predict_motion(
             vx += push * axis[0]
             vy += push * axis[1]
             omega += push * axis[3]
-        force_x, force_y = (vx - before_x) / surface.part, (vy - before_y) / surface.part
+        force_x, force_y = (vx - before_x) / grid.part, (vy - before_y) / grid.part
     return vx, vy, omega
 
 
 @linked
 def choose_pattern(
-    slope: Slope, aim: Aim, surface: Surface, parcels: SlopeParcels, row: Singles, k: int,
+    slope: Slope, aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int,
     axes: Numbers, below: Below, speed: float, lateral: float, turning: float,
 ) -> int:  # fmt: skip
     """Return the pattern after which a parcel's velocity is nearest to the wanted one."""
-    count = find_below(surface, parcels, row, k, axes, below)
+    count = find_below(grid, parcels, row, k, axes, below)
     if count == 0:
         return 0
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
-    prepare_axes(surface, below, count, (length * length + width * width) / 3.0)
+    prepare_axes(grid, below, count, (length * length + width * width) / 3.0)
     moments = find_moments(below, count)
     under = aim.under_top if parcels.x[k] < aim.top else aim.under
-    reached = min(speed, parcels.vx[k] + PARTS * surface.part * slope.rolls)
+    reached = min(speed, parcels.vx[k] + PARTS * grid.part * slope.rolls)
     best, least = 0, math.inf
     for pattern in range(PATTERNS.shape[0]):
         vx, vy, omega = predict_motion(
-            surface, slope.rolls, below, count, moments, parcels.vx[k], parcels.vy[k],
+            grid, slope.rolls, below, count, moments, parcels.vx[k], parcels.vy[k],
             parcels.omega[k], pattern,
         )  # fmt: skip
         turned = 0
         for m in range(count):
-            turned += abs(surface.angles[below.action[m]] - below.angle[m]) > 1e-6
+            turned += abs(grid.angles[below.action[m]] - below.angle[m]) > 1e-6
         cost = aim.over * max(0.0, vx - speed) + under * max(0.0, reached - vx)
         cost += aim.aside * abs(vy - lateral) + aim.turns * abs(omega - turning)
         cost += aim.change * turned / count
@@ -286,7 +286,7 @@ def choose_pattern(
 
 @linked
 def claim_modules(
-    aim: Aim, surface: Surface, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
+    aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
     nearest: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
     """Let modules below a parcel, or soon below it, follow its pattern if no other is nearer."""
@@ -294,14 +294,14 @@ def claim_modules(
     low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
     low_y, high_y = parcels.y[k] - parcels.across[k], parcels.y[k] + parcels.across[k]
     x, y = find_centre(parcels, row, k)
-    columns = surface.x.shape[0]
+    columns = grid.x.shape[0]
     for c in range(columns):
-        if not low_x + min(0.0, ahead) <= surface.x[c] <= high_x + max(0.0, ahead):
+        if not low_x + min(0.0, ahead) <= grid.x[c] <= high_x + max(0.0, ahead):
             continue
-        for r in range(surface.y.shape[0]):
-            if not low_y + min(0.0, aside) <= surface.y[r] <= high_y + max(0.0, aside):
+        for r in range(grid.y.shape[0]):
+            if not low_y + min(0.0, aside) <= grid.y[r] <= high_y + max(0.0, aside):
                 continue
-            dx, dy, m = surface.x[c] - x, surface.y[r] - y, r * columns + c
+            dx, dy, m = grid.x[c] - x, grid.y[r] - y, r * columns + c
             far = max(0.0, find_outside(row, dx, dy, 0.0)) + 1e-3 * math.sqrt(dx * dx + dy * dy)
             if far < nearest[m]:
                 nearest[m] = far
@@ -345,7 +345,7 @@ def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Intege
 
 @inlined
 def want_sideways(
-    slope: Slope, tuning: Tuning, aim: Aim, parcels: SlopeParcels, k: int, clear: bool
+    slope: Slope, tuning: Tuning, aim: PatternTuning, parcels: SlopeParcels, k: int, clear: bool
 ) -> tuple[float, float]:
     """Return the wanted speed [m/s] across the slope and the turning speed [rad/s] of a parcel."""
     shift, lateral, turning = parcels.shift[k], 0.0, 0.0
@@ -361,7 +361,7 @@ def want_sideways(
 
 @compiled
 def choose_patterns(
-    tables: Singles, slope: Slope, tuning: Tuning, aim: Aim, surface: Surface,
+    tables: Singles, slope: Slope, tuning: Tuning, aim: PatternTuning, grid: ModuleGrid,
     parcels: SlopeParcels, slots: Slots, below: Below, nearest: Numbers, order: Integers,
     came: Numbers, stood: Integers, axes: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
@@ -388,12 +388,12 @@ def choose_patterns(
             clear = is_way_clear(tuning, parcels, order[i], count, place, HELD)
             lateral, turning = want_sideways(slope, tuning, aim, parcels, k, clear)
             pattern = choose_pattern(
-                slope, aim, surface, parcels, table[k], k, axes[i], below, speed, lateral, turning
+                slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
             )
-            claim_modules(aim, surface, parcels, table[k], k, pattern, nearest, commands[i])
+            claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
         for m in range(nearest.shape[0]):
-            target = surface.angles[commands[i, m]]
-            axes[i, m] = angle_after(axes[i, m], target, surface.period)
+            target = grid.angles[commands[i, m]]
+            axes[i, m] = angle_after(axes[i, m], target, grid.period)
 
 
 class PatternMemory(NamedTuple):
@@ -414,14 +414,14 @@ class Patterns(SlopeRule):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._aim, self._surface = Aim(), read_surface(config, Aim())
+        self._aim, self._grid = PatternTuning(), read_grid(config, PatternTuning())
         self._modules = config.action_kind.size
 
     def make_memory(self, num_envs: int, rows: int) -> Any:
         shape = (num_envs, rows)
         return PatternMemory(
             np.full(shape, NOBODY), np.full(shape, -np.inf), np.zeros(shape, dtype=np.int64),
-            np.full((num_envs, self._modules), self._surface.angles[ROLL]),
+            np.full((num_envs, self._modules), self._grid.angles[ROLL]),
         )  # fmt: skip
 
     def make_commands(self, num_envs: int, rows: int) -> Integers:
@@ -436,11 +436,11 @@ class Patterns(SlopeRule):
         below = Below(*[*numbers, axes, *places])
         nearest = np.zeros(self._modules)
         return (
-            tables, slope, tuning, self._aim, self._surface, parcels, slots, below, nearest, *memory
+            tables, slope, tuning, self._aim, self._grid, parcels, slots, below, nearest, *memory
         )  # fmt: skip
 
 
-def read_surface(config: EnvConfig, aim: Aim) -> Surface:
+def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
     """Read the modules of a surface from a configuration."""
     line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
     speed, period = config.actuators.axis_speed, config.control_period
@@ -448,7 +448,7 @@ def read_surface(config: EnvConfig, aim: Aim) -> Surface:
     part = (period + aim.lag / speed) / PARTS
     place = np.arange(max(rows, columns), dtype=np.float64)
     zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
-    return Surface(
+    return ModuleGrid(
         x=line.column_edge(first + 0.5) - config.entry_x + line.pitch_x * place[:columns],
         y=line.origin[1] - line.line_y + line.pitch_y * (first_row + place[:rows]),
         rotor=np.ascontiguousarray(zone),

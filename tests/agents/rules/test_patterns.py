@@ -8,7 +8,7 @@ import pytest
 from surface_gym.agents.rules.patterns import (
     MOST_BELOW,
     PATTERNS,
-    Aim,
+    PatternTuning,
     Patterns,
     choose_action,
     find_below,
@@ -17,7 +17,7 @@ from surface_gym.agents.rules.patterns import (
     find_place,
     predict_motion,
     prepare_axes,
-    read_surface,
+    read_grid,
 )  # fmt: skip
 from surface_gym.agents.rules.slopes import ROLL, make_parcels, read_parcels
 from surface_gym.config import EnvConfig
@@ -37,7 +37,7 @@ class Slope:
         stream = bulk(900.0)
         self.config = EnvConfig("singulate", max_parcels=1, stream=stream, actuators=actuators)
         self.rule = Patterns(self.config)
-        self.surface = read_surface(self.config, Aim(lag=0.0))
+        self.grid = read_grid(self.config, PatternTuning(lag=0.0))
         self.arguments = self.rule.begin()
         self.batch = begun(self.config, seed=SEED)
         self.parcels = make_parcels(1)
@@ -59,8 +59,8 @@ class Slope:
         return np.array(
             [
                 choose_action(pattern, find_place(dx - x, dy - y, r + c))
-                for r, dy in enumerate(self.surface.y)
-                for c, dx in enumerate(self.surface.x)
+                for r, dy in enumerate(self.grid.y)
+                for c, dx in enumerate(self.grid.x)
             ]
         )
 
@@ -70,13 +70,13 @@ class Slope:
 
     def predict(self, pattern: int, axes: np.ndarray) -> np.ndarray:
         below, rolls = self.arguments[7], self.arguments[1].rolls
-        count = find_below(self.surface, self.parcels, self.row, 0, axes, below)
+        count = find_below(self.grid, self.parcels, self.row, 0, axes, below)
         assert 4 <= count < MOST_BELOW
         length, width = (read(self.row, each) for each in (COLUMN.length, COLUMN.width))
-        prepare_axes(self.surface, below, count, (length**2 + width**2) / 3.0)
+        prepare_axes(self.grid, below, count, (length**2 + width**2) / 3.0)
         moments = find_moments(below, count)
         return np.array(
-            predict_motion(self.surface, rolls, below, count, moments, *self.look(), pattern)
+            predict_motion(self.grid, rolls, below, count, moments, *self.look(), pattern)
         )
 
 
@@ -96,7 +96,7 @@ def test_each_pattern_moves_a_parcel_as_predicted(
             actions = slope.actions(int(rng.integers(len(PATTERNS))))
             slope.step(actions)
             slope.step(actions)  # axes have turned
-        axes, before = slope.surface.angles[actions], slope.look()
+        axes, before = slope.grid.angles[actions], slope.look()
         snapshot = slope.batch.snapshot()
         for pattern in range(len(PATTERNS)):
             slope.look()
