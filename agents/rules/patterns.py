@@ -60,6 +60,7 @@ TOUCHES = 0.002  # [m] overlap from which a parcel is in another's way
 SHIFTED = 0.002  # [m] remaining shift that counts as none
 LONG = 15  # control periods without motion after which parcels are let go together
 CREEP = 0.4  # [m/s] speed at which they go
+CLEAR = 0.06  # [m] distance between successive parcels
 
 
 class PatternTuning(NamedTuple):
@@ -70,14 +71,14 @@ class PatternTuning(NamedTuple):
     turning: float = 4.0  # [rad/s] maximum wanted turning speed,
     turning_stop: float = 15.0  # [rad/s^2] and its assumed deceleration
     turning_from: float = 0.3  # [m/s] speed of a parcel that may turn as fast
-    over: float = 3.0  # [-] cost of a speed above the wanted one,
-    under: float = 0.9  # [-] of a speed below it,
+    over: float = 1.5  # [-] cost of a speed above the wanted one,
+    under: float = 1.6  # [-] of a speed below it,
     under_top: float = 1.5  # [-] and near the upper edge, where others wait to enter,
     aside: float = 1.0  # [-] of a wrong speed across the slope,
     turns: float = 0.25  # [m] of a wrong turning speed,
     change: float = 0.002  # [m/s] and of turning all axes
     top: float = 1.3  # [m] length of the surface near the upper edge
-    slot_from: float = 1.5  # [m] position from which parcels are braked for their slots
+    slot_from: float = 1.2  # [m] position from which parcels are braked for their slots
     tight: float = 0.5  # [m] position up to which parcels may touch,
     loosening: float = 0.7  # [m] and length over which they part after it
     lag: float = 0.63  # [rad] part of axes' turns that is added to the predicted time
@@ -414,6 +415,7 @@ class Patterns(SlopeRule):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
+        self._tuning = self._tuning._replace(clear=CLEAR)
         self._aim, self._grid = PatternTuning(), read_grid(config, PatternTuning())
         self._modules = config.action_kind.size
 

@@ -8,8 +8,8 @@ import pytest
 from surface_gym.agents.rules.patterns import (
     MOST_BELOW,
     PATTERNS,
-    PatternTuning,
     Patterns,
+    PatternTuning,
     choose_action,
     find_below,
     find_centre,
