@@ -60,7 +60,8 @@ TOUCHES = 0.002  # [m] overlap from which a parcel is in another's way
 SHIFTED = 0.002  # [m] remaining shift that counts as none
 LONG = 15  # control periods without motion after which parcels are let go together
 CREEP = 0.4  # [m/s] speed at which they go
-CLEAR = 0.06  # [m] distance between successive parcels
+# Values of `Tuning` that differ from other rules'.
+CLEAR, SHIFT, TURN = 0.06, 0.45, 0.1
 
 
 class PatternTuning(NamedTuple):
@@ -73,14 +74,11 @@ class PatternTuning(NamedTuple):
     turning_from: float = 0.3  # [m/s] speed of a parcel that may turn as fast
     over: float = 1.5  # [-] cost of a speed above the wanted one,
     under: float = 1.6  # [-] of a speed below it,
-    under_top: float = 1.5  # [-] and near the upper edge, where others wait to enter,
     aside: float = 1.0  # [-] of a wrong speed across the slope,
     turns: float = 0.25  # [m] of a wrong turning speed,
     change: float = 0.002  # [m/s] and of turning all axes
-    top: float = 1.3  # [m] length of the surface near the upper edge
     slot_from: float = 1.2  # [m] position from which parcels are braked for their slots
-    tight: float = 0.5  # [m] position up to which parcels may touch,
-    loosening: float = 0.7  # [m] and length over which they part after it
+    loosening: float = 0.7  # [m] length over which parcels that may touch at first part
     lag: float = 0.63  # [rad] part of axes' turns that is added to the predicted time
     sooner: float = 0.1  # [s] time before a parcel's arrival at which a module obeys it
 
@@ -266,7 +264,6 @@ def choose_pattern(
     length, width = read(row, COLUMN.length), read(row, COLUMN.width)
     prepare_axes(grid, below, count, (length * length + width * width) / 3.0)
     moments = find_moments(below, count)
-    under = aim.under_top if parcels.x[k] < aim.top else aim.under
     reached = min(speed, parcels.vx[k] + PARTS * grid.part * slope.rolls)
     best, least = 0, math.inf
     for pattern in range(PATTERNS.shape[0]):
@@ -277,7 +274,7 @@ def choose_pattern(
         turned = 0
         for m in range(count):
             turned += abs(grid.angles[below.action[m]] - below.angle[m]) > 1e-6
-        cost = aim.over * max(0.0, vx - speed) + under * max(0.0, reached - vx)
+        cost = aim.over * max(0.0, vx - speed) + aim.under * max(0.0, reached - vx)
         cost += aim.aside * abs(vy - lateral) + aim.turns * abs(omega - turning)
         cost += aim.change * turned / count
         if cost < least:
@@ -335,7 +332,7 @@ def sort_parcels(
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
     """Count the periods (rows,) in which parcels stand; return whether the first is stuck.
 
-    Then all that have stood for long go for some periods, with the same memory.
+    If it is, all that have stood for long are let go for some periods.
     """
     for place in range(count):
         k = order[place]
@@ -376,13 +373,14 @@ def choose_patterns(
         count = sort_parcels(table, tuning, parcels, order[i], came[i], stood[i])
         stuck = find_stuck(parcels, order[i], count, stood[i])
         forget_slots(slots)
-        nearest[:] = math.inf
+        for m in range(nearest.shape[0]):
+            nearest[m], commands[i, m] = math.inf, ROLL
         for place in range(count):
             k = order[i, place]
             speed = plan_by_slot(slope, tuning, parcels, slots, k)
             if parcels.x[k] < aim.slot_from:
                 speed = slope.take_away
-            gap = tuning.clear * min(1.0, max(0.0, (parcels.x[k] - aim.tight) / aim.loosening))
+            gap = tuning.clear * min(1.0, parcels.x[k] / aim.loosening)
             speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place, gap))
             if stuck and stood[i, k] > LONG:
                 speed = max(speed, CREEP)
@@ -415,7 +413,7 @@ class Patterns(SlopeRule):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        self._tuning = self._tuning._replace(clear=CLEAR)
+        self._tuning = self._tuning._replace(clear=CLEAR, shift_cost=SHIFT, turn_cost=TURN)
         self._aim, self._grid = PatternTuning(), read_grid(config, PatternTuning())
         self._modules = config.action_kind.size
 
