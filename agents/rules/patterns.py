@@ -56,8 +56,7 @@ SWEEPS = 2  # there and back over the modules below a parcel, in a part of the t
 MOST_BELOW = 64  # modules below one parcel in the model
 HEIGHT = 0.1  # [m] assumed height of a centre of mass
 SPREAD = 1e-4  # [m^2] least variance of the modules' positions, for the balance of loads
-TOUCHES = 0.002  # [m] overlap from which a parcel is in another's way
-SHIFTED = 0.002  # [m] remaining shift that counts as none
+NEAR = 0.002  # [m] an overlap or a remaining shift below it is none
 LONG = 15  # control periods without motion after which parcels are let go together
 CREEP = 0.4  # [m/s] speed at which they go
 # Values of `Tuning` that differ from other rules'.
@@ -169,11 +168,8 @@ def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, flo
     return parcels.x[k] - 0.5 * (parcels.front[k] - parcels.rear[k]), read(row, COLUMN.offset)
 
 
-Moments = tuple[float, float, float, float, float, float]
-
-
 @inlined
-def find_moments(below: Below, count: int) -> Moments:
+def find_moments(below: Below, count: int) -> tuple[float, ...]:
     """Return the upper triangle of the modules' inverse moments, for the balance of loads."""
     n = float(count)
     sx = sy = sxy = 0.0
@@ -210,17 +206,14 @@ def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) ->
 
 @linked
 def predict_motion(
-    grid: ModuleGrid, rolls: float, below: Below, count: int, moments: Moments, vx: float,
+    grid: ModuleGrid, rolls: float, below: Below, count: int, moments: tuple[float, ...], vx: float,
     vy: float, omega: float, pattern: int,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return a parcel's velocity (vx, vy, omega) after the predicted time.
 
     The impulse of a contact stops its slip along the axis, as far as friction allows. The load
     moves towards the side to which friction pushes.
-
-    Args:
-        rolls: [m/s^2] acceleration of a rolling parcel.
-        moments: result of `find_moments`.
+    A rolling parcel accelerates by `rolls` [m/s^2].
     """
     for m in range(count):
         below.action[m] = choose_action(pattern, below.place[m])
@@ -309,7 +302,7 @@ def claim_modules(
 @inlined
 def is_in_way(parcels: SlopeParcels, j: int, k: int) -> bool:
     """Return whether parcel `j` is ahead of parcel `k` and in its way."""
-    wide = parcels.across[j] + parcels.across[k] - TOUCHES
+    wide = parcels.across[j] + parcels.across[k] - NEAR
     return parcels.x[j] > parcels.x[k] and abs(parcels.y[j] - parcels.y[k]) < wide
 
 
@@ -368,7 +361,7 @@ def choose_patterns(
         table = tables[i]
         read_parcels(table, slope, tuning, parcels)
         for k in range(table.shape[0]):
-            if abs(parcels.shift[k]) < SHIFTED:
+            if abs(parcels.shift[k]) < NEAR:
                 parcels.shift[k] = 0.0
         count = sort_parcels(table, tuning, parcels, order[i], came[i], stood[i])
         stuck = find_stuck(parcels, order[i], count, stood[i])
