@@ -104,13 +104,13 @@ def write_rule(rule: Rule, folder: Path) -> Card:
     """Write a rule with its memory at the start of an episode; return its card."""
     config = configure(rule)
     made: Any = rule.make(config)
-    has_halves = config.actions == "parcels"
+    is_stream = config.task.is_stream
     slug = rule.name.lower().replace(" ", "-")
-    code = slug if has_halves else f"{rule.task}-{slug}"
+    code = slug if is_stream else f"{rule.task}-{slug}"
     name = f"{rule.task}-{slug}"
     card = {"kind": "rule", **write_machine(code, name, made.kernel, made.begin(), folder)}
-    if has_halves:
-        card["choices"] = made.choices.tolist()
+    if is_stream:
+        card |= {"choices": made.choices.tolist(), "modules": config.actions == "modules"}
     elif config.actions == WINDOW:
         card["window"] = list(config.action_kind.shape)
     return {**card, "camera": find_camera_numbers(rule)}

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,16 @@ class Rule:
 # Modules with rules, in the order of the tables.
 MODULES = tuple(
     f"surface_gym.agents.rules.{name}"
-    for name in ("base", "sorting", "layouts", "local", "steering", "braking", "departures")
+    for name in (
+        "base",
+        "sorting",
+        "layouts",
+        "local",
+        "steering",
+        "braking",
+        "departures",
+        "patterns",
+    )
 )
 # Keys are task and name, e.g. "sort: event rule".
 RULES: Registry[Rule] = Registry("rule", *MODULES)
@@ -175,10 +184,12 @@ class CompiledRule(BaseRule, CompiledController):
 
 
 class BaseStreamRule(BatchController):
-    """Base class of rules with `actions="parcels"` for streams."""
+    """Base class of rules for streams."""
+
+    acts_by: ClassVar[str] = "parcels"  # its kind of action
 
     def __init__(self, config: EnvConfig) -> None:
-        checks.one_of("actions", config.actions, ("parcels",))
+        checks.one_of("actions", config.actions, (self.acts_by,))
         _check_choices(config)
         axes = find_axes(config)
         self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half

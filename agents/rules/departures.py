@@ -103,13 +103,17 @@ def sort_by_progress(
 
 @linked
 def limit_speed(
-    slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int
-) -> float:
+    slope: Slope, tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int,
+    clear: float,
+) -> float:  # fmt: skip
     """Compute the speed limit [m/s] of the parcel at a place of the order.
 
     The parcel keeps clear of parcels ahead. It follows its predecessor into the same mouth; the
     required gap grows with its progress down the slope. It waits before the point where it can no
     longer be led aside, and stays on the surface while the take-away stands still.
+
+    Args:
+        clear: [m] distance to parcels ahead.
     """
     k = order[place]
     x, y, vx = parcels.x[k], parcels.y[k], parcels.vx[k]
@@ -119,7 +123,7 @@ def limit_speed(
         beside = abs(parcels.y[j] - y) >= parcels.across[j] + parcels.across[k] - 0.01
         if j == k or parcels.x[j] <= x or beside:
             continue
-        room = parcels.x[j] - x - parcels.along[j] - parcels.along[k] - tuning.clear
+        room = parcels.x[j] - x - parcels.along[j] - parcels.along[k] - clear
         limit = min(limit, follow(slope, tuning, room, max(0.0, parcels.vx[j])))
     for before in range(place - 1, -1, -1):
         j = order[before]
@@ -148,12 +152,16 @@ def limit_speed(
 
 @inlined
 def is_way_clear(
-    tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, k: int
+    tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int, yields: float
 ) -> bool:
-    """Return whether no other parcel is beside a parcel, or where it would be led to."""
+    """Return whether no other parcel is beside a parcel, or where it would be led to.
+
+    Later parcels behind it that are faster by less than `yields` [m/s] give way.
+    """
+    k = order[place]
     shift = parcels.shift[k]
-    for place in range(count):
-        j = order[place]
+    for other in range(count):
+        j = order[other]
         if j == k:
             continue
         ahead, aside = parcels.x[j] - parcels.x[k], parcels.y[j] - parcels.y[k]
@@ -165,7 +173,10 @@ def is_way_clear(
             continue
         if (aside > 0.0) != (shift > 0.0) or abs(aside) >= abs(shift) + wide + tuning.beside:
             continue
-        if ahead > long and parcels.vx[j] > parcels.vx[k]:
+        faster = parcels.vx[j] - parcels.vx[k]
+        if ahead > long and faster > 0.0:
+            continue
+        if ahead < -long and faster < yields and other > place:
             continue
         return False
     return True
@@ -178,8 +189,8 @@ def move(
 ) -> None:  # fmt: skip
     """Choose the halves of a parcel for a goal speed [m/s], limited by the parcels around it."""
     k = order[place]
-    speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place))
-    clear = is_way_clear(tuning, parcels, order, count, k)
+    speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, tuning.clear))
+    clear = is_way_clear(tuning, parcels, order, count, place, -math.inf)
     choose_halves(slope, tuning, parcels, k, speed, clear, brakes, i, halves[i, k])
     aside = clear and parcels.shift[k] != 0.0
     if not parcels.runs[k] or (slope.dwell > 1 and not aside):

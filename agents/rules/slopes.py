@@ -4,7 +4,6 @@ Rules read the table of parcels, and choose an action for the modules ahead of e
 and for the modules behind it.
 """
 
-import copy
 import math
 from typing import Any, NamedTuple
 
@@ -334,25 +333,10 @@ class SlopeMemory(NamedTuple):
     brakes: Brakes
 
 
-def make_memory(num_envs: int, rows: int) -> SlopeMemory:
-    """Make the initial memory of a rule."""
-    shape = (num_envs, rows)
-    brakes = Brakes(np.zeros(shape), *np.zeros((3, *shape), dtype=np.int64))
-    return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)
-
-
-def forget(memory: SlopeMemory, fresh: Booleans) -> None:
-    """Clear the memory of environments (num_envs,) with new episodes."""
-    memory.order[fresh] = NOBODY
-    memory.came[fresh] = -np.inf
-    memory.brakes.due[fresh] = 0.5
-    memory.brakes.halves[fresh] = memory.brakes.since[fresh] = memory.brakes.stood[fresh] = 0
-
-
 class SlopeRule(BaseStreamRule, CompiledController):
     """A rule for tasks on a slope with a take-away.
 
-    Its function does not write the halves of empty rows.
+    Its function does not write the commands of empty rows.
     """
 
     def __init__(self, config: EnvConfig) -> None:
@@ -364,30 +348,47 @@ class SlopeRule(BaseStreamRule, CompiledController):
         self._parcels = make_parcels(self._rows)
         self._slots = Slots(*np.zeros((2, len(self._slope.mouths))))
 
-    def arguments(self, tables: Singles, memory: SlopeMemory, halves: Integers) -> tuple[Any, ...]:
+    def make_memory(self, num_envs: int, rows: int) -> Any:
+        """Make the memory at the start of episodes, a named tuple of arrays (num_envs, ...)."""
+        shape = (num_envs, rows)
+        brakes = Brakes(np.full(shape, 0.5), *np.zeros((3, *shape), dtype=np.int64))
+        return SlopeMemory(np.full(shape, NOBODY), np.full(shape, -np.inf), brakes)
+
+    def make_commands(self, num_envs: int, rows: int) -> Integers:
+        """Make the commands of a rolling surface: halves (num_envs, rows, 2)."""
+        return np.full((num_envs, rows, 2), ROLL)
+
+    def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:
         """Return the kernel's arguments for tables (num_envs, rows, features)."""
-        return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, halves)
+        return (tables, self._slope, self._tuning, self._parcels, self._slots, *memory, commands)
 
     def begin(self) -> tuple[Any, ...]:
-        rows, memory = self._rows, make_memory(1, self._rows)
-        forget(memory, np.ones(1, dtype=np.bool_))
-        tables = np.zeros((1, rows, self._shape[1]), dtype=np.float32)
-        return self.arguments(tables, memory, np.zeros((1, rows, 2), dtype=np.int64))
+        tables = np.zeros((1, self._rows, self._shape[1]), dtype=np.float32)
+        memory = self.make_memory(1, self._rows)
+        return self.arguments(tables, memory, self.make_commands(1, self._rows))
 
     def _predict(
         self, batch: Singles, state: Any, episode_start: Any, **_: bool
-    ) -> tuple[Integers, SlopeMemory]:
+    ) -> tuple[Integers, Any]:
         num_envs, rows, _features = batch.shape
         fresh = is_fresh(num_envs, state, episode_start)
-        memory = make_memory(num_envs, rows)
+        memory = self.make_memory(num_envs, rows)
         if state is not None:
-            memory = copy.deepcopy(checks.alike("state", state, memory))
-        forget(memory, fresh)
+            known = _list_arrays(checks.alike("state", state, memory))
+            for new, old in zip(_list_arrays(memory), known, strict=True):
+                new[~fresh] = old[~fresh]
         if len(self._parcels.x) != rows:
             self._parcels = make_parcels(rows)
-        halves = np.full((num_envs, rows, 2), ROLL)
-        self.kernel(*self.arguments(batch, memory, halves))
-        return self.choices[halves].reshape(num_envs, -1), memory
+        commands = self.make_commands(num_envs, rows)
+        self.kernel(*self.arguments(batch, memory, commands))
+        return self.choices[commands].reshape(num_envs, -1), memory
+
+
+def _list_arrays(memory: Any) -> list[Any]:
+    """List the arrays of nested tuples."""
+    if isinstance(memory, tuple):
+        return [array for part in memory for array in _list_arrays(part)]
+    return [memory]
 
 
 def read_slope(config: EnvConfig) -> Slope:

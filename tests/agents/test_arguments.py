@@ -14,13 +14,15 @@ from surface_gym.agents import library
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
+from surface_gym.agents.rules.patterns import Patterns
+from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.agents.rules.sorting import GradedLayout, SortEach, StreamEventRule
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 
 ON_SLOPES = [
     ("singulate", TimeSlots), ("singulate", HoldAndRelease), ("merge", TimeSlots),
-    ("merge", HoldAndRelease), ("sequence", PassAndPark),
+    ("merge", HoldAndRelease), ("sequence", PassAndPark), ("merge", Patterns),
 ]  # fmt: skip
 ANY_ROWS = ("parcels", "local")  # learning algorithms of policies for any number of parcels
 
@@ -44,7 +46,7 @@ MAKERS: dict[str, Callable[[], tuple[Any, EnvConfig]]] = {
     },
     "any angle": partial(_ruled, GradedLayout, "sort", actions="modules", orientations="any"),
     **{
-        f"{task}, {make.__name__}": partial(_ruled, make, task, actions="parcels")
+        f"{task}, {make.__name__}": partial(_ruled, make, task, actions=make.acts_by)
         for task, make in ON_SLOPES
     },
     **{
@@ -74,9 +76,7 @@ def test_an_observation_of_another_environment_is_refused(name: str) -> None:
 
 def _takes_any_rows(controller: Any) -> bool:
     card = getattr(controller, "card", None)
-    return isinstance(controller, (TimeSlots, HoldAndRelease, PassAndPark)) or (
-        card is not None and card.algo in ANY_ROWS
-    )
+    return isinstance(controller, SlopeRule) or (card is not None and card.algo in ANY_ROWS)
 
 
 # Flow's policy tries its maneuvers first, and what searches plays every start: both take long.
@@ -103,7 +103,7 @@ def test_what_is_remembered_of_other_environments_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize(("task", "make"), ON_SLOPES)
 def test_rules_on_slopes_serve_any_number_of_rows(task: str, make: Any) -> None:
-    config = EnvConfig(task, actions="parcels")
+    config = EnvConfig(task, actions=make.acts_by)
     rng = np.random.default_rng(0)
     space = config.row_space()
     rows = rng.uniform(space.low, space.high, (6, len(space.low))).astype(np.float32)
@@ -112,7 +112,7 @@ def test_rules_on_slopes_serve_any_number_of_rows(task: str, make: Any) -> None:
     many[:6] = rows
     few, _ = make(config).predict(rows)
     found, state = make(config).predict(many)
-    np.testing.assert_array_equal(found[:12], few)
+    np.testing.assert_array_equal(found[: few.size], few)
     with pytest.raises(ValueError, match=r"^state\.order must be int64 of the shape \(1, 6\)"):
         make(config).predict(rows, state)
 

@@ -17,6 +17,7 @@ from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.base import CompiledRule
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
+from surface_gym.agents.rules.patterns import Patterns
 from surface_gym.agents.rules.sorting import BestSorting, SortEach, StreamEventRule
 from surface_gym.agents.slope_policy import LocalNetwork, ParcelNetwork
 from surface_gym.config import EnvConfig
@@ -38,6 +39,7 @@ RULES = [
     ("singulate", "hold and release", HoldAndRelease),
     ("merge", "time slots", TimeSlots),
     ("sequence", "pass and park", PassAndPark),
+    ("singulate", "patterns", Patterns),
 ]
 SIZE, SIDE = 6, 14  # columns of what is seen in Sort
 TIE = 1e-4  # of two shares that rounding may tell apart either way
@@ -143,7 +145,8 @@ def run_in_python(task: str, agent: Any, seed: int, **arguments: Any) -> list[fl
     """Run an agent that decides for each parcel; return the reward, the time, what was counted,
     and where the parcels are that are there.
     """
-    env = gym.make(env_id(task), actions="parcels", **arguments)
+    actions = getattr(agent, "acts_by", "parcels")
+    env = gym.make(env_id(task), actions=actions, **arguments)
     table, info = env.reset(seed=seed)
     rewards, state = 0.0, None
     for _ in range(PERIODS):
@@ -186,7 +189,7 @@ def test_modules_of_a_stream_obey_the_parcels_as_in_python(agents, name):
 @pytest.mark.parametrize(("task", "name", "rule"), RULES)
 def test_a_rule_on_a_slope_runs_as_in_python_again_too(agents, task, name, rule):
     page = agents(TaskScene(task, 2, name))
-    wanted = run_in_python(task, rule(EnvConfig(task, actions="parcels")), 2)
+    wanted = run_in_python(task, rule(EnvConfig(task, actions=rule.acts_by)), 2)
     assert len(wanted) > 6 + 6 * 2  # some parcels are on their way
     assert run_in_page(page) == wanted
     page.click("#again")

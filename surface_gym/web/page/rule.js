@@ -7,8 +7,9 @@
  * @property {[number, number]} [window] rows and columns around the parcel that it chooses for; by
  *   default all modules of the zone
  * @property {Object<string, number>} [camera] numbers of its memory that are others with a camera
- * @property {number[]} [choices] on a slope, that a half's action stands for: roll, brake, to the
- *   left, to the right
+ * @property {number[]} [choices] on a slope, that an action stands for: roll, brake, to the left, to
+ *   the right
+ * @property {boolean} [modules] on a slope, whether it acts for each module, not for halves of parcels
  */
 
 /** An agent: its card, and what it is made of. */
@@ -75,16 +76,18 @@ export class Rule extends CompiledRule {
   }
 }
 
-/** A rule on a slope, which decides for each parcel. */
+/** A rule on a slope. */
 export class SlopeRule extends CompiledRule {
-  /** Choose for both halves of the parcel in each row, one after the other. */
+  /** Choose for both halves of the parcel in each row, one after the other, or for each module. */
   choose(run) {
-    return this.call(run, "tables", "halves")[0].map((half) => this.card.choices[half]);
+    const to = this.card.modules ? "commands" : "halves";
+    return this.call(run, "tables", to)[0].map((action) => this.card.choices[action]);
   }
 
   act(run) {
     this.chosen = this.choose(run);
-    this.obeying.act(run, this.chosen);
+    if (this.card.modules) run.wanted.set(this.chosen);
+    else this.obeying.act(run, this.chosen);
   }
 }
 

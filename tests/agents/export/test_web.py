@@ -226,7 +226,7 @@ def test_agents_on_a_slope_are_the_rules_and_those_that_ship_each_with_its_files
     assert (folder / f"{agents['obeying']['code']}.wasm").is_file()
     learned = [each for each in library.names() if each.startswith("merge-")]
     assert "merge-parcels" in learned
-    assert list(agents["streams"]) == ["time slots", "hold and release", *learned]
+    assert list(agents["streams"]) == ["time slots", "hold and release", "patterns", *learned]
     for name, card in agents["streams"].items():
         assert card["kind"] == "rule" or card["weights"] == f"agent-{name}.bin"
         layout = json.loads((folder / f"{card['machine']}.json").read_text())

@@ -8,10 +8,11 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
+from surface_gym.agents.rules.patterns import Patterns
 from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
-from surface_gym.flow.exits import side_by_side
+from surface_gym.flow.exits import Exit, Exits, side_by_side
 from surface_gym.flow.slope_tasks import lines, shuffled
 from surface_gym.flow.state import JAM
 from surface_gym.flow.take_away import Stops, TakeAwayStatistics, bulk, slope_line
@@ -24,7 +25,7 @@ MOUTH: dict[str, Any] = {"exits": "mouth", "alignment": ALIGNMENT}
 
 def played(make: Any, task: str, **arguments: Any) -> tuple[TakeAwayStatistics, StreamBatch]:
     given = {"duration": 120.0, **arguments}
-    config = EnvConfig(task, actions="parcels", **given)
+    config = EnvConfig(task, actions=make.acts_by, **given)
     batch, rule, state = begun(config), make(config), None
     while batch.outcome[0] == RUNNING:
         action, state = rule.predict(batch.observation, state, np.array([state is None]))
@@ -75,6 +76,44 @@ class TestTimeSlots:
         assert found.time_mean < 2.9  # rolling takes 2.5 s
 
 
+class TestPatterns:
+    @pytest.mark.parametrize(
+        ("task", "arguments", "least"),
+        [
+            ("singulate", {"stream": bulk(14_000.0)}, 9000.0),
+            ("singulate", {"stream": bulk(14_000.0), **MOUTH}, 7500.0),
+            ("singulate", {"stream": bulk(14_000.0), **MOUTH, "demand": Stops()}, 5000.0),
+            ("singulate", {"stream": bulk(14_000.0), **MOUTH, "preset": "lab"}, 6500.0),
+            ("merge", {"stream": lines(9000.0)}, 7000.0),
+        ],
+    )
+    def test_more_parcels_leave_one_by_one(self, task, arguments, least) -> None:
+        found, batch = played(Patterns, task, **arguments)
+        assert batch.outcome[0] != JAM
+        assert found.parcels_per_hour > least
+        assert found.correct_gaps >= (0.98 if "preset" in arguments else 1.0)
+        assert found.aligned > 0.99
+        assert found.beside < 0.01
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            {"line": slope_line(3.0)},
+            {"tilt": math.radians(6.0)},
+            {"tilt": math.radians(10.0)},
+            {"exits": Exits((Exit("aside", 0, -0.5, 0.1),))},
+            {"control_period": 0.02},
+            {"max_parcels": 6},
+        ],
+    )
+    def test_it_holds_off_what_it_was_tuned_on(self, arguments) -> None:
+        given: dict[str, Any] = {**MOUTH, "stream": bulk(12_000.0), **arguments}
+        found, batch = played(Patterns, "singulate", **given)
+        assert batch.outcome[0] != JAM
+        assert found.correct_gaps > 0.98
+        assert found.parcels_per_hour > 2500.0
+
+
 def test_one_that_holds_and_releases_keeps_parcels_longer_and_gaps_right() -> None:
     held, batch = played(HoldAndRelease, "singulate", stream=bulk(14_000.0))
     slots, _ = played(TimeSlots, "singulate", stream=bulk(14_000.0))
@@ -96,10 +135,15 @@ def test_parcels_leave_in_their_order(window: int, rate: float) -> None:
 
 @pytest.mark.parametrize(
     ("make", "task"),
-    [(TimeSlots, "merge"), (HoldAndRelease, "singulate"), (PassAndPark, "sequence")],
+    [
+        (TimeSlots, "merge"),
+        (HoldAndRelease, "singulate"),
+        (PassAndPark, "sequence"),
+        (Patterns, "merge"),
+    ],
 )
 def test_a_batch_is_led_as_each_of_it_alone(make: type[SlopeRule], task: str) -> None:
-    config = EnvConfig(task, actions="parcels", duration=6.0)
+    config = EnvConfig(task, actions=make.acts_by, duration=6.0)
     rule, together = make(config), begun(config, 3, seed=7)
     alone = [begun(config, seed=7 + i) for i in range(3)]
     state, states = None, [None] * 3
@@ -138,3 +182,5 @@ class TestArguments:
             PassAndPark(EnvConfig("merge", actions="parcels"))
         with pytest.raises(ValueError, match="actions must be"):
             TimeSlots(EnvConfig("singulate"))
+        with pytest.raises(ValueError, match="actions must be"):
+            Patterns(EnvConfig("singulate", actions="parcels"))

@@ -1,0 +1,453 @@
+"""A rule of modules on slopes: the best of several patterns of axes below each parcel.
+
+Each parcel has a wanted speed along the slope, by its time slot and the parcels ahead, and wanted
+speeds across it and in turning. A model of friction predicts its motion for each pattern, and the
+modules below the parcel follow the pattern that brings it nearest to them. The model knows how
+axes turn.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from surface_gym.actions import angle_after
+from surface_gym.compiler.jit import compiled, inlined, linked
+from surface_gym.config import EnvConfig
+from surface_gym.flow import take_away as ta
+from surface_gym.flow.take_away import COLUMN
+from surface_gym.physics.types import GRAVITY
+from surface_gym.tasks.features import read
+
+from ..base import Booleans, Integers, Numbers, Singles
+from .base import rule
+from .departures import is_way_clear, limit_speed, plan_by_slot, sort_by_progress
+from .slopes import (
+    BRAKE,
+    HELD,
+    NOBODY,
+    ROLL,
+    STANDS,
+    TO_LEFT,
+    TO_RIGHT,
+    Slope,
+    SlopeParcels,
+    SlopeRule,
+    Slots,
+    Tuning,
+    forget_slots,
+    read_parcels,
+)  # fmt: skip
+
+EACH = (ROLL, BRAKE, TO_LEFT, TO_RIGHT)
+WHOLE, AHEAD, LEFT, IN_TURN = range(4)  # modules that follow a pattern's first action
+# Braking modules beside leaning ones are hardly ever best.
+TWO = [
+    (one, other) for one in EACH for other in EACH
+    if one != other and (ROLL in (one, other) or BRAKE not in (one, other))
+]  # fmt: skip
+PATTERNS = np.array(
+    [(WHOLE, one, one) for one in EACH]
+    + [(split, *two) for split in (AHEAD, LEFT) for two in TWO]
+    + [(IN_TURN, one, other) for one, other in TWO if one < other]
+)
+PARTS = 2  # of the predicted time
+SWEEPS = 2  # there and back over the modules below a parcel, in a part of the time
+MOST_BELOW = 64  # modules below one parcel in the model
+HEIGHT = 0.1  # [m] assumed height of a centre of mass
+SPREAD = 1e-4  # [m^2] least variance of the modules' positions, for the balance of loads
+NEAR = 0.002  # [m] an overlap or a remaining shift below it is none
+LONG = 15  # control periods without motion after which parcels are let go together
+CREEP = 0.4  # [m/s] speed at which they go
+# Values of `Tuning` that differ from other rules'.
+CLEAR, SHIFT, TURN = 0.06, 0.45, 0.1
+
+
+class PatternTuning(NamedTuple):
+    """Parameters of the wanted motion and of the choice, found by search."""
+
+    lateral: float = 1.0  # [m/s] maximum wanted speed across the slope,
+    lateral_stop: float = 3.0  # [m/s^2] and its assumed deceleration
+    turning: float = 4.0  # [rad/s] maximum wanted turning speed,
+    turning_stop: float = 15.0  # [rad/s^2] and its assumed deceleration
+    turning_from: float = 0.3  # [m/s] speed of a parcel that may turn as fast
+    over: float = 1.5  # [-] cost of a speed above the wanted one,
+    under: float = 1.6  # [-] of a speed below it,
+    aside: float = 1.0  # [-] of a wrong speed across the slope,
+    turns: float = 0.25  # [m] of a wrong turning speed,
+    change: float = 0.002  # [m/s] and of turning all axes
+    slot_from: float = 1.2  # [m] position from which parcels are braked for their slots
+    loosening: float = 0.7  # [m] length over which parcels that may touch at first part
+    lag: float = 0.63  # [rad] part of axes' turns that is added to the predicted time
+    sooner: float = 0.1  # [s] time before a parcel's arrival at which a module obeys it
+
+
+class ModuleGrid(NamedTuple):
+    """The modules of a surface, and the model's constants."""
+
+    x: Numbers  # (columns,) [m] from the surface's start
+    y: Numbers  # (rows,) [m] from the line's middle
+    rotor: Booleans  # (rows, columns) a rotor, else a support
+    along: float  # [m/s^2] acceleration by friction along all axes
+    angles: Numbers  # (actions,) [rad] axis of each action
+    turn: float  # [rad] that an axis turns in a part of the predicted time,
+    period: float  # [rad] and in a control period
+    part: float  # [s]
+
+
+class Below(NamedTuple):
+    """The modules below one parcel, in arrays (MOST_BELOW, ...)."""
+
+    x: Numbers  # [m] from the parcel's centre
+    y: Numbers  # [m]
+    angle: Numbers  # [rad] of the axis now
+    load: Numbers  # [-] share of the weight
+    impulse: Numbers  # [m/s] of friction along the axis in a part of the time
+    # (parts, MOST_BELOW, actions, 5) cosine and sine of an axis; [m] its arm; [1/m] turning speed
+    # by an impulse; [-] share of a slip that the contact stops
+    axes: Numbers
+    place: Integers  # as `find_place`
+    action: Integers  # in a pattern
+
+
+@inlined
+def find_place(x: float, y: float, number: int) -> int:
+    """Return bits for a module that is left of a centre, ahead of it, and at an odd number."""
+    return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
+
+
+@inlined
+def choose_action(pattern: int, place: int) -> int:
+    """Return the action of a module in a pattern."""
+    split = PATTERNS[pattern, 0]
+    bit = 2 if split == AHEAD else (1 if split == LEFT else 4)
+    return PATTERNS[pattern, 1 if split == WHOLE or place & bit != 0 else 2]
+
+
+@inlined
+def find_outside(row: Singles, dx: float, dy: float, turned: float) -> float:
+    """Return the distance [m] of a place beside a centre from the base; negative inside.
+
+    `turned` is the angle [rad] by which the base is going to turn.
+    """
+    sine, cosine = row[COLUMN.sine_of_theta.place], row[COLUMN.cosine_of_theta.place]
+    sine, cosine = sine + turned * cosine, cosine - turned * sine
+    along, across = abs(cosine * dx + sine * dy), abs(cosine * dy - sine * dx)
+    return max(along - read(row, COLUMN.length), across - read(row, COLUMN.width))
+
+
+@linked
+def find_below(
+    grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, axes: Numbers, below: Below
+) -> int:
+    """Write the modules below a parcel in the middle of the predicted time; return their number."""
+    count, columns, half = 0, grid.x.shape[0], 0.5 * PARTS * grid.part
+    x, y = find_centre(parcels, row, k)
+    ahead, aside = half * parcels.vx[k], half * parcels.vy[k]
+    reach = parcels.along[k] + parcels.across[k]
+    for c in range(columns):
+        dx = grid.x[c] - x - ahead
+        if abs(dx) > reach:
+            continue
+        for r in range(grid.y.shape[0]):
+            dy = grid.y[r] - y - aside
+            if not grid.rotor[r, c] or abs(dy) > reach or count == MOST_BELOW:
+                continue
+            if find_outside(row, dx, dy, half * parcels.omega[k]) > 0.0:
+                continue
+            below.x[count], below.y[count] = dx, dy
+            below.angle[count] = axes[r * columns + c]
+            below.place[count] = find_place(dx + ahead, dy + aside, r + c)
+            count += 1
+    return count
+
+
+@inlined
+def find_centre(parcels: SlopeParcels, row: Singles, k: int) -> tuple[float, float]:
+    """Return the position [m] of a parcel's centre."""
+    return parcels.x[k] - 0.5 * (parcels.front[k] - parcels.rear[k]), read(row, COLUMN.offset)
+
+
+@inlined
+def find_moments(below: Below, count: int) -> tuple[float, ...]:
+    """Return the upper triangle of the modules' inverse moments, for the balance of loads."""
+    n = float(count)
+    sx = sy = sxy = 0.0
+    sxx = syy = SPREAD * n
+    for m in range(count):
+        x, y = below.x[m], below.y[m]
+        sx += x
+        sy += y
+        sxx += x * x
+        sxy += x * y
+        syy += y * y
+    first, second, third = sxx * syy - sxy * sxy, sxy * sy - sx * syy, sx * sxy - sxx * sy
+    scale = 1.0 / (n * first + sx * second + sy * third)
+    return (
+        first * scale, second * scale, third * scale, (n * syy - sy * sy) * scale,
+        (sx * sy - n * sxy) * scale, (n * sxx - sx * sx) * scale,
+    )  # fmt: skip
+
+
+@linked
+def prepare_axes(grid: ModuleGrid, below: Below, count: int, gyration: float) -> None:
+    """Write the axes of the modules below a parcel, for each action and part of the time."""
+    for m in range(count):
+        for action in range(len(EACH)):
+            for part in range(PARTS):
+                target, turned = grid.angles[action], grid.turn * (part + 0.5)
+                angle = angle_after(below.angle[m], target, turned)
+                axis = below.axes[part, m, action]
+                axis[0], axis[1] = math.cos(angle), math.sin(angle)
+                axis[2] = below.x[m] * axis[1] - below.y[m] * axis[0]
+                axis[3] = axis[2] / gyration
+                axis[4] = 1.0 / (1.0 + axis[2] * axis[3])
+
+
+@linked
+def predict_motion(
+    grid: ModuleGrid, rolls: float, below: Below, count: int, moments: tuple[float, ...], vx: float,
+    vy: float, omega: float, pattern: int,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return a parcel's velocity (vx, vy, omega) after the predicted time.
+
+    The impulse of a contact stops its slip along the axis, as far as friction allows. The load
+    moves towards the side to which friction pushes.
+    A rolling parcel accelerates by `rolls` [m/s^2].
+    """
+    for m in range(count):
+        below.action[m] = choose_action(pattern, below.place[m])
+    force_x = force_y = 0.0
+    for part in range(PARTS):
+        lean_x, lean_y = -HEIGHT / GRAVITY * force_x, -HEIGHT / GRAVITY * force_y
+        level = moments[0] + moments[1] * lean_x + moments[2] * lean_y
+        slope_x = moments[1] + moments[3] * lean_x + moments[4] * lean_y
+        slope_y = moments[2] + moments[4] * lean_x + moments[5] * lean_y
+        total = 0.0
+        for m in range(count):
+            below.load[m] = max(0.0, level + slope_x * below.x[m] + slope_y * below.y[m])
+            below.impulse[m] = 0.0
+            total += below.load[m]
+        scale = grid.part * grid.along / max(total, 1e-9)
+        vx += grid.part * rolls
+        before_x, before_y = vx, vy
+        for n in range(SWEEPS * count):
+            m = n if n < count else 2 * count - 1 - n
+            axis, most = below.axes[part, m, below.action[m]], scale * below.load[m]
+            slip = axis[0] * vx + axis[1] * vy + axis[2] * omega
+            impulse = min(most, max(-most, below.impulse[m] - slip * axis[4]))
+            push = impulse - below.impulse[m]
+            below.impulse[m] = impulse
+            vx += push * axis[0]
+            vy += push * axis[1]
+            omega += push * axis[3]
+        force_x, force_y = (vx - before_x) / grid.part, (vy - before_y) / grid.part
+    return vx, vy, omega
+
+
+@linked
+def choose_pattern(
+    slope: Slope, aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int,
+    axes: Numbers, below: Below, speed: float, lateral: float, turning: float,
+) -> int:  # fmt: skip
+    """Return the pattern after which a parcel's velocity is nearest to the wanted one."""
+    count = find_below(grid, parcels, row, k, axes, below)
+    if count == 0:
+        return 0
+    length, width = read(row, COLUMN.length), read(row, COLUMN.width)
+    prepare_axes(grid, below, count, (length * length + width * width) / 3.0)
+    moments = find_moments(below, count)
+    reached = min(speed, parcels.vx[k] + PARTS * grid.part * slope.rolls)
+    best, least = 0, math.inf
+    for pattern in range(PATTERNS.shape[0]):
+        vx, vy, omega = predict_motion(
+            grid, slope.rolls, below, count, moments, parcels.vx[k], parcels.vy[k],
+            parcels.omega[k], pattern,
+        )  # fmt: skip
+        turned = 0
+        for m in range(count):
+            turned += abs(grid.angles[below.action[m]] - below.angle[m]) > 1e-6
+        cost = aim.over * max(0.0, vx - speed) + aim.under * max(0.0, reached - vx)
+        cost += aim.aside * abs(vy - lateral) + aim.turns * abs(omega - turning)
+        cost += aim.change * turned / count
+        if cost < least:
+            best, least = pattern, cost
+    return best
+
+
+@linked
+def claim_modules(
+    aim: PatternTuning, grid: ModuleGrid, parcels: SlopeParcels, row: Singles, k: int, pattern: int,
+    nearest: Numbers, commands: Integers,
+) -> None:  # fmt: skip
+    """Let modules below a parcel, or soon below it, follow its pattern if no other is nearer."""
+    ahead, aside = parcels.vx[k] * aim.sooner, parcels.vy[k] * aim.sooner
+    low_x, high_x = parcels.x[k] - parcels.along[k], parcels.x[k] + parcels.along[k]
+    low_y, high_y = parcels.y[k] - parcels.across[k], parcels.y[k] + parcels.across[k]
+    x, y = find_centre(parcels, row, k)
+    columns = grid.x.shape[0]
+    for c in range(columns):
+        if not low_x + min(0.0, ahead) <= grid.x[c] <= high_x + max(0.0, ahead):
+            continue
+        for r in range(grid.y.shape[0]):
+            if not low_y + min(0.0, aside) <= grid.y[r] <= high_y + max(0.0, aside):
+                continue
+            dx, dy, m = grid.x[c] - x, grid.y[r] - y, r * columns + c
+            far = max(0.0, find_outside(row, dx, dy, 0.0)) + 1e-3 * math.sqrt(dx * dx + dy * dy)
+            if far < nearest[m]:
+                nearest[m] = far
+                commands[m] = choose_action(pattern, find_place(dx, dy, r + c))
+
+
+@inlined
+def is_in_way(parcels: SlopeParcels, j: int, k: int) -> bool:
+    """Return whether parcel `j` is ahead of parcel `k` and in its way."""
+    wide = parcels.across[j] + parcels.across[k] - NEAR
+    return parcels.x[j] > parcels.x[k] and abs(parcels.y[j] - parcels.y[k]) < wide
+
+
+@linked
+def sort_parcels(
+    table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
+    stood: Integers,
+) -> int:  # fmt: skip
+    """Update the order of departure as `sort_by_progress`, with parcels in the way first."""
+    count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
+    for place in range(1, count):
+        at = place
+        while at > 0 and is_in_way(parcels, order[at], order[at - 1]):
+            order[at], order[at - 1] = order[at - 1], order[at]
+            at -= 1
+    return count
+
+
+@inlined
+def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
+    """Count the periods (rows,) in which parcels stand; return whether the first is stuck.
+
+    If it is, all that have stood for long are let go for some periods.
+    """
+    for place in range(count):
+        k = order[place]
+        moves = abs(parcels.vx[k]) + abs(parcels.vy[k]) > STANDS
+        stood[k] = 0 if (moves and stood[k] <= LONG) or stood[k] >= 2 * LONG else stood[k] + 1
+    return count > 0 and parcels.runs[order[0]] and stood[order[0]] > LONG
+
+
+@inlined
+def want_sideways(
+    slope: Slope, tuning: Tuning, aim: PatternTuning, parcels: SlopeParcels, k: int, clear: bool
+) -> tuple[float, float]:
+    """Return the wanted speed [m/s] across the slope and the turning speed [rad/s] of a parcel."""
+    shift, lateral, turning = parcels.shift[k], 0.0, 0.0
+    if clear and shift != 0.0:
+        lateral = min(aim.lateral, math.sqrt(2.0 * aim.lateral_stop * abs(shift)))
+    room = abs(parcels.turn[k]) - 0.5 * min(tuning.turned, slope.alignment)
+    # Without a required alignment, parcels are not turned.
+    if room > 0.0 and slope.alignment < ta.EIGHTH - 1e-9:
+        turning = min(aim.turning, math.sqrt(2.0 * aim.turning_stop * room))
+        turning *= min(1.0, max(0.0, parcels.vx[k]) / aim.turning_from)
+    return math.copysign(lateral, shift), math.copysign(turning, parcels.turn[k])
+
+
+@compiled
+def choose_patterns(
+    tables: Singles, slope: Slope, tuning: Tuning, aim: PatternTuning, grid: ModuleGrid,
+    parcels: SlopeParcels, slots: Slots, below: Below, nearest: Numbers, order: Integers,
+    came: Numbers, stood: Integers, axes: Numbers, commands: Integers,
+) -> None:  # fmt: skip
+    """Choose actions (num_envs, modules), so that parcels depart one by one."""
+    for i in range(tables.shape[0]):
+        table = tables[i]
+        read_parcels(table, slope, tuning, parcels)
+        for k in range(table.shape[0]):
+            if abs(parcels.shift[k]) < NEAR:
+                parcels.shift[k] = 0.0
+        count = sort_parcels(table, tuning, parcels, order[i], came[i], stood[i])
+        stuck = find_stuck(parcels, order[i], count, stood[i])
+        forget_slots(slots)
+        for m in range(nearest.shape[0]):
+            nearest[m], commands[i, m] = math.inf, ROLL
+        for place in range(count):
+            k = order[i, place]
+            speed = plan_by_slot(slope, tuning, parcels, slots, k)
+            if parcels.x[k] < aim.slot_from:
+                speed = slope.take_away
+            gap = tuning.clear * min(1.0, parcels.x[k] / aim.loosening)
+            speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place, gap))
+            if stuck and stood[i, k] > LONG:
+                speed = max(speed, CREEP)
+            clear = is_way_clear(tuning, parcels, order[i], count, place, HELD)
+            lateral, turning = want_sideways(slope, tuning, aim, parcels, k, clear)
+            pattern = choose_pattern(
+                slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
+            )
+            claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
+        for m in range(nearest.shape[0]):
+            target = grid.angles[commands[i, m]]
+            axes[i, m] = angle_after(axes[i, m], target, grid.period)
+
+
+class PatternMemory(NamedTuple):
+    """Memory of the rule, in arrays (num_envs, ...)."""
+
+    order: Integers  # (num_envs, rows) rows in order of departure; NOBODY: end of the list
+    came: Numbers  # (num_envs, rows) last observed time since entry; -inf: empty
+    stood: Integers  # (num_envs, rows) control periods without motion
+    axes: Numbers  # (num_envs, modules) [rad] expected axes
+
+
+@rule("patterns", "singulate", "merge", actions="modules")
+class Patterns(SlopeRule):
+    """Give each parcel a time slot, and choose the best pattern of axes below it by a model."""
+
+    kernel = staticmethod(choose_patterns)
+    acts_by = "modules"
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config)
+        self._tuning = self._tuning._replace(clear=CLEAR, shift_cost=SHIFT, turn_cost=TURN)
+        self._aim, self._grid = PatternTuning(), read_grid(config, PatternTuning())
+        self._modules = config.action_kind.size
+
+    def make_memory(self, num_envs: int, rows: int) -> Any:
+        shape = (num_envs, rows)
+        return PatternMemory(
+            np.full(shape, NOBODY), np.full(shape, -np.inf), np.zeros(shape, dtype=np.int64),
+            np.full((num_envs, self._modules), self._grid.angles[ROLL]),
+        )  # fmt: skip
+
+    def make_commands(self, num_envs: int, rows: int) -> Integers:
+        del rows
+        return np.full((num_envs, self._modules), ROLL)
+
+    def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:
+        tables, slope, tuning, *more = super().arguments(tables, memory, commands)
+        parcels, slots, *memory = more
+        numbers, places = np.zeros((5, MOST_BELOW)), np.zeros((2, MOST_BELOW), dtype=np.int64)
+        axes = np.zeros((PARTS, MOST_BELOW, len(EACH), 5))
+        below = Below(*[*numbers, axes, *places])
+        nearest = np.zeros(self._modules)
+        return (
+            tables, slope, tuning, self._aim, self._grid, parcels, slots, below, nearest, *memory
+        )  # fmt: skip
+
+
+def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
+    """Read the modules of a surface from a configuration."""
+    line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
+    speed, period = config.actuators.axis_speed, config.control_period
+    # Axes that take time are predicted until their effect shows.
+    part = (period + aim.lag / speed) / PARTS
+    place = np.arange(max(rows, columns), dtype=np.float64)
+    zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
+    return ModuleGrid(
+        x=line.column_edge(first + 0.5) - config.entry_x + line.pitch_x * place[:columns],
+        y=line.origin[1] - line.line_y + line.pitch_y * (first_row + place[:rows]),
+        rotor=np.ascontiguousarray(zone),
+        along=GRAVITY * math.cos(config.stream_task.tilt) * float(np.max(line.mu_max)),
+        angles=np.radians([90.0, 0.0, -45.0, 45.0]),
+        turn=min(math.pi, speed * part),
+        period=min(math.pi, speed * period),
+        part=part,
+    )
