@@ -118,6 +118,8 @@ NIGHTLY = (
         for task in ("slow", "orient", "track")
     ),
     "tests/agents/evaluation/test_drives.py::test_a_stream_is_carried_by_driven_modules",
+    "tests/benchmarks/test_actuators.py",
+    "tests/test_actuators.py::TestWaiting::test_under_streams_too[modules",
     *(
         f"tests/test_modules.py::test_gymnasiums_checker_has_nothing_to_say[{task}"
         for task in (
