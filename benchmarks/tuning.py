@@ -59,7 +59,8 @@ def identify(seed: int, out: Path) -> tuple[sg.Estimate, sg.Estimate]:
 def train(task: str, seed: int, options: TuningOptions, console: Console) -> Method:
     """Train an agent on the estimate of a surface, unless there is one."""
     name = f"{task}-{seed}"
-    if not (options.out / name / "policy.safetensors").is_file():
+    folder = options.out / name
+    if not (folder / "policy.safetensors").is_file():
         config = replace(
             configs.defaults(task, "ppo", preset=LAB),
             estimate=options.out / f"surface-{seed}.json",
@@ -67,8 +68,8 @@ def train(task: str, seed: int, options: TuningOptions, console: Console) -> Met
             name=name,
             **({} if options.steps is None else {"steps": options.steps}),
         )
-        train_seeds(config, make_folder(config, ()), console, 1)
-    return of_run(options.out / name)
+        train_seeds(config, folder if folder.is_dir() else make_folder(config, ()), console, 1)
+    return of_run(folder)
 
 
 def compare(task: str, agent: Method, truth: sg.Estimate) -> Results:
