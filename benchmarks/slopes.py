@@ -22,7 +22,7 @@ from surface_gym.agents.evaluation.streams import StreamScenario, measure_stream
 from surface_gym.config import EnvConfig
 from surface_gym.flow.exits import Exit, Exits
 from surface_gym.flow.take_away import slope_line
-from surface_gym.parallel import map_jobs, usable_cores
+from surface_gym.parallel import map_jobs, usable_cores, without_report
 
 METHODS = ("time slots", "patterns", "PPO per parcel", "PPO per module")
 MOUTH, LINES = ("singulate", "mouth of 0.6 m, 10 deg"), ("merge", "three lines")
@@ -91,7 +91,7 @@ class SlopeOptions:
     """Number of processes; results do not depend on it."""
 
 
-def run(name: str, preset: str, method: str, streams: int, _: object = None) -> str:
+def run(name: str, preset: str, method: str, streams: int) -> str:
     """Return correct departures an hour, their share if below 99 %, and jams, as text."""
     case = next(each for each in CASES if each.name == name)
     found = next(each for each in all_methods(case.task) if each.name == method)
@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for preset in options.presets:
         places = [(case.name, name) for case in CASES for name in METHODS]
         jobs = [partial(run, case, preset, name, options.streams) for case, name in places]
-        done = map_jobs(jobs, options.workers)
+        done = map_jobs([partial(without_report, each) for each in jobs], options.workers)
         found = dict(track(done, preset, total=len(jobs), console=Console(stderr=True)))
         table = Table(f"correct departures an hour, {preset}", *METHODS, box=SIMPLE_HEAD)
         for k, case in enumerate(CASES):

@@ -22,6 +22,7 @@ from surface_gym.agents.evaluation.results import Results, compute
 from surface_gym.agents.evaluation.scenario import STARTS, make_jobs, start_scenarios
 from surface_gym.agents.learning import config as configs
 from surface_gym.agents.learning.runs import make_folder, train_seeds
+from surface_gym.agents.library import CARD
 
 FREE = ("mu_max", "mu_min", "mu_support", "quarter_turn", "latency")
 LAB = "lab"
@@ -36,7 +37,7 @@ class TuningOptions:
     surfaces: tuple[int, ...] = (1, 2)
     """Seeds of the hidden surfaces."""
     steps: int | None = None
-    """Control periods of a training; the default is that of the shipped agent."""
+    """Control periods of a training. By default, as many as for the shipped agent."""
     out: Path = Path("runs/tuning")
     """Folder of estimates and runs."""
 
@@ -60,7 +61,7 @@ def train(task: str, seed: int, options: TuningOptions, console: Console) -> Met
     """Train an agent on the estimate of a surface, unless there is one."""
     name = f"{task}-{seed}"
     folder = options.out / name
-    if not (folder / "policy.safetensors").is_file():
+    if not (folder / CARD).is_file():
         config = replace(
             configs.defaults(task, "ppo", preset=LAB),
             estimate=options.out / f"surface-{seed}.json",

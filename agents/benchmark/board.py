@@ -8,7 +8,7 @@ by a stratified bootstrap over seeds and episodes, as Agarwal et al. (2021) reco
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -29,12 +29,8 @@ TITLE = """# The board
 Results of all entries of [the benchmark](benchmark.md), best first. Made by
 `surface-gym benchmark table` from the entries' files in `benchmarks/results/`.
 
-Tables show success rates or correct deliveries per hour by cell. """
-
-
-# The references of all tasks.
-ZERO, ONE = "fixed layout", "best rule"
-SCORE = f"Score: interquartile mean with its 95 % interval, where 0 is {ZERO} and 1 is {ONE}."
+Tables show success rates or correct deliveries per hour by cell. Score: interquartile mean \
+with its 95 % interval, where 0 is {zero} and 1 is {one}."""
 
 
 @dataclass(frozen=True)
@@ -139,10 +135,8 @@ class Board:
                 ranked.append((-place, entry.name, self._line(entry, rows, score)))
         if not ranked:
             return None
-        form = "success rate" if _is_rate(task) else "correct deliveries per hour"
-        caption = f"{form.capitalize()} by cell. {SCORE}"
         header = ("entry", "score", *CELLS, "seeds", "decision")
-        return Table(task, caption, header, tuple(line for *_, line in sorted(ranked)))
+        return Table(task, "", header, tuple(line for *_, line in sorted(ranked)))
 
     def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
         digits = ".3f" if _is_rate(rows[0].task) else ".0f"
@@ -179,6 +173,8 @@ def _is_rate(task: str) -> bool:
 
 def make_page(board: Board) -> str:
     """Return the tables of all tasks, and of the entries, as a page in Markdown."""
-    found = [each for each in map(board.table, TASKS) if each is not None]
-    tables = [*(replace(each, caption="") for each in found), board.sources()]
-    return "\n\n".join([TITLE + SCORE, *(each.markdown().strip() for each in tables)]) + "\n"
+    tables = [found for task in TASKS if (found := board.table(task)) is not None]
+    tables.append(board.sources())
+    ((zero, one),) = {tuple(each) for each in read_protocol()["references"].values()}
+    title = TITLE.format(zero=zero, one=one)
+    return "\n\n".join([title, *(each.markdown().strip() for each in tables)]) + "\n"

@@ -9,7 +9,6 @@ resumed run gives the same result as an uninterrupted one.
 import csv
 import math
 import os
-import shutil
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -100,11 +99,11 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
     labels = task_label(config.task), task_label(config.algo), which
     name = config.name or "-".join((*labels, f"{datetime.now():%Y%m%d-%H%M%S}"))
     folder = config.out / name
-    estimate = getattr(config, "estimate", None)
-    if estimate is not None:
-        if not estimate.is_file():
-            raise ValueError(f"estimate must be a file of identify, got {estimate}")
-        Estimate.load(estimate)
+    given, estimate = getattr(config, "estimate", None), None
+    if given is not None:
+        if not given.is_file():
+            raise ValueError(f"estimate must be a file of identify, got {given}")
+        estimate = Estimate.load(given)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
@@ -112,7 +111,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
             f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
         ) from None
     if estimate is not None:
-        shutil.copyfile(estimate, folder / ESTIMATE)
+        estimate.save(folder / ESTIMATE)
     write_config(config, folder / CONFIG)
     (folder / COMMAND).write_text(command_line(TRAIN, *arguments) + "\n")
     return folder

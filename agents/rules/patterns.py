@@ -19,7 +19,7 @@ from surface_gym.flow.take_away import COLUMN
 from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.features import read
 
-from ..base import Booleans, Integers, Numbers, Singles
+from ..base import Booleans, Integers, Numbers, Singles, find_axes
 from .base import rule
 from .departures import is_way_clear, limit_speed, plan_by_slot, sort_by_progress
 from .slopes import (
@@ -407,8 +407,13 @@ class Patterns(SlopeRule):
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
         self._tuning = self._tuning._replace(clear=CLEAR, shift_cost=SHIFT, turn_cost=TURN)
-        self._aim, self._grid = PatternTuning(), read_grid(config, PatternTuning())
+        self._aim = PatternTuning()
+        self._grid = read_grid(config, self._aim)
         self._modules = config.action_kind.size
+        numbers, places = np.zeros((5, MOST_BELOW)), np.zeros((2, MOST_BELOW), dtype=np.int64)
+        axes = np.zeros((PARTS, MOST_BELOW, len(EACH), 5))
+        self._below = Below(*[*numbers, axes, *places])
+        self._nearest = np.zeros(self._modules)
 
     def make_memory(self, num_envs: int, rows: int) -> Any:
         shape = (num_envs, rows)
@@ -424,17 +429,15 @@ class Patterns(SlopeRule):
     def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:
         tables, slope, tuning, *more = super().arguments(tables, memory, commands)
         parcels, slots, *memory = more
-        numbers, places = np.zeros((5, MOST_BELOW)), np.zeros((2, MOST_BELOW), dtype=np.int64)
-        axes = np.zeros((PARTS, MOST_BELOW, len(EACH), 5))
-        below = Below(*[*numbers, axes, *places])
-        nearest = np.zeros(self._modules)
         return (
-            tables, slope, tuning, self._aim, self._grid, parcels, slots, below, nearest, *memory
+            tables, slope, tuning, self._aim, self._grid, parcels, slots, self._below,
+            self._nearest, *memory,
         )  # fmt: skip
 
 
 def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
     """Read the modules of a surface from a configuration."""
+    axes = find_axes(config)
     line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
     speed, period = config.actuators.axis_speed, config.control_period
     # Axes that take time are predicted until their effect shows.
@@ -446,7 +449,9 @@ def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
         y=line.origin[1] - line.line_y + line.pitch_y * (first_row + place[:rows]),
         rotor=np.ascontiguousarray(zone),
         along=GRAVITY * math.cos(config.stream_task.tilt) * float(np.max(line.mu_max)),
-        angles=np.radians([90.0, 0.0, -45.0, 45.0]),
+        angles=np.array(
+            [config.chosen_orientations[k] for k in (axes.roll, axes.brake, axes.left, axes.right)]
+        ),
         turn=min(math.pi, speed * part),
         period=min(math.pi, speed * period),
         part=part,

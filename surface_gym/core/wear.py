@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import state as st
+from surface_gym.actions import SAME
 from surface_gym.config import EnvConfig
 from surface_gym.physics.types import GRAVITY, Integers
 from surface_gym.state import SurfaceState
-
-APART = 1e-9  # [rad] axes that differ by less have not turned
 
 
 class WearMeter:
@@ -40,7 +39,7 @@ class WearMeter:
         angle, target, begun = before
         apart = st.axis_angles(surfaces) - angle
         apart -= self._period * np.floor(apart / self._period + 0.5)
-        moved = np.abs(apart) > APART
+        moved = np.abs(apart) > SAME
         self.turns += moved
         if target.shape == moved.shape:  # else a turn is over within its period
             self.turns -= moved & self.moving & (surfaces.target == target)

@@ -128,10 +128,10 @@ class LeastSquares:
         damping = np.ones(self.count)
         for _ in range(times):
             weight = _weights(residuals, within)
-            here = own
-            if here is None:
-                here = self._rates(x, entries, ENTRIES, ENTRY_APART, dt, residuals)
-            rates = here * weight[:, np.newaxis]
+            rates = own
+            if rates is None:
+                rates = self._rates(x, entries, ENTRIES, ENTRY_APART, dt, residuals)
+            rates = rates * weight[:, np.newaxis]
             steps = np.empty_like(entries)
             for r in range(self.count):
                 rows = self.rows(r)
