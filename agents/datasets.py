@@ -128,8 +128,8 @@ def _find_recipe(task: str, policy: str) -> Recipe:
         method = trained(policy_folders(folder))
         checks.one_of("task", task, (method.task,))
         return Recipe(method)
-    methods = {each.name: each for each in all_methods(task) if _is_recoverable(each)}
-    found = {name: Recipe(each) for name, each in methods.items()}
+    methods = (*rules(task), *all_methods(task))
+    found = {each.name: Recipe(each) for each in methods if _is_recoverable(each)}
     found[RANDOM] = Recipe(_without_controller(task), (1.0,))
     found[RULE] = Recipe(find_best_rule(task))
     if agents := shipped(task):
@@ -137,10 +137,8 @@ def _find_recipe(task: str, policy: str) -> Recipe:
         found[AGENT] = Recipe(agents[0])
         found[MIXED] = Recipe(agents[0], MIXED_RATES)
         found[LAB] = Recipe((of_lab or agents)[0], preset=LAB)
-    own = (name for name in library.names() if name.startswith(f"{task}-"))
-    if policy not in found:
-        checks.one_of("policy", policy, (*found, *own))
-    return found[policy]
+    own = [name for name in library.names() if name.startswith(f"{task}-")]
+    return found[checks.one_of("policy", policy, dict.fromkeys((*found, *own)))]
 
 
 def _is_recoverable(method: Method) -> bool:
@@ -173,12 +171,12 @@ class Episode:
     actions: NDArray[Any]  # (periods, ...)
     rewards: Numbers  # (periods,)
     is_terminated: bool  # else truncated
-    is_success: bool
+    success: float  # 1 for a success, else 0; on streams, number of correct deliveries
 
     @property
-    def result(self) -> tuple[float, bool]:
-        """Undiscounted return, and whether the episode is a success."""
-        return float(self.rewards.sum()), self.is_success
+    def result(self) -> tuple[float, float]:
+        """Undiscounted return, and success."""
+        return float(self.rewards.sum()), self.success
 
 
 class _RandomActions:
@@ -221,6 +219,7 @@ class EpisodesJob:
             **config.arguments(),
         )  # fmt: skip
         space: Any = env.single_action_space
+        succeeded = "correct" if config.task.is_stream else "is_success"
         random = _RandomActions(self.recipe.rates, space, count)
         seeds = [self.seed + i for i in range(count)]  # of the running episodes
         for i, seed in enumerate(seeds):
@@ -247,7 +246,7 @@ class EpisodesJob:
                     done[seeds[i]] = Episode(
                         seeds[i], np.array([*(each[i] for each in shown), after[i]]),
                         np.array([each[i] for each in acted]), np.array([each[i] for each in paid]),
-                        bool(terminated[i]), bool(info["is_success"][i]),
+                        bool(terminated[i]), float(info[succeeded][i]),
                     )  # fmt: skip
                 # Without an episode left, an environment plays on, and nothing is recorded.
                 following[i] = seeds[i] = max(seeds) + 1
@@ -264,13 +263,13 @@ class Score:
 
     episodes: int
     mean_return: float  # undiscounted
-    success_rate: float
+    success: float  # share of successes; on streams, correct deliveries per episode
 
 
-def compute_score(results: Sequence[tuple[float, bool]]) -> Score:
+def compute_score(results: Sequence[tuple[float, float]]) -> Score:
     """Compute the score of the results of episodes."""
-    mean_return, success_rate = np.mean(np.array(results, dtype=np.float64), axis=0).tolist()
-    return Score(len(results), round(mean_return, 4), round(success_rate, 4))
+    mean_return, success = np.mean(results, axis=0).tolist()
+    return Score(len(results), round(mean_return, 4), round(success, 4))
 
 
 def plan_references(recipe: Recipe) -> dict[str, EpisodesJob]:
@@ -320,7 +319,7 @@ def write_dataset(
         storage = MinariStorage.new(folder, env_spec=env.spec)
         env.close()
         scores: dict[str, Score] = {}
-        results: list[tuple[float, bool]] = []
+        results: list[tuple[float, float]] = []
         for place, found in enumerate(_in_order(parallel.map_jobs(work, workers))):
             if place < len(references):
                 label = list(references)[place]
@@ -364,7 +363,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
             )
         )
     storage.update_episodes(buffers)
-    marks = [{"success": each.is_success} for each in episodes]
+    marks = [{"success": each.success} for each in episodes]
     storage.update_episode_metadata(marks, range(first, first + len(episodes)))
 
 
@@ -399,7 +398,7 @@ def _new_dataset(name: str) -> Iterator[Path]:
 
     root = get_dataset_path()
     place = root / name
-    if not re.fullmatch(r"(\w[\w-]*/)*\w[\w-]*-v\d+", name, re.ASCII):
+    if not re.fullmatch(r"(\w[\w-]+/)*\w[\w-]*-v\d+", name, re.ASCII):
         raise ValueError(f"name must be like {NAMESPACE}/sort/rule-v0, got {name!r}")
     if place.exists():
         raise ValueError(f"name must be new, got {name!r}: delete it by `minari delete {name}`")
@@ -463,7 +462,7 @@ def record(config: DatasetConfig, console: "Console") -> None:
         score = write_dataset(name, recipe, config.seed, config.episodes, config.workers, advance)
     console.print(
         f"{score.episodes} episodes: mean return {score.mean_return:.2f}, "
-        f"success {score.success_rate:.3f}; load them by minari.load_dataset({name!r})",
+        f"success {score.success:.3f}; load them by minari.load_dataset({name!r})",
         soft_wrap=True,
     )
 
@@ -472,9 +471,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; an error prints one line."""
     from rich.console import Console
 
-    config = parse_options(DatasetConfig, "dataset", arguments)
     try:
-        record(config, Console())
+        record(parse_options(DatasetConfig, "dataset", arguments), Console())
     except (ValueError, WorkError) as error:
         sys.exit(f"error: {describe_error(error)}")
     except KeyboardInterrupt:
