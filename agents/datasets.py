@@ -124,7 +124,7 @@ def find_recipe(task: str, policy: str, preset: str | None = None) -> Recipe:
 
 def _find_recipe(task: str, policy: str) -> Recipe:
     folder = library.SHELF / policy if policy in library.names() else Path(policy)
-    if folder.is_dir():
+    if policy not in RECIPES and folder.is_dir():
         method = trained(policy_folders(folder))
         checks.one_of("task", task, (method.task,))
         return Recipe(method)

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from surface_gym import cli
 from surface_gym.agents import datasets
 from surface_gym.agents.benchmark.entry import SEED as TEST_SEED
 from surface_gym.agents.datasets import (
@@ -29,6 +31,7 @@ from surface_gym.agents.datasets import (
     main,
     write_dataset,
 )
+from surface_gym.agents.library import SHELF
 from surface_gym.agents.rollout import run_episodes
 from surface_gym.config import EnvConfig
 from surface_gym.registration import PERIODS, SHIPPED, env_id
@@ -274,6 +277,24 @@ def test_bad_input_is_named_in_one_line(
     printed = f"{caught.value} {capsys.readouterr().err}"
     assert re.search(message, " ".join(printed.split()))
     assert not list(root.iterdir())
+
+
+def test_a_missing_library_is_named(monkeypatch: Any, root: Path) -> None:
+    monkeypatch.setitem(sys.modules, "minari.dataset.minari_storage", None)
+    with pytest.raises(SystemExit, match=r"needs minari, .* pip install .*agents,data"):
+        cli.main(["dataset", "sort", "--episodes", "1"])
+    assert not list(root.iterdir())
+
+
+def test_the_policy_of_a_run_acts(tmp_path: Path) -> None:
+    folder = shutil.copytree(SHELF / "sort-ppo" / "seed-0", tmp_path / "run")
+    recipes = [find_recipe("sort", name) for name in (str(folder), "sort-ppo", "agent")]
+    found = [EpisodesJob(each, 0, 2, 2)() for each in recipes]
+    for first, *others in zip(*found, strict=True):
+        for other in others:
+            np.testing.assert_array_equal(first.actions, other.actions)
+    with pytest.raises(ValueError, match="task must be one of 'sort', got 'slow'"):
+        find_recipe("slow", str(folder))
 
 
 def test_names_follow_task_policy_and_preset() -> None:
