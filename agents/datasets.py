@@ -7,25 +7,21 @@ other episodes, nor on how many run at once, and the recovered environment repea
 
 import re
 import shutil
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import tyro
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import surface_gym as sg
 from surface_gym import checks, parallel
-from surface_gym.cli import parse_options
 from surface_gym.config import PRESETS, EnvConfig
-from surface_gym.executors import WorkError, describe_error
 from surface_gym.registration import PERIODS, SHIPPED, env_id
 
 from . import library
@@ -43,25 +39,12 @@ from .evaluation.method import (
     shipped,
     trained,
 )
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from .rules import BEST_RULES
 
 RANDOM, MIXED, LAB = "random", "mixed", "lab"
 RECIPES = (RANDOM, RULE, PLANNER, AGENT, MIXED, LAB)
 MIXED_RATES = (0.0, 0.3, 1.0)  # [-] shares of random actions in episodes of MIXED, in turn
-# Rules of `find_best_rule`; other tasks have their last rule.
-BEST_RULES = {
-    "sort": "event rule", "slow": "braking rule", "stop": "braking rule", "track": "sliding mode",
-    "orient": "turning rule", "flow": "event rule", "singulate": "time slots",
-    "merge": "time slots", "sequence": "pass and park",
-}  # fmt: skip
-EPISODES = 10_000
-MAX_SEED = 10**9  # of the first episode; seeds of the benchmark's episodes are larger
-MAX_EPISODES = 10**7
 REFERENCE_SEED = 2 * 10**9  # of the first episode of reference scores
-NAMESPACE = "smart-surface"
-INTERRUPTED = 130  # exit code after Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -79,7 +62,7 @@ PLANS = Portion(10, 1)  # a planner would also decide for environments without a
 
 
 @dataclass(frozen=True)
-class Recipe:
+class DataRecipe:
     """Who acts in the episodes of a data set."""
 
     method: Method
@@ -104,7 +87,7 @@ class Recipe:
         return PARCELS if self.method.most is None else PLANS
 
 
-def find_recipe(task: str, policy: str, preset: str | None = None) -> Recipe:
+def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe:
     """Return who acts by a name.
 
     Args:
@@ -122,21 +105,21 @@ def find_recipe(task: str, policy: str, preset: str | None = None) -> Recipe:
     return replace(found, preset=checks.one_of("preset", preset, PRESETS))
 
 
-def _find_recipe(task: str, policy: str) -> Recipe:
+def _find_recipe(task: str, policy: str) -> DataRecipe:
     folder = library.SHELF / policy if policy in library.names() else Path(policy)
     if policy not in RECIPES and folder.is_dir():
         method = trained(policy_folders(folder))
         checks.one_of("task", task, (method.task,))
-        return Recipe(method)
+        return DataRecipe(method)
     methods = (*rules(task), *all_methods(task))
-    found = {each.name: Recipe(each) for each in methods if _is_recoverable(each)}
-    found[RANDOM] = Recipe(_without_controller(task), (1.0,))
-    found[RULE] = Recipe(find_best_rule(task))
+    found = {each.name: DataRecipe(each) for each in methods if _is_recoverable(each)}
+    found[RANDOM] = DataRecipe(_without_controller(task), (1.0,))
+    found[RULE] = DataRecipe(find_best_rule(task))
     if agents := shipped(task):
         of_lab = [each for each in agents if each.name.endswith(f", {LAB}")]
-        found[AGENT] = Recipe(agents[0])
-        found[MIXED] = Recipe(agents[0], MIXED_RATES)
-        found[LAB] = Recipe((of_lab or agents)[0], preset=LAB)
+        found[AGENT] = DataRecipe(agents[0])
+        found[MIXED] = DataRecipe(agents[0], MIXED_RATES)
+        found[LAB] = DataRecipe((of_lab or agents)[0], preset=LAB)
     own = [name for name in library.names() if name.startswith(f"{task}-")]
     return found[checks.one_of("policy", policy, dict.fromkeys((*found, *own)))]
 
@@ -204,7 +187,7 @@ class _RandomActions:
 class EpisodesJob:
     """Episodes of a recipe, with successive seeds."""
 
-    recipe: Recipe
+    recipe: DataRecipe
     seed: int  # of the first
     episodes: int
     num_envs: int  # environments at once; episodes do not depend on it
@@ -258,7 +241,7 @@ class EpisodesJob:
 
 
 @dataclass(frozen=True)
-class Score:
+class DataScore:
     """Mean results of episodes."""
 
     episodes: int
@@ -266,13 +249,13 @@ class Score:
     success: float  # share of successes; on streams, correct deliveries per episode
 
 
-def compute_score(results: Sequence[tuple[float, float]]) -> Score:
+def compute_score(results: Sequence[tuple[float, float]]) -> DataScore:
     """Compute the score of the results of episodes."""
     mean_return, success = np.mean(results, axis=0).tolist()
-    return Score(len(results), round(mean_return, 4), round(success, 4))
+    return DataScore(len(results), round(mean_return, 4), round(success, 4))
 
 
-def plan_references(recipe: Recipe) -> dict[str, EpisodesJob]:
+def plan_references(recipe: DataRecipe) -> dict[str, EpisodesJob]:
     """Plan the episodes of reference scores: random, fixed layout, best rule and agent."""
     names = [RANDOM, ROLL_ON if PERIODS[recipe.task] is None else FIXED, RULE]
     if shipped(recipe.task):
@@ -285,7 +268,7 @@ def plan_references(recipe: Recipe) -> dict[str, EpisodesJob]:
     return jobs
 
 
-def plan_episodes(recipe: Recipe, seed: int, episodes: int) -> list[EpisodesJob]:
+def plan_episodes(recipe: DataRecipe, seed: int, episodes: int) -> list[EpisodesJob]:
     """Plan the episodes of a data set."""
     size = recipe.portion
     return [
@@ -295,9 +278,9 @@ def plan_episodes(recipe: Recipe, seed: int, episodes: int) -> list[EpisodesJob]
 
 
 def write_dataset(
-    name: str, recipe: Recipe, seed: int, episodes: int, workers: int = 1,
+    name: str, recipe: DataRecipe, seed: int, episodes: int, workers: int = 1,
     advance: Callable[[int, int, str], None] = lambda *_: None,
-) -> Score:  # fmt: skip
+) -> DataScore:  # fmt: skip
     """Play episodes, and write them with reference scores as a data set of Minari.
 
     Args:
@@ -318,7 +301,7 @@ def write_dataset(
         env = gym.make(env_id(recipe.task), **recipe.arguments)
         storage = MinariStorage.new(folder, env_spec=env.spec)
         env.close()
-        scores: dict[str, Score] = {}
+        scores: dict[str, DataScore] = {}
         results: list[tuple[float, float]] = []
         for place, found in enumerate(_in_order(parallel.map_jobs(work, workers))):
             if place < len(references):
@@ -368,7 +351,7 @@ def _add_episodes(storage: Any, episodes: Sequence[Episode], first: int) -> None
 
 
 def _describe(
-    name: str, recipe: Recipe, score: Score, references: dict[str, Score]
+    name: str, recipe: DataRecipe, score: DataScore, references: dict[str, DataScore]
 ) -> dict[str, Any]:
     """Return the metadata of a data set."""
     from importlib.metadata import version
@@ -399,7 +382,7 @@ def _new_dataset(name: str) -> Iterator[Path]:
     root = get_dataset_path()
     place = root / name
     if not re.fullmatch(r"(\w[\w-]+/)*\w[\w-]*-v\d+", name, re.ASCII):
-        raise ValueError(f"name must be like {NAMESPACE}/sort/rule-v0, got {name!r}")
+        raise ValueError(f"name must be like smart-surface/sort/rule-v0, got {name!r}")
     if place.exists():
         raise ValueError(f"name must be new, got {name!r}: delete it by `minari delete {name}`")
     part = root / f".{name.replace('/', '.')}.part"  # Minari does not list hidden folders
@@ -413,70 +396,3 @@ def _new_dataset(name: str) -> Iterator[Path]:
         part.rename(place)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-
-
-@dataclass(frozen=True)
-class DatasetConfig:
-    """Record episodes of a task as a data set of Minari, for offline learning.
-
-    The data set has reference scores, and is loaded by `minari.load_dataset(NAME)`.
-    """
-
-    task: tyro.conf.Positional[str]
-    """Task of the package."""
-    policy: str = RULE
-    """Who acts: a recipe ("random", "rule", "planner", "agent", "mixed", "lab"), a method of the
-    task as "event rule", a shipped agent as "sort-ppo", or the folder of a run.
-    """
-    episodes: int = EPISODES
-    """Number of episodes."""
-    seed: int = 0
-    """Seed of the first episode; episode k has this seed plus k."""
-    preset: str | None = None
-    """Sensors, randomisation and actuators, e.g. "lab"; the default is the recipe's."""
-    name: str = ""
-    """Name of the data set; the default is smart-surface/TASK/POLICY-v0."""
-    workers: int = parallel.usable_cores()
-    """Number of processes; the data set does not depend on it."""
-
-    def __post_init__(self) -> None:
-        checks.integer("episodes", self.episodes, least=1, most=MAX_EPISODES)
-        checks.integer("seed", self.seed, least=0, most=MAX_SEED)
-        parallel.check_workers(self.workers)
-
-    @property
-    def title(self) -> str:
-        """Name of the data set."""
-        policy = re.sub(r"\W+", "-", Path(self.policy).name.lower()).strip("-")
-        preset = "" if self.preset is None else f"-{self.preset}"
-        return self.name or f"{NAMESPACE}/{self.task}/{policy}{preset}-v0"
-
-
-def record(config: DatasetConfig, console: "Console") -> None:
-    """Write a data set, with progress."""
-    from .evaluation.results import show_progress
-
-    recipe, name = find_recipe(config.task, config.policy, config.preset), config.title
-    planned = plan_episodes(recipe, config.seed, config.episodes)
-    with show_progress(console, "dataset", len(plan_references(recipe)) + len(planned)) as advance:
-        score = write_dataset(name, recipe, config.seed, config.episodes, config.workers, advance)
-    console.print(
-        f"{score.episodes} episodes: mean return {score.mean_return:.2f}, "
-        f"success {score.success:.3f}; load them by minari.load_dataset({name!r})",
-        soft_wrap=True,
-    )
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; an error prints one line."""
-    from rich.console import Console
-
-    try:
-        record(parse_options(DatasetConfig, "dataset", arguments), Console())
-    except (ValueError, WorkError) as error:
-        sys.exit(f"error: {describe_error(error)}")
-    except KeyboardInterrupt:
-        print(
-            "interrupted: no data set was written; the same command begins again", file=sys.stderr
-        )
-        sys.exit(INTERRUPTED)

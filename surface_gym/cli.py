@@ -36,7 +36,7 @@ COMMANDS = {
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "benchmark": Command("enter a policy into the benchmark", AGENTS + "benchmark.cli"),
     "dataset": Command(
-        "record episodes for offline learning", AGENTS + "datasets", "agents,data"
+        "record episodes for offline learning", AGENTS + "dataset_cli", "agents,data"
     ),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),

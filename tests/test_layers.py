@@ -34,6 +34,7 @@ LAYERS = (
     ("agents.learning",),
     ("agents.evaluation", "agents.tuning"),
     ("agents.benchmark", "agents.datasets", "agents.export", "agents.train_cli"),
+    ("agents.dataset_cli",),
 )
 
 

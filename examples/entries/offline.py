@@ -52,7 +52,8 @@ class CQL(Cloned):
     def __init__(self, config: EnvConfig, seed: int) -> None:
         del config
         torch.set_num_threads(1)
-        self._network = torch.jit.load(ROOT / f"cql-{seed}.pt")
+        load: Any = torch.jit.load
+        self._network = load(ROOT / f"cql-{seed}.pt")
 
     def _choose(self, observations: Any) -> Any:
         return self._network(observations).flatten()

@@ -54,7 +54,7 @@ def convert(name: str, folder: Path, images: bool) -> None:
         picture: Any = env.render()
         names = ["height", "width", "channel"]
         features[IMAGE] = {"dtype": "image", "shape": picture.shape, "names": names}
-    fps = round(1.0 / env.unwrapped.config.control_period)  # type: ignore[attr-defined]
+    fps = round(1.0 / env.unwrapped.config.control_period)
     made = LeRobotDataset.create(name, fps, features, root=folder, use_videos=False)
     marks = source.storage.get_episode_metadata(range(len(source)))
     for episode, mark in zip(source, marks, strict=True):
@@ -64,7 +64,7 @@ def convert(name: str, folder: Path, images: bool) -> None:
                 {
                     STATE: episode.observations[k],
                     ACTION: angles,
-                    "next.reward": np.float32([episode.rewards[k]]),
+                    "next.reward": np.array([episode.rewards[k]], dtype=np.float32),
                     "next.done": np.array([k == len(episode) - 1]),
                     "task": task,
                     **({IMAGE: pictures[k]} if images else {}),

@@ -26,7 +26,7 @@ def make_card(folder: Path) -> str:
     run = yaml.safe_load((folder / CARD).read_text())
     policy = yaml.safe_load(next(iter(sorted(folder.rglob(POLICY)))).read_text())
     env_id, algo = policy["env_id"], policy["algo"]
-    results = [
+    results: list[dict[str, Any]] = [
         {
             "task": {"type": "reinforcement-learning", "name": "reinforcement-learning"},
             "dataset": {"name": f"{env_id}, {preset}", "type": env_id},

@@ -7,6 +7,7 @@ python examples/learners/bc_sort.py --seed 0
 
 import os
 from functools import lru_cache
+from typing import Any
 
 import minari
 import numpy as np
@@ -45,7 +46,7 @@ def learn(steps: int, seed: int) -> Act:
     for turn in range(turns):
         adam.param_groups[0]["lr"] = RATE * (1 - turn / turns)
         some = torch.randint(len(seen), (BATCH,))
-        loss = nn.functional.cross_entropy(actor(seen[some]), actions[some])
+        loss: Any = nn.functional.cross_entropy(actor(seen[some]), actions[some])
         adam.zero_grad()
         loss.backward()
         adam.step()

@@ -10,10 +10,11 @@ from functools import lru_cache
 from typing import Any
 
 import d3rlpy
+import minari
 import numpy as np
 import torch
 from d3rlpy.algos import DiscreteCQLConfig
-from d3rlpy.datasets import get_minari
+from d3rlpy.dataset import MDPDataset
 from d3rlpy.logging import NoopAdapterFactory
 from d3rlpy.models import VectorEncoderFactory
 from fresh_starts import Act, run, success
@@ -24,8 +25,12 @@ BATCH = 256
 
 @lru_cache
 def read(name: str) -> Any:
-    """All transitions."""
-    return get_minari(name)[0]
+    """All transitions; d3rlpy's own reader would shift actions by the last observations."""
+    episodes = [
+        (each.observations[:-1], each.actions, each.rewards, each.terminations, each.truncations)
+        for each in minari.load_dataset(name).iterate_episodes()
+    ]
+    return MDPDataset(*map(np.concatenate, zip(*episodes, strict=True)))
 
 
 def learn(steps: int, seed: int) -> Act:
@@ -36,7 +41,8 @@ def learn(steps: int, seed: int) -> Act:
     algorithm = DiscreteCQLConfig(
         learning_rate=1e-3,
         batch_size=BATCH,
-        target_update_interval=500,
+        target_update_interval=50,
+        alpha=4.0,
         encoder_factory=VectorEncoderFactory([64, 64]),
     ).create(device="cpu:0")
     algorithm.fit(
@@ -53,7 +59,7 @@ def learn(steps: int, seed: int) -> Act:
 
 def main() -> None:
     """Train, and let the policy take its best actions on fresh starts."""
-    run(learn, success, 512_000, "minari", "d3rlpy")
+    run(learn, success, 256_000, "minari", "d3rlpy")
 
 
 if __name__ == "__main__":

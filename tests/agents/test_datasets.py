@@ -19,20 +19,19 @@ import pytest
 from surface_gym import cli
 from surface_gym.agents import datasets
 from surface_gym.agents.benchmark.entry import SEED as TEST_SEED
+from surface_gym.agents.dataset_cli import MAX_EPISODES, MAX_SEED, DatasetConfig, main
 from surface_gym.agents.datasets import (
-    BEST_RULES,
     MIXED_RATES,
     RECIPES,
     REFERENCE_SEED,
-    DatasetConfig,
     EpisodesJob,
     compute_score,
     find_recipe,
-    main,
     write_dataset,
 )
 from surface_gym.agents.library import SHELF
 from surface_gym.agents.rollout import run_episodes
+from surface_gym.agents.rules import BEST_RULES
 from surface_gym.config import EnvConfig
 from surface_gym.registration import PERIODS, SHIPPED, env_id
 
@@ -154,7 +153,7 @@ def test_best_rules_are_those_of_the_benchmark() -> None:
 
 
 def test_seeds_are_not_the_benchmarks() -> None:
-    assert datasets.MAX_SEED + datasets.MAX_EPISODES < REFERENCE_SEED < TEST_SEED
+    assert MAX_SEED + MAX_EPISODES < REFERENCE_SEED < TEST_SEED
 
 
 @pytest.fixture
