@@ -17,8 +17,8 @@ TRAIN = ("python", "train.py") if IN_CHECKOUT else (NAME, "train")
 AGENTS = "surface_gym.agents."
 # Libraries that come with an extra.
 OPTIONAL = (
-    "matplotlib", "moviepy", "mujoco", "pandas", "rich", "stable_baselines3", "torch", "tyro",
-    "yaml",
+    "matplotlib", "minari", "moviepy", "mujoco", "pandas", "rich", "stable_baselines3", "torch",
+    "tyro", "yaml",
 )  # fmt: skip
 
 
@@ -35,6 +35,9 @@ COMMANDS = {
     "train": Command("train an agent, or search hyper-parameters", AGENTS + "train_cli"),
     "evaluate": Command("compare controllers and agents on every task", AGENTS + "evaluation.cli"),
     "benchmark": Command("enter a policy into the benchmark", AGENTS + "benchmark.cli"),
+    "dataset": Command(
+        "record episodes for offline learning", AGENTS + "dataset_cli", "agents,data"
+    ),
     "design": Command("choose a surface for your own parcel", "surface_gym.design.cli", "tools"),
     "export": Command("write an agent as ONNX, checked", AGENTS + "export.cli"),
     "runtime": Command("run an agent in real time, simulated or not", AGENTS + "runtime.cli"),

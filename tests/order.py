@@ -283,6 +283,7 @@ NIGHTLY = (
     *(f"tests/test_docs.py::test_the_code_of_a_page_runs[docs/{page}" for page in PAGES_AT_NIGHT),
     "tests/test_wheel.py::test_environment_and_shipped_agent_work",
     "tests/learners/test_learners.py::test_it_learns_to_sort[cleanrl",
+    "tests/test_hub.py::test_environments_are_those_of_the_package",  # whose kernel is its own
     *(
         f"tests/test_axes.py::TestOnRequest::test_nothing_is_there_unasked[SmartSurface/{task}-v0"
         for task in ("Slow", "Stop", "Track", "Orient")

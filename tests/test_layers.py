@@ -33,7 +33,8 @@ LAYERS = (
     ("agents.rules",),
     ("agents.learning",),
     ("agents.evaluation", "agents.tuning"),
-    ("agents.benchmark", "agents.export", "agents.train_cli"),
+    ("agents.benchmark", "agents.datasets", "agents.export", "agents.train_cli"),
+    ("agents.dataset_cli",),
 )
 
 

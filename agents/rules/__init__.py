@@ -5,7 +5,23 @@ from functools import partial
 
 from .base import MODULES, ROLLING, RULES, Rule, UniformLayout, rule
 
-__all__ = ["ROLLING", "RULES", "Rule", "find_apart", "find_prior", "find_rules", "rule"]
+__all__ = [
+    "BEST_RULES",
+    "ROLLING",
+    "RULES",
+    "Rule",
+    "find_apart",
+    "find_prior",
+    "find_rules",
+    "rule",
+]
+
+# The best rule of each task by the benchmark.
+BEST_RULES = {
+    "sort": "event rule", "slow": "braking rule", "stop": "braking rule", "track": "sliding mode",
+    "orient": "turning rule", "flow": "event rule", "singulate": "time slots",
+    "merge": "time slots", "sequence": "pass and park",
+}  # fmt: skip
 
 
 def find_apart() -> list[Rule]:

@@ -249,6 +249,7 @@ def by_torchrl(env_id: str) -> Any:
 
 
 def by_minari(env_id: str) -> Any:
+    needs("jax")  # with which it collects steps
     from minari import DataCollector
 
     env = DataCollector(gym.make(env_id), record_infos=True)

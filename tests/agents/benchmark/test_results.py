@@ -18,7 +18,8 @@ from surface_gym.agents.benchmark.process import PolicyLimits, PolicyProcess
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / "benchmarks/results"
-TRAINED = {"cleanrl-ppo": "cleanrl-0.pt"}  # weights of entries that are not in the repository
+# Weights of entries that are not in the repository.
+TRAINED = {"behaviour cloning": "bc-0.pt", "cleanrl-ppo": "cleanrl-0.pt", "d3rlpy-cql": "cql-0.pt"}
 ENTRIES = {entry.name: entry for entry in read_entries(RESULTS)}
 SAMPLE = 6  # episodes
 
