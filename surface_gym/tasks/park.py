@@ -1,0 +1,219 @@
+"""Park: come to rest at a goal pose."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surface_gym import checks
+from surface_gym.compiler.jit import kernel_function
+from surface_gym.lines import Field
+from surface_gym.physics.types import HALF_LENGTH, OMEGA, THETA, VX, VY, X, Y
+from surface_gym.state import RUNNING, SUCCESS, EnvState, is_driven, is_slower, planar_speed
+from surface_gym.tasks import base, planning
+from surface_gym.tasks.benchmark import Benchmark, high_column, median_column
+from surface_gym.tasks.features import Feature, columns, show, show_bent
+from surface_gym.tasks.start import Draw, Start, between
+
+GOAL_X, GOAL_Y, GOAL_THETA = range(3)  # indices in the goal: [m], [m], [rad] of the centre
+REMAINING = 0  # index in the memory: [m] remaining way at the last decision
+DISTANCE, ANGLE_ERROR = range(2)  # indices in the metrics: [m] to the goal, [rad] theta - goal
+
+OUTCOMES = ("off the surface", "off the line", "missed")
+OFF_SURFACE, OFF_LINE, MISSED = base.failures(OUTCOMES)
+SUCCESS_DISTANCE = 0.005  # [m]
+SUCCESS_ANGLE = math.radians(2.0)  # [rad]
+ARM = SUCCESS_DISTANCE / SUCCESS_ANGLE  # [m] an angle error times this counts as a distance
+ENTRY_X = 0.4  # [m] of the centre
+MOST_AHEAD, MOST_ASIDE = 1.4, 0.6  # [m] limits of goals from the entry
+SPIN_BRAKING = 2.2  # [m rad/s^2] angular deceleration by 90 deg, times the half length
+
+# The reward, term by term.
+TERMS: tuple[str, ...] = ("approach", "precision", "success", "failure")
+APPROACH_REWARD = 1.0  # per metre nearer
+PRECISION_REWARD = 2.0  # for resting at the goal, decreasing with the error
+PRECISION_SCALE = 0.01  # [m] error that divides the reward by e
+SUCCESS_REWARD = 2.0
+FAILURE_REWARD = -1.0
+
+FEATURES = (
+    base.OFFSET, *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED,
+    base.SIZE, *base.PHASE,
+    Feature("to go along", -20.0, 20.0, "x to the goal", "m", 0.5),
+    Feature("to go along, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
+    Feature("to go along, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
+    Feature("to go across", -20.0, 20.0, "y to the goal", "m", 0.2),
+    Feature("to go across, near", -1.0, 1.0, "the same", "m", 0.05, bent=True),
+    Feature("to go across, nearest", -1.0, 1.0, "the same", "m", 0.01, bent=True),
+    Feature("angle to turn", -1000.0, 1000.0, "goal theta - theta", "rad", 0.3),
+    Feature("angle to turn, near", -1.0, 1.0, "the same", "rad", SUCCESS_ANGLE, bent=True),
+    Feature("short along", -100.0, 100.0, "x to the goal after full braking", "m", 0.2),
+    Feature("short along, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
+    Feature("short across", -100.0, 100.0, "y to the goal after full braking", "m", 0.2),
+    Feature("short across, near", -1.0, 1.0, "the same", "m", 0.03, bent=True),
+    Feature("short of the angle", -1000.0, 1000.0, "angle left after braking", "rad", 0.3),
+)  # fmt: skip
+COLUMN = columns(FEATURES)
+
+
+@dataclass(frozen=True)
+class Park(base.Task):
+    """Come to rest at a goal pose.
+    """
+
+    speeds: tuple[float, float] = (1.2, 1.6)  # [m/s] entry speed
+    ahead: tuple[float, float] = (0.5, 0.9)  # [m] x of the goal from the entry
+    aside: tuple[float, float] = (-0.2, 0.2)  # [m] y of the goal from the entry
+    angles: tuple[float, float] = (-math.pi / 6, math.pi / 6)  # [rad] goal theta
+
+    line = Field(rows=16, columns=20)
+    features = FEATURES
+    terms = TERMS
+    outcomes = OUTCOMES
+    metrics = ("distance", "angle_error")
+    options = ("speed", "parcel", "ahead", "aside", "angle")
+    ranges = {
+        "speeds": (0.0, 5.0),
+        "ahead": (0.0, MOST_AHEAD),
+        "aside": (-MOST_ASIDE, MOST_ASIDE),
+        "angles": (-math.pi, math.pi, checks.DEGREES),
+    }
+    draws = 5
+    goals = 3
+    memories = 1
+    periods = 150
+
+    def start(self, draw: Draw) -> Start:
+        """Draw entry speed, parcel and goal pose, all uniform."""
+        pace, size, way, side, turn = draw.numbers
+        speed = draw.within("speed", between(*self.speeds, pace), 0.0, 5.0)
+        parcel = draw.parcel(self.parcels, size)
+        ahead = draw.within("ahead", between(*self.ahead, way), 0.0, MOST_AHEAD)
+        aside = draw.within("aside", between(*self.aside, side), -MOST_ASIDE, MOST_ASIDE)
+        angle = draw.angle("angle", between(*self.angles, turn), -math.pi, math.pi)
+        x, y = draw.line.column_edge(0) + ENTRY_X, draw.line.line_y
+        centre_x, centre_y = parcel.of(lambda each: each.base.centroid).T
+        pose = (x - centre_x, y - centre_y, 0.0)
+        return Start(parcel, pose, (speed, 0.0, 0.0), (x + ahead, y + aside, angle))
+
+    def cost(self) -> planning.PlanCost:
+        return planning.PlanCost(_running_cost, _final_cost, 0.5, self.periods, self.periods)
+
+    @staticmethod
+    @kernel_function
+    def begin(state: EnvState) -> None:
+        """Store the remaining way."""
+        _measure(state)
+        state.memory[REMAINING] = _remaining(state)
+
+    @staticmethod
+    @kernel_function
+    def outcome(state: EnvState) -> int:
+        """Return the state of the episode, by the true motion."""
+        _measure(state)
+        if not state.on_surface:
+            return OFF_SURFACE
+        if not state.on_rotors:
+            return OFF_LINE
+        if not is_slower(state, base.STALL_SPEED):
+            return RUNNING
+        metrics = state.metrics
+        if metrics[DISTANCE] <= SUCCESS_DISTANCE and abs(metrics[ANGLE_ERROR]) <= SUCCESS_ANGLE:
+            return SUCCESS
+        return RUNNING if is_driven(state) else MISSED  # driven modules may move it again
+
+    @staticmethod
+    @kernel_function
+    def reward(state: EnvState, outcome: int) -> None:
+        """Reward coming nearer, and resting at the goal."""
+        remaining = _remaining(state)
+        rests = outcome in (SUCCESS, MISSED)
+        terms = state.terms
+        terms[0] = APPROACH_REWARD * (state.memory[REMAINING] - remaining)
+        terms[1] = PRECISION_REWARD * math.exp(-remaining / PRECISION_SCALE) if rests else 0.0
+        terms[2] = SUCCESS_REWARD if outcome == SUCCESS else 0.0
+        terms[3] = FAILURE_REWARD if outcome > SUCCESS else 0.0
+        state.memory[REMAINING] = remaining
+
+    @staticmethod
+    @kernel_function
+    def observe(state: EnvState) -> None:
+        """Write the observation from the sensor's pose and velocity."""
+        sensed, see, goal = state.sensed, state.observation, state.goal
+        base.show_on_line(state, COLUMN, 1.0)
+        along, across = goal[GOAL_X] - sensed[X], goal[GOAL_Y] - sensed[Y]
+        angle = goal[GOAL_THETA] - sensed[THETA]
+        show(see, COLUMN.to_go_along, along)
+        show_bent(see, COLUMN.to_go_along_near, along)
+        show_bent(see, COLUMN.to_go_along_nearest, along)
+        show(see, COLUMN.to_go_across, across)
+        show_bent(see, COLUMN.to_go_across_near, across)
+        show_bent(see, COLUMN.to_go_across_nearest, across)
+        show(see, COLUMN.angle_to_turn, angle)
+        show_bent(see, COLUMN.angle_to_turn_near, angle)
+        braked = planar_speed(sensed) / (2.0 * base.BRAKING)
+        spun = abs(sensed[OMEGA]) * state.body[HALF_LENGTH] / (2.0 * SPIN_BRAKING)
+        along -= braked * sensed[VX]
+        across -= braked * sensed[VY]
+        show(see, COLUMN.short_along, along)
+        show_bent(see, COLUMN.short_along_near, along)
+        show(see, COLUMN.short_across, across)
+        show_bent(see, COLUMN.short_across_near, across)
+        show(see, COLUMN.short_of_the_angle, angle - spun * sensed[OMEGA])
+
+
+@kernel_function
+def _measure(state: EnvState) -> None:
+    """Write the metrics."""
+    truth, goal, metrics = state.truth, state.goal, state.metrics
+    metrics[DISTANCE] = math.hypot(goal[GOAL_X] - truth[X], goal[GOAL_Y] - truth[Y])
+    metrics[ANGLE_ERROR] = truth[THETA] - goal[GOAL_THETA]
+
+
+@kernel_function
+def _remaining(state: EnvState) -> float:
+    """Return the distance [m] to the goal, in which the angle error counts as a distance."""
+    return math.hypot(state.metrics[DISTANCE], ARM * state.metrics[ANGLE_ERROR])
+
+
+# Costs for planners [m], tuned by experiments.
+SHORT_COST, PAST_COST = 0.15, 10.0  # per metre short of the goal, or past it, after full braking
+ANGLE_COST = 0.3  # per radian
+LACK_COST = 3.0  # per missing energy [m^2/s^2]
+SHARE_OF_BRAKING = 0.9  # [-] deceleration in any direction, relative to full braking
+TURN_LOSS = 5.0  # [m/s^2] loss of v^2 / 2 per radian, times the half length
+RESERVE = 0.05  # [m^2/s^2] energy for the last corrections
+
+
+def _running_cost(nodes: planning.Nodes) -> planning.Numbers:
+    """Estimate the error [m] at rest, and add a cost of missing energy to reach the goal."""
+    x, y, theta, vx, vy, omega = nodes.parcels.truth.T
+    goal_x, goal_y, goal_theta = nodes.parcels.goal.T
+    speed = np.hypot(vx, vy)
+    heading_x, heading_y = vx / np.maximum(speed, 1e-6), vy / np.maximum(speed, 1e-6)
+    to_x, to_y = goal_x - x, goal_y - y
+    along = to_x * heading_x + to_y * heading_y
+    across = np.abs(to_y * heading_x - to_x * heading_y)
+    short = along - speed**2 / (2.0 * SHARE_OF_BRAKING * nodes.braking)
+    spun = omega * np.abs(omega) * nodes.half_length / (2.0 * SPIN_BRAKING)
+    turn = np.abs(goal_theta - theta - spun)
+    distance = np.hypot(to_x, to_y)
+    # Braking along one diagonal turns the velocity; this costs a part of the energy.
+    slope = np.minimum(1.0, across / np.maximum(along, 0.01))
+    needed = (
+        nodes.rolling_loss * distance
+        + TURN_LOSS * nodes.half_length * turn
+        + speed**2 * slope / (1.0 + slope) ** 2
+        + RESERVE * np.minimum(1.0, distance / 0.1)
+    )
+    lack = np.maximum(0.0, needed - 0.5 * speed**2)
+    missed = np.where(short > 0.0, SHORT_COST * short, -PAST_COST * short)
+    return missed + across + ANGLE_COST * turn + LACK_COST * lack
+
+
+def _final_cost(nodes: planning.Nodes) -> planning.Numbers:
+    """Compute the error relative to the allowed error, plus `FAILED` without success."""
+    distance, angle = nodes.parcels.metrics.T
+    error = np.maximum(distance / SUCCESS_DISTANCE, np.abs(angle) / SUCCESS_ANGLE)
+    return planning.failure_cost(nodes) + error
