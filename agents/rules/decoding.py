@@ -39,11 +39,13 @@ PATH = (
 )  # fmt: skip
 # Quantities of a parcel that parks; the first are in the order of `PARK`.
 (K_SINE, K_COSINE, K_TURNING, K_SIZE, K_FORWARD, K_LATERAL, K_ALONG, K_ACROSS, K_TURN, K_FRICTION,
- K_SINE_X, K_COSINE_X, K_SINE_Y, K_COSINE_Y) = range(14)  # fmt: skip
+ K_SINE_X, K_COSINE_X, K_SINE_Y, K_COSINE_Y, K_WIDTH, K_FILL, K_LOAD_X, K_LOAD_Y,
+ ) = range(18)  # fmt: skip
 PARK = (
     "sine of theta", "cosine of theta", "turning speed", "size", "forward speed", "lateral speed",
     "to go along", "to go across", "angle to turn", "friction learned",
-    "sine of phase x", "cosine of phase x", "sine of phase y", "cosine of phase y",
+    "sine of phase x", "cosine of phase x", "sine of phase y", "cosine of phase y", "width", "fill",
+    "load learned, x", "load learned, y",
 )  # fmt: skip
 
 
@@ -253,11 +255,15 @@ class ParkReading(NamedTuple):
     vx: float  # [m/s]
     vy: float  # [m/s]
     omega: float  # [rad/s]
-    half_length: float  # [m] of the base, taken as a square
+    half_length: float  # [m]
+    half_width: float  # [m]
+    fill: float  # [-] share of the base in the rectangle around it
     along: float  # [m] x to the goal
     across: float  # [m] y to the goal
     turn: float  # [rad] goal theta - theta
     friction: float  # [-] estimated factor of mu_max
+    load_x: float  # [m] estimated place of the load in the base's frame
+    load_y: float  # [m]
 
 
 @inlined
@@ -275,10 +281,14 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
         _read(row, sight, K_LATERAL),
         _read(row, sight, K_TURNING),
         _read(row, sight, K_SIZE),
+        _read(row, sight, K_WIDTH),
+        _read(row, sight, K_FILL),
         _read(row, sight, K_ALONG),
         _read(row, sight, K_ACROSS),
         _read(row, sight, K_TURN),
         1.0 + sight.friction_spread * _read(row, sight, K_FRICTION),
+        sight.load_spread * _read(row, sight, K_LOAD_X),
+        sight.load_spread * _read(row, sight, K_LOAD_Y),
     )
 
 

@@ -1,6 +1,6 @@
 """Rule of Park: plan to rest at the goal by a beam search over a simple model, in every period.
 
-The model loads all modules under a square base equally. Axes turn in time, and friction is what the
+The base of the model is a rectangle or an oval; its weight is spread linearly. Axes turn in time, and friction is what the
 sensor has estimated. The first action of the best plan is taken, and the rest planned again.
 """
 
@@ -17,6 +17,7 @@ from surface_gym.tasks.park import ARM, SPIN_BRAKING, SUCCESS_DISTANCE
 
 from ..base import Integers, Numbers, Singles
 from .base import Commands, CompiledRule, Observations, rule
+from .braking import ON_EDGE, RECTANGLE, find_power
 from .decoding import ParkReading, Sight, add, look_at_park, see_park
 
 WIDTH = 8  # nodes kept per period
@@ -25,7 +26,6 @@ STEPS = 4  # steps of the model per period
 QUADRANTS = 4
 REACH = 3  # modules on each side of the nearest one that may be under the base
 SLOWEST = 1e-3  # [m/s] slower parcels rest
-ENOUGH = 0.3  # [-] error of a plan relative to the allowed error at which the search ends
 UNKNOWN = 1e9  # cost of no plan
 NEVER = 1e18  # cost of what is not to be chosen
 # Nodes that differ by less are duplicates.
@@ -46,6 +46,8 @@ class Weights(NamedTuple):
     braking: float = 0.9  # [-] deceleration in any direction, relative to full braking
     turn_loss: float = 5.0  # [m/s^2] energy lost by a radian, times the half length
     reserve: float = 0.05  # [m^2/s^2] energy for the last corrections
+    enough: float = 0.3  # [-] error of a plan relative to the allowed error that ends the search
+    caution: float = 0.9  # [-] planned friction, relative to the estimate; less leaves corrections
 
 
 class ParkingModel(NamedTuple):
@@ -62,6 +64,7 @@ class ParkingScratch(NamedTuple):
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]
+    load: Numbers  # (modules,) [-] share of the weight
     quadrant: Integers  # (modules,)
     by_x: Numbers  # (modules,) [m/s] loss of speed in a step
     by_y: Numbers  # (modules,) [m/s]
@@ -79,24 +82,81 @@ class ParkingMemory(NamedTuple):
     angle: Numbers  # (num_envs, quadrants) [rad] axes
 
 
+class Body(NamedTuple):
+    """The parcel as the model has it."""
+
+    power: float  # [-] exponent of the oval that stands for the base; 0: a rectangle
+    gyration: float  # [m^2] inertia / mass
+    goal_x: float  # [m] x at rest of the centre of mass, from the goal
+    goal_y: float  # [m]
+
+
+class Point(NamedTuple):
+    """A point of the plane."""
+
+    x: float  # [m]
+    y: float  # [m]
+
+
+@inlined
+def place_load(seen: ParkReading, turned: float) -> Point:
+    """Return the centre of mass from the base's centre after a turn [rad]."""
+    cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
+    sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
+    return Point(cosine * seen.load_x - sine * seen.load_y, sine * seen.load_x + cosine * seen.load_y)
+
+
+@inlined
+def find_body(seen: ParkReading) -> Body:
+    """Return the body of an observed parcel."""
+    power = 0.0 if seen.fill > RECTANGLE else find_power(seen.fill)
+    squares = seen.half_length * seen.half_length + seen.half_width * seen.half_width
+    load = place_load(seen, seen.turn)
+    return Body(power, squares / (3.0 if power == 0.0 else 3.6), load.x, load.y)
+
+
+@inlined
+def is_under(seen: ParkReading, body: Body, along: float, across: float) -> bool:
+    """Return whether a module is under the base; [m] from its centre, in its frame."""
+    along = abs(along) / (seen.half_length + ON_EDGE)
+    across = abs(across) / (seen.half_width + ON_EDGE)
+    if max(along, across) > 1.0:
+        return False
+    return body.power == 0.0 or along**body.power + across**body.power <= 1.0
+
+
 @linked
-def place_under(seen: ParkReading, node: Numbers, sight: Sight, scratch: ParkingScratch) -> int:
-    """Write the modules under a node's base, and return their number."""
+def place_under(
+    seen: ParkReading, body: Body, node: Numbers, sight: Sight, scratch: ParkingScratch
+) -> int:
+    """Write the modules under a node's base with their loads, and return their number."""
     theta = seen.turn - node[LEFT_THETA]
     cosine = seen.cosine * math.cos(theta) - seen.sine * math.sin(theta)
     sine = seen.sine * math.cos(theta) + seen.cosine * math.sin(theta)
-    x = seen.x + seen.along - node[LEFT_X]
-    y = seen.y + seen.across - node[LEFT_Y]
+    load_x, load_y = place_load(seen, theta)
+    x = seen.x + seen.along + body.goal_x - node[LEFT_X] - load_x  # of the base's centre
+    y = seen.y + seen.across + body.goal_y - node[LEFT_Y] - load_y
     x -= sight.pitch_x * math.floor(x / sight.pitch_x + 0.5)
     y -= sight.pitch_y * math.floor(y / sight.pitch_y + 0.5)
     count, columns = 0, sight.x.shape[0]
+    sum_x, sum_y, square_x, square_y = 0.0, 0.0, 0.0, 0.0
     for k in range(columns * sight.y.shape[0]):
         arm_x, arm_y = sight.x[k % columns] - x, sight.y[k // columns] - y
         along, across = cosine * arm_x + sine * arm_y, cosine * arm_y - sine * arm_x
-        if max(abs(along), abs(across)) <= seen.half_length:
-            scratch.x[count], scratch.y[count] = arm_x, arm_y
+        if is_under(seen, body, along, across):
+            scratch.x[count], scratch.y[count] = arm_x - load_x, arm_y - load_y
             scratch.quadrant[count] = (2 if arm_x < 0.0 else 0) + (1 if arm_y < 0.0 else 0)
+            sum_x, sum_y = sum_x + scratch.x[count], sum_y + scratch.y[count]
+            square_x += scratch.x[count] * scratch.x[count]
+            square_y += scratch.y[count] * scratch.y[count]
             count += 1
+    # Loads increase linearly towards the centre of mass.
+    mean_x, mean_y = sum_x / max(1, count), sum_y / max(1, count)
+    slope_x = -mean_x / max(1e-4, square_x - mean_x * sum_x)
+    slope_y = -mean_y / max(1e-4, square_y - mean_y * sum_y)
+    for k in range(count):
+        more = slope_x * (scratch.x[k] - mean_x) + slope_y * (scratch.y[k] - mean_y)
+        scratch.load[k] = max(0.0, 1.0 / count + more)
     return count
 
 
@@ -110,13 +170,11 @@ def turn_axis(angle: float, target: float, turn: float) -> float:
 
 @linked
 def advance(
-    seen: ParkReading, node: Numbers, after: Numbers, option: int, count: int, model: ParkingModel,
-    scratch: ParkingScratch,
+    friction: float, gyration: float, node: Numbers, after: Numbers, option: int, count: int,
+    model: ParkingModel, scratch: ParkingScratch,
 ) -> None:  # fmt: skip
     """Write the node after a period in which the axes turn to an option."""
     dt = model.period / STEPS
-    gyration = 2.0 / 3.0 * (seen.half_length * seen.half_length)  # [m^2] of a square
-    share = 1.0 / max(1, count)
     vx, vy, omega = node[VX], node[VY], node[OMEGA]
     left_x, left_y, left_theta = node[LEFT_X], node[LEFT_Y], node[LEFT_THETA]
     for q in range(QUADRANTS):
@@ -134,8 +192,8 @@ def advance(
             arm = scratch.x[k] * sine - scratch.y[k] * cosine
             slip = vx * cosine + vy * sine + omega * arm
             # Friction is proportional up to the speed it removes in a step: it does not overshoot.
-            most = dt * seen.friction * base.BRAKING
-            taken = share * min(most, max(-most, slip / (1.0 + arm * arm / gyration)))
+            most = dt * friction * base.BRAKING
+            taken = scratch.load[k] * min(most, max(-most, slip / (1.0 + arm * arm / gyration)))
             scratch.by_x[k], scratch.by_y[k] = taken * cosine, taken * sine
             scratch.by_arm[k] = taken * arm
         after_x, after_y = vx - add(scratch.by_x, count), vy - add(scratch.by_y, count)
@@ -228,20 +286,20 @@ def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: N
 
 @linked
 def plan(
-    seen: ParkReading, sight: Sight, model: ParkingModel, weights: Weights, alike: Numbers,
-    scratch: ParkingScratch,
+    seen: ParkReading, body: Body, sight: Sight, model: ParkingModel, weights: Weights,
+    alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
     """Return the first option of the best plan from the first of the scratch's nodes."""
-    options = model.options.shape[0]
+    options, friction = model.options.shape[0], weights.caution * seen.friction
     kept, best, least = 1, 0, UNKNOWN
     for depth in range(HORIZON):
         for parent in range(kept):
             node = scratch.node[parent]
-            under = place_under(seen, node, sight, scratch)
+            under = place_under(seen, body, node, sight, scratch)
             for option in range(options):
                 place = parent * options + option
                 after = scratch.tried[place]
-                advance(seen, node, after, option, under, model, scratch)
+                advance(friction, body.gyration, node, after, option, under, model, scratch)
                 scratch.cost[place] = find_cost(seen, after, weights)
                 if rests(seen, after) or depth == HORIZON - 1:
                     scratch.cost[place] = NEVER
@@ -249,12 +307,23 @@ def plan(
                     if error < least:
                         least = error
                         best = option if depth == 0 else scratch.first[parent]
-        if least <= ENOUGH:
+        if least <= weights.enough:
             break
         kept = keep(scratch, kept * options, options, depth, alike)
         if kept == 0:
             break
     return best
+
+
+@inlined
+def begin(seen: ParkReading, body: Body, node: Numbers) -> None:
+    """Write the observed motion of the centre of mass into a node."""
+    load = place_load(seen, 0.0)
+    node[LEFT_X] = seen.along + body.goal_x - load.x
+    node[LEFT_Y] = seen.across + body.goal_y - load.y
+    node[LEFT_THETA] = seen.turn
+    node[VX], node[VY] = seen.vx - seen.omega * load.y, seen.vy + seen.omega * load.x
+    node[OMEGA] = seen.omega
 
 
 @compiled
@@ -265,19 +334,24 @@ def park(
     """Choose the first option of the best plan."""
     for i in range(observations.shape[0]):
         seen = see_park(observations[i], sight)
-        node = scratch.node[0]
-        node[LEFT_X], node[LEFT_Y], node[LEFT_THETA] = seen.along, seen.across, seen.turn
-        node[VX], node[VY], node[OMEGA] = seen.vx, seen.vy, seen.omega
+        body, node = find_body(seen), scratch.node[0]
+        begin(seen, body, node)
         for q in range(QUADRANTS):
             node[AXES + q] = angle[i, q]
-        best = plan(seen, sight, model, weights, alike, scratch)
+        best = plan(seen, body, sight, model, weights, alike, scratch)
         for q in range(QUADRANTS):
             commands[i, q] = model.options[best, q]
             target = model.angles[model.options[best, q]]
             angle[i, q] = turn_axis(angle[i, q], target, STEPS * model.turn)
 
 
-@rule("parking rule", "park", actions="quadrants", observe=("load",))
+def list_options(choices: int) -> list[tuple[int, ...]]:
+    """List choices of the quadrants: of both halves, or of both sides."""
+    pairs = list(product(range(choices), repeat=2))
+    return [*((a, a, b, b) for a, b in pairs), *((a, b, a, b) for a, b in pairs if a != b)]
+
+
+@rule("parking rule", "park", actions="quadrants", observe=("parcel", "load"))
 class ParkingRule(CompiledRule):
     """Rule of Park: a beam search over a simple model, repeated in every period."""
 
@@ -289,15 +363,15 @@ class ParkingRule(CompiledRule):
         self._weights = weights
         angles = np.array(config.chosen_orientations)
         self._rolling = float(angles[self._axes[0]])
-        options = np.array([(a, a, b, b) for a, b in product(range(len(angles)), repeat=2)])
+        options = np.array(list_options(len(angles)))
         period = config.control_period
         turn = min(math.pi, config.actuators.axis_speed * period / STEPS)
         self._model = ParkingModel(angles, options, period, turn)
         size = len(self._sight.x) * len(self._sight.y)
-        x, y, by_x, by_y, by_arm = np.zeros((5, size))
+        x, y, load, by_x, by_y, by_arm = np.zeros((6, size))
         tried = WIDTH * len(options)
         self._scratch = ParkingScratch(
-            x, y, np.zeros(size, dtype=np.int64), by_x, by_y, by_arm, np.zeros((QUADRANTS, 2)),
+            x, y, load, np.zeros(size, dtype=np.int64), by_x, by_y, by_arm, np.zeros((QUADRANTS, 2)),
             np.zeros((WIDTH, NODE)), np.zeros(2 * WIDTH, dtype=np.int64),
             np.zeros((tried, NODE)), np.zeros(tried),
         )  # fmt: skip
