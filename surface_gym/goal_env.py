@@ -22,7 +22,8 @@ class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConst
     `compute_reward` of the two goals. With exact sensors it is 1 exactly if the episode succeeds.
 
     Goals need not be drawn again in training: an episode that rests elsewhere is a success of
-    another goal. Stable-Baselines3's `HerReplayBuffer` uses this: see `examples/learners/her_park.py`.
+    another goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in
+    `examples/learners/her_park.py`.
 
         >>> import gymnasium as gym, surface_gym
         >>> from surface_gym.goal_env import GoalEnv

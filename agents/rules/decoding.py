@@ -271,6 +271,7 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
     """Decode an observation (features,) of a parcel that parks."""
     phase_x = math.atan2(_read(row, sight, K_SINE_X), _read(row, sight, K_COSINE_X))
     phase_y = math.atan2(_read(row, sight, K_SINE_Y), _read(row, sight, K_COSINE_Y))
+    half_length, is_shown = _read(row, sight, K_SIZE), sight.place[K_WIDTH] >= 0
     return ParkReading(
         _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
         # Phases in y count from the line's middle, halfway between two rows.
@@ -280,9 +281,9 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
         _read(row, sight, K_FORWARD),
         _read(row, sight, K_LATERAL),
         _read(row, sight, K_TURNING),
-        _read(row, sight, K_SIZE),
-        _read(row, sight, K_WIDTH),
-        _read(row, sight, K_FILL),
+        half_length,
+        _read(row, sight, K_WIDTH) if is_shown else half_length,
+        _read(row, sight, K_FILL) if is_shown else 1.0,
         _read(row, sight, K_ALONG),
         _read(row, sight, K_ACROSS),
         _read(row, sight, K_TURN),

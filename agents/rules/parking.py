@@ -1,7 +1,8 @@
 """Rule of Park: plan to rest at the goal by a beam search over a simple model, in every period.
 
-The base of the model is a rectangle or an oval; its weight is spread linearly. Axes turn in time, and friction is what the
-sensor has estimated. The first action of the best plan is taken, and the rest planned again.
+The base of the model is a rectangle or an oval; its weight is spread linearly. Axes turn in time,
+and friction and load are what the sensor has estimated. The first action of the best plan is taken,
+and the rest is planned again.
 """
 
 import math
@@ -12,18 +13,20 @@ import numpy as np
 
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
+from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks import base
-from surface_gym.tasks.park import ARM, SPIN_BRAKING, SUCCESS_DISTANCE
+from surface_gym.tasks.park import ARM, ENTRY_X, SPIN_BRAKING, SUCCESS_DISTANCE
 
 from ..base import Integers, Numbers, Singles
-from .base import Commands, CompiledRule, Observations, rule
-from .braking import ON_EDGE, RECTANGLE, find_power
+from .base import FULL, ROLL, ColumnAxes, Commands, CompiledRule, FixedRule, Observations, rule
+from .braking import COM_HEIGHT, ON_EDGE, RECTANGLE, find_power
 from .decoding import ParkReading, Sight, add, look_at_park, see_park
 
-WIDTH = 8  # nodes kept per period
+WIDTH = 16  # nodes kept per period
 HORIZON = 70  # [control periods] depth of the search
 STEPS = 4  # steps of the model per period
 QUADRANTS = 4
+LONG_TURN = 2.0  # [rad] axes that turn by more in a step of the model obey at once
 REACH = 3  # modules on each side of the nearest one that may be under the base
 SLOWEST = 1e-3  # [m/s] slower parcels rest
 UNKNOWN = 1e9  # cost of no plan
@@ -50,6 +53,9 @@ class Weights(NamedTuple):
     caution: float = 0.9  # [-] planned friction, relative to the estimate; less leaves corrections
 
 
+WEIGHTS = Weights()
+
+
 class ParkingModel(NamedTuple):
     """Parameters of the model."""
 
@@ -64,14 +70,16 @@ class ParkingScratch(NamedTuple):
 
     x: Numbers  # (modules,) [m] under the base, from its centre
     y: Numbers  # (modules,) [m]
-    load: Numbers  # (modules,) [-] share of the weight
+    load: Numbers  # (modules,) [-] share of the weight at constant speed
+    shift_x: Numbers  # (modules,) [1/m] change of this share as the weight moves along x
+    shift_y: Numbers  # (modules,) [1/m] the same along y
     quadrant: Integers  # (modules,)
     by_x: Numbers  # (modules,) [m/s] loss of speed in a step
     by_y: Numbers  # (modules,) [m/s]
     by_arm: Numbers  # (modules,) [m^2/s]
     axes: Numbers  # (quadrants, 2) cosine and sine
     node: Numbers  # (WIDTH, NODE) nodes of a period
-    first: Integers  # (WIDTH,) option by which a node's plan begins
+    first: Integers  # (2 WIDTH,) option by which a node's plan begins, and the next nodes'
     tried: Numbers  # (WIDTH * options, NODE) nodes of the next period
     cost: Numbers  # (WIDTH * options,) their costs
 
@@ -103,7 +111,9 @@ def place_load(seen: ParkReading, turned: float) -> Point:
     """Return the centre of mass from the base's centre after a turn [rad]."""
     cosine = seen.cosine * math.cos(turned) - seen.sine * math.sin(turned)
     sine = seen.sine * math.cos(turned) + seen.cosine * math.sin(turned)
-    return Point(cosine * seen.load_x - sine * seen.load_y, sine * seen.load_x + cosine * seen.load_y)
+    return Point(
+        cosine * seen.load_x - sine * seen.load_y, sine * seen.load_x + cosine * seen.load_y
+    )
 
 
 @inlined
@@ -152,11 +162,13 @@ def place_under(
             count += 1
     # Loads increase linearly towards the centre of mass.
     mean_x, mean_y = sum_x / max(1, count), sum_y / max(1, count)
-    slope_x = -mean_x / max(1e-4, square_x - mean_x * sum_x)
-    slope_y = -mean_y / max(1e-4, square_y - mean_y * sum_y)
+    spread_x = max(1e-4, square_x - mean_x * sum_x)
+    spread_y = max(1e-4, square_y - mean_y * sum_y)
     for k in range(count):
-        more = slope_x * (scratch.x[k] - mean_x) + slope_y * (scratch.y[k] - mean_y)
-        scratch.load[k] = max(0.0, 1.0 / count + more)
+        scratch.shift_x[k] = (scratch.x[k] - mean_x) / spread_x
+        scratch.shift_y[k] = (scratch.y[k] - mean_y) / spread_y
+        more = mean_x * scratch.shift_x[k] + mean_y * scratch.shift_y[k]
+        scratch.load[k] = 1.0 / count - more
     return count
 
 
@@ -179,8 +191,10 @@ def advance(
     left_x, left_y, left_theta = node[LEFT_X], node[LEFT_Y], node[LEFT_THETA]
     for q in range(QUADRANTS):
         after[AXES + q] = node[AXES + q]
-    for step in range(STEPS):
-        if step == 0 or model.turn < 2.0:  # axes that take longer than a step
+    # Braking moves the weight ahead. A first step, which is not taken, finds out how far.
+    ahead_x, ahead_y = 0.0, 0.0
+    for step in range(-1, STEPS):
+        if step < 0 or (step > 0 and model.turn < LONG_TURN):
             for q in range(QUADRANTS):
                 target = model.angles[model.options[option, q]]
                 half = turn_axis(after[AXES + q], target, 0.5 * model.turn)
@@ -191,12 +205,19 @@ def advance(
             cosine, sine = scratch.axes[q, 0], scratch.axes[q, 1]
             arm = scratch.x[k] * sine - scratch.y[k] * cosine
             slip = vx * cosine + vy * sine + omega * arm
+            load = scratch.load[k] + ahead_x * scratch.shift_x[k] + ahead_y * scratch.shift_y[k]
             # Friction is proportional up to the speed it removes in a step: it does not overshoot.
             most = dt * friction * base.BRAKING
-            taken = scratch.load[k] * min(most, max(-most, slip / (1.0 + arm * arm / gyration)))
+            taken = min(most, max(-most, slip / (1.0 + arm * arm / gyration)))
+            taken *= max(0.0, load)
             scratch.by_x[k], scratch.by_y[k] = taken * cosine, taken * sine
             scratch.by_arm[k] = taken * arm
-        after_x, after_y = vx - add(scratch.by_x, count), vy - add(scratch.by_y, count)
+        lost_x, lost_y = add(scratch.by_x, count), add(scratch.by_y, count)
+        ahead_x = COM_HEIGHT / (GRAVITY * dt) * lost_x
+        ahead_y = COM_HEIGHT / (GRAVITY * dt) * lost_y
+        if step < 0:
+            continue
+        after_x, after_y = vx - lost_x, vy - lost_y
         after_omega = omega - add(scratch.by_arm, count) / gyration
         left_x -= 0.5 * dt * (vx + after_x)
         left_y -= 0.5 * dt * (vy + after_y)
@@ -250,17 +271,16 @@ def find_cost(seen: ParkReading, node: Numbers, weights: Weights) -> float:
 @inlined
 def is_alike(one: Numbers, other: Numbers, alike: Numbers) -> bool:
     """Return whether two nodes are duplicates."""
+    same = True
     for k in range(alike.shape[0]):
-        if abs(one[k] - other[k]) > alike[k]:
-            return False
-    return True
+        same = same and abs(one[k] - other[k]) <= alike[k]
+    return same
 
 
 @linked
 def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: Numbers) -> int:
     """Keep the best of `count` nodes without duplicates, and return their number."""
     kept = 0
-    # First options are read before they are replaced, so they are written into new places.
     while kept < WIDTH:
         best = 0
         for k in range(count):
@@ -345,10 +365,24 @@ def park(
             angle[i, q] = turn_axis(angle[i, q], target, STEPS * model.turn)
 
 
-def list_options(choices: int) -> list[tuple[int, ...]]:
-    """List choices of the quadrants: of both halves, or of both sides."""
-    pairs = list(product(range(choices), repeat=2))
-    return [*((a, a, b, b) for a, b in pairs), *((a, b, a, b) for a, b in pairs if a != b)]
+@rule("fixed layout", "park", actions="modules")
+class ParkingLayout(FixedRule):
+    """Columns at 90 deg, and at 0 deg from where they stop a box at the goal's x."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        super().__init__(config, ("park",), ("modules",))
+        self._columns = ColumnAxes(config)
+
+    def _layout(self, observations: Observations) -> Commands:
+        seen, line = self._config.decode(observations), self._config.chosen_line
+        half, goal_x = seen["size"], ENTRY_X + seen["to go along"]
+        # Braking increases while the base enters the columns.
+        full = 0.5 * seen["forward speed"] ** 2 / base.BRAKING  # [m] of full braking
+        entered = np.where(full > half, full + half, np.sqrt(4.0 * half * full))
+        zone = self._config.zone or (0, line.columns - 1)
+        centres = line.pitch_x * (np.arange(zone[0], zone[1] + 1) + 0.5)
+        brakes = centres > (goal_x + half - entered)[:, np.newaxis]
+        return self._columns(np.where(brakes, FULL, ROLL))
 
 
 @rule("parking rule", "park", actions="quadrants", observe=("parcel", "load"))
@@ -357,23 +391,23 @@ class ParkingRule(CompiledRule):
 
     kernel = staticmethod(park)
 
-    def __init__(self, config: EnvConfig, weights: Weights = Weights()) -> None:
+    def __init__(self, config: EnvConfig, weights: Weights = WEIGHTS) -> None:
         super().__init__(config, ("park",), ("quadrants",))
         self._sight = look_at_park(config, REACH)
         self._weights = weights
         angles = np.array(config.chosen_orientations)
         self._rolling = float(angles[self._axes[0]])
-        options = np.array(list_options(len(angles)))
+        options = np.array([(a, a, b, b) for a, b in product(range(len(angles)), repeat=2)])
         period = config.control_period
         turn = min(math.pi, config.actuators.axis_speed * period / STEPS)
         self._model = ParkingModel(angles, options, period, turn)
         size = len(self._sight.x) * len(self._sight.y)
-        x, y, load, by_x, by_y, by_arm = np.zeros((6, size))
+        x, y, load, shift_x, shift_y, by_x, by_y, by_arm = np.zeros((8, size))
         tried = WIDTH * len(options)
         self._scratch = ParkingScratch(
-            x, y, load, np.zeros(size, dtype=np.int64), by_x, by_y, by_arm, np.zeros((QUADRANTS, 2)),
-            np.zeros((WIDTH, NODE)), np.zeros(2 * WIDTH, dtype=np.int64),
-            np.zeros((tried, NODE)), np.zeros(tried),
+            x, y, load, shift_x, shift_y, np.zeros(size, dtype=np.int64), by_x, by_y, by_arm,
+            np.zeros((QUADRANTS, 2)), np.zeros((WIDTH, NODE)),
+            np.zeros(2 * WIDTH, dtype=np.int64), np.zeros((tried, NODE)), np.zeros(tried),
         )  # fmt: skip
 
     def make_memory(self, num_envs: int) -> ParkingMemory:

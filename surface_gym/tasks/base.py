@@ -170,14 +170,17 @@ class Task:
 
     def achieved(self, state: EnvState) -> tuple[float, ...]:
         """Return the sensed quantities that a goal asks for, for `GoalEnv`."""
+        del state
         raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
 
     def asked(self, state: EnvState) -> tuple[float, ...]:
         """Return the goal's values of the quantities of `achieved`."""
+        del state
         raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
 
     def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
         """Return (...) whether achieved quantities (..., quantities) are a success."""
+        del achieved, asked
         raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
     def benchmark(self) -> Benchmark:

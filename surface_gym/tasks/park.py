@@ -156,6 +156,10 @@ class Park(base.Task):
         pose = (x - centre_x, y - centre_y, 0.0)
         return Start(parcel, pose, (speed, 0.0, 0.0), (x + ahead, y + aside, angle))
 
+    def decode(self, seen: planning.ObservationTable) -> planning.ObservationTable:
+        """Return the table: each of its quantities is a feature."""
+        return seen
+
     def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the first observation into a start, some columns into the field.
 
@@ -164,7 +168,9 @@ class Park(base.Task):
         line, column = seen.line, round(ENTRY_X / seen.line.pitch_x)
         x = line.origin[0] + line.pitch_x * column + float(seen.in_pitch("x", line.pitch_x)[0])
         pose = (x, line.line_y + float(seen["lateral offset"][0]), float(seen.theta[0]))
-        vx, vy, omega = (float(seen[f"{way} speed"][0]) for way in ("forward", "lateral", "turning"))
+        vx, vy, omega = (
+            float(seen[f"{way} speed"][0]) for way in ("forward", "lateral", "turning")
+        )
         to_go = (seen[name][0] for name in ("to go along", "to go across", "angle to turn"))
         goal = tuple(float(at + left) for at, left in zip(pose, to_go, strict=True))
         parcel = planning.nearest_parcel(self.parcels, float(seen["size"][0]))
