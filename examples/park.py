@@ -61,7 +61,7 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--ppo", help="folder of a run of `python train.py --task park`")
-    parser.add_argument("--starts", type=int, default=200)
+    parser.add_argument("--starts", type=int, default=128)
     parser.add_argument("--planned", type=int, default=40, help="starts of the planner")
     asked = parser.parse_args()
     print("| controller | success | distance, median [mm] | 90 % [mm] | angle, median [deg] |")

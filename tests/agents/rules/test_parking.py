@@ -24,7 +24,7 @@ def test_the_model_moves_a_parcel_as_the_simulator_does(option):
     arguments = rule.arguments(
         batch.parcels.observation[:1], rule.make_memory(1), np.zeros((1, 4), dtype=np.int64)
     )
-    _, sight, model, weights, _, scratch, _, _ = arguments
+    _, sight, model, _, _, scratch, _, _ = arguments
     seen = see_park(batch.parcels.observation[0], sight)
     body, node, after = parking.find_body(seen), scratch.node[0], scratch.tried[0]
     parking.begin(seen, body, node)
