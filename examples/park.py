@@ -8,6 +8,7 @@ The planner knows the true state and parameters: what it does not reach is taken
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -20,7 +21,7 @@ from surface_gym.agents.rules.base import RULES
 from surface_gym.config import EnvConfig
 
 PARK = "SmartSurface/Park-v0"
-Result = tuple[bool, float, float]  # success, distance [mm], angle error [deg]
+Result = tuple[float, ...]  # success, distance [m], angle error [rad]
 
 
 def play(
@@ -39,6 +40,10 @@ def play(
             over = terminated or truncated
         results.append((bool(info["is_success"]), info["distance"], info["angle_error"]))
     return results
+
+
+def _same(policy: Any, _config: EnvConfig) -> Any:
+    return policy
 
 
 def search(preset: str, starts: int) -> list[Result]:
@@ -76,7 +81,7 @@ def main() -> None:
         if asked.ppo is not None:
             policy = library.read(asked.ppo)
             given = dict(policy.env_kwargs)
-            found["PPO"] = play(lambda _, policy=policy: policy, preset, asked.starts, **given)
+            found["PPO"] = play(partial(_same, policy), preset, asked.starts, **given)
             show("PPO", preset, found["PPO"])
         planned = search(preset, asked.planned)
         show("planner", preset, planned)

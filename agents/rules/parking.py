@@ -39,21 +39,21 @@ LEFT_X, LEFT_Y, LEFT_THETA, VX, VY, OMEGA, AXES = range(7)
 NODE = AXES + QUADRANTS
 
 
-class Weights(NamedTuple):
+class CostWeights(NamedTuple):
     """Parameters of the cost of a node that still moves [m], tuned on other starts."""
 
     short: float = 0.15  # [-] per metre short of the goal after full braking
     past: float = 10.0  # [-] per metre past it
     angle: float = 0.3  # [m/rad] per angle after full braking
-    lack: float = 3.0  # [s^2/m] per missing energy
+    lack: float = 6.0  # [s^2/m] per missing energy
     braking: float = 0.9  # [-] deceleration in any direction, relative to full braking
     turn_loss: float = 5.0  # [m/s^2] energy lost by a radian, times the half length
-    reserve: float = 0.05  # [m^2/s^2] energy for the last corrections
+    reserve: float = 0.15  # [m^2/s^2] energy for the last corrections
     enough: float = 0.3  # [-] error of a plan relative to the allowed error that ends the search
     caution: float = 0.9  # [-] planned friction, relative to the estimate; less leaves corrections
 
 
-WEIGHTS = Weights()
+WEIGHTS = CostWeights()
 
 
 class ParkingModel(NamedTuple):
@@ -90,7 +90,7 @@ class ParkingMemory(NamedTuple):
     angle: Numbers  # (num_envs, quadrants) [rad] axes
 
 
-class Body(NamedTuple):
+class ParkingBody(NamedTuple):
     """The parcel as the model has it."""
 
     power: float  # [-] exponent of the oval that stands for the base; 0: a rectangle
@@ -117,16 +117,16 @@ def place_load(seen: ParkReading, turned: float) -> Point:
 
 
 @inlined
-def find_body(seen: ParkReading) -> Body:
+def find_body(seen: ParkReading) -> ParkingBody:
     """Return the body of an observed parcel."""
     power = 0.0 if seen.fill > RECTANGLE else find_power(seen.fill)
     squares = seen.half_length * seen.half_length + seen.half_width * seen.half_width
     load = place_load(seen, seen.turn)
-    return Body(power, squares / (3.0 if power == 0.0 else 3.6), load.x, load.y)
+    return ParkingBody(power, squares / (3.0 if power == 0.0 else 3.6), load.x, load.y)
 
 
 @inlined
-def is_under(seen: ParkReading, body: Body, along: float, across: float) -> bool:
+def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) -> bool:
     """Return whether a module is under the base; [m] from its centre, in its frame."""
     along = abs(along) / (seen.half_length + ON_EDGE)
     across = abs(across) / (seen.half_width + ON_EDGE)
@@ -137,7 +137,7 @@ def is_under(seen: ParkReading, body: Body, along: float, across: float) -> bool
 
 @linked
 def place_under(
-    seen: ParkReading, body: Body, node: Numbers, sight: Sight, scratch: ParkingScratch
+    seen: ParkReading, body: ParkingBody, node: Numbers, sight: Sight, scratch: ParkingScratch
 ) -> int:
     """Write the modules under a node's base with their loads, and return their number."""
     theta = seen.turn - node[LEFT_THETA]
@@ -244,7 +244,7 @@ def rests(seen: ParkReading, node: Numbers) -> bool:
 
 
 @inlined
-def find_cost(seen: ParkReading, node: Numbers, weights: Weights) -> float:
+def find_cost(seen: ParkReading, node: Numbers, weights: CostWeights) -> float:
     """Estimate the error [m] at rest, and add a cost of missing energy to reach the goal."""
     speed = math.hypot(node[VX], node[VY])
     heading_x, heading_y = node[VX] / max(speed, 1e-6), node[VY] / max(speed, 1e-6)
@@ -306,7 +306,7 @@ def keep(scratch: ParkingScratch, count: int, options: int, depth: int, alike: N
 
 @linked
 def plan(
-    seen: ParkReading, body: Body, sight: Sight, model: ParkingModel, weights: Weights,
+    seen: ParkReading, body: ParkingBody, sight: Sight, model: ParkingModel, weights: CostWeights,
     alike: Numbers, scratch: ParkingScratch,
 ) -> int:  # fmt: skip
     """Return the first option of the best plan from the first of the scratch's nodes."""
@@ -336,7 +336,7 @@ def plan(
 
 
 @inlined
-def begin(seen: ParkReading, body: Body, node: Numbers) -> None:
+def begin(seen: ParkReading, body: ParkingBody, node: Numbers) -> None:
     """Write the observed motion of the centre of mass into a node."""
     load = place_load(seen, 0.0)
     node[LEFT_X] = seen.along + body.goal_x - load.x
@@ -348,7 +348,7 @@ def begin(seen: ParkReading, body: Body, node: Numbers) -> None:
 
 @compiled
 def park(
-    observations: Singles, sight: Sight, model: ParkingModel, weights: Weights, alike: Numbers,
+    observations: Singles, sight: Sight, model: ParkingModel, weights: CostWeights, alike: Numbers,
     scratch: ParkingScratch, angle: Numbers, commands: Integers,
 ) -> None:  # fmt: skip
     """Choose the first option of the best plan."""
@@ -391,7 +391,7 @@ class ParkingRule(CompiledRule):
 
     kernel = staticmethod(park)
 
-    def __init__(self, config: EnvConfig, weights: Weights = WEIGHTS) -> None:
+    def __init__(self, config: EnvConfig, weights: CostWeights = WEIGHTS) -> None:
         super().__init__(config, ("park",), ("quadrants",))
         self._sight = look_at_park(config, REACH)
         self._weights = weights

@@ -11,6 +11,7 @@ from typing import Any
 import fresh_starts
 import gymnasium as gym
 import torch
+from gymnasium.spaces.utils import flatdim
 from stable_baselines3 import DQN, HerReplayBuffer
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -30,8 +31,8 @@ class Remaining(BaseFeaturesExtractor):
     """Show a network the difference of the goals on three scales."""
 
     def __init__(self, space: gym.spaces.Dict) -> None:
-        goals = space["desired_goal"].shape[0]
-        super().__init__(space, space["observation"].shape[0] + 3 * goals)
+        features, goals = (flatdim(space[name]) for name in ("observation", "desired_goal"))
+        super().__init__(space, features + 3 * goals)
 
     def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return (num_envs, features)."""
