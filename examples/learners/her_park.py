@@ -77,4 +77,4 @@ def measure(model: DQN) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    fresh_starts.run(learn, measure, 200_000, "stable_baselines3")
+    fresh_starts.run(learn, measure, 60_000, "stable_baselines3")
