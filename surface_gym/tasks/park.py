@@ -229,9 +229,8 @@ class Park(base.Task):
         from surface_gym.rendering import Path
 
         x, y, theta = state.goal
-        reach = state.body[HALF_LENGTH]
-        along, across = reach * math.cos(theta), reach * math.sin(theta)
-        return Path([(x - along, y - across), (x, y), (x + along, y + across)])
+        length = 2.0 * state.body[HALF_LENGTH]
+        return Path([(x - length * math.cos(theta), y - length * math.sin(theta)), (x, y)])
 
     @staticmethod
     @kernel_function

@@ -17,7 +17,7 @@ from tests.tasks.test_park import START
 CONFIG = EnvConfig("park", actions="quadrants", observe=("parcel", "load"))
 
 
-@pytest.mark.parametrize("option", [0, 1, 6, 9, 15, 18])
+@pytest.mark.parametrize("option", [0, 1, 6, 9, 12, 15])
 def test_the_model_moves_a_parcel_as_the_simulator_does(option):
     batch: Batch = batch_with(START, task="park", actions="quadrants", observe=("parcel", "load"))
     rule = parking.ParkingRule(CONFIG)
@@ -30,12 +30,14 @@ def test_the_model_moves_a_parcel_as_the_simulator_does(option):
     parking.begin(seen, body, node)
     node[parking.AXES :] = math.pi / 2
     count = parking.place_under(seen, body, node, sight, scratch)
-    assert count in (4, 6, 9)
+    theirs = batch.config.chosen_line.pitch_x  # as many as fit under the base, give or take an edge
+    assert abs(count - (0.25 / theirs) ** 2) < 4
     parking.advance(1.0, body.gyration, node, after, option, count, model, scratch)
     goal = batch.parcels.goal[0]
     batch.step(model.options[option][np.newaxis])
     truth = batch.parcels.truth[0]
-    np.testing.assert_allclose(goal - after[:3], truth[:3], atol=(2e-3, 2e-3, 0.02))
+    apart = np.abs(goal - after[:3] - truth[:3])
+    assert (apart <= (2e-3, 2e-3, 0.02)).all()
     np.testing.assert_allclose(after[3:5], truth[3:5], atol=0.06)
     assert after[5] == pytest.approx(truth[5], abs=0.6)
 
