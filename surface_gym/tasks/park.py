@@ -27,7 +27,6 @@ SUCCESS_DISTANCE = 0.005  # [m]
 SUCCESS_ANGLE = math.radians(2.0)  # [rad]
 ARM = SUCCESS_DISTANCE / SUCCESS_ANGLE  # [m] an angle error times this counts as a distance
 ENTRY_X = 0.4  # [m] of the centre
-STARTS = 200  # of the comparison
 MOST_AHEAD, MOST_ASIDE = 1.4, 0.6  # [m] limits of goals from the entry
 SPIN_BRAKING = 2.2  # [m rad/s^2] angular deceleration by 90 deg, times the half length
 
@@ -210,11 +209,9 @@ class Park(base.Task):
                 median_column("angle_error", "angle median [deg]", "off the goal", scale=degrees),
                 high_column("angle_error", "angle 90 % [deg]", scale=degrees),
             ),
-            ({},) * STARTS,
-            f"{STARTS} starts drawn by the task's own law",
-            {"speed": 1.5, "parcel": "S", "ahead": 0.7, "aside": 0.1, "angle": 0.3},
-            "the S-box at 1.5 m/s, 0.7 m ahead, 0.1 m aside and turned by 17 deg",
-            "distance",
+            example={"speed": 1.5, "parcel": "S", "ahead": 0.7, "aside": 0.1, "angle": 0.3},
+            example_description="the S-box at 1.5 m/s, 0.7 m ahead, 0.1 m aside, turned by 17 deg",
+            error="distance",
         )
 
     def readings(self, state: EnvState) -> list[tuple[str, str]]:

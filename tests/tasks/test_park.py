@@ -8,7 +8,7 @@ import pytest
 import surface_gym as sg
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import Park
-from surface_gym.tasks.park import ENTRY_X, STARTS
+from surface_gym.tasks.park import ENTRY_X
 from surface_gym.tasks.start import Start
 from tests.environments import ROLL, bare, batch_with
 from tests.tasks import BRAKE, assert_uniform, draws, features_of, play
@@ -117,7 +117,3 @@ class TestSeen:
         decoded = EnvConfig("park").decode_start(seen)
         again = batch_with(decoded, task="park").parcels.observation[0]
         np.testing.assert_allclose(again, seen, atol=2e-5)
-
-
-def test_the_comparison_has_its_own_starts():
-    assert len(Park().benchmark().starts) == STARTS == 200
