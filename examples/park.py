@@ -30,7 +30,7 @@ def play(
     """Play an episode from each start; `make` gives a controller."""
     env = gym.make(PARK, preset=preset, **arguments)
     config: EnvConfig = env.get_wrapper_attr("config")
-    controller, results = make(config), []
+    controller, results = make(config), list[Result]()
     for k in range(starts):
         (seen, info), state, over = env.reset(seed=SEED + k), None, False
         while not over:
