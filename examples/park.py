@@ -34,7 +34,7 @@ def play(
     for k in range(starts):
         (seen, info), state, over = env.reset(seed=SEED + k), None, False
         while not over:
-            begun = None if state is None else np.zeros(1, dtype=bool)
+            begun: Any = None if state is None else np.zeros(1, dtype=bool)
             action, state = controller.predict(seen[np.newaxis], state, begun)
             seen, _, terminated, truncated, info = env.step(action[0])
             over = terminated or truncated
