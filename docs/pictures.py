@@ -23,6 +23,7 @@ import numpy as np
 from encoding import Picture, write_film, write_still
 
 from surface_gym import agents
+from surface_gym.agents.rules import RULES
 from surface_gym.env import SmartSurfaceEnv
 from surface_gym.files import replacing
 from surface_gym.flow.arrivals import Steady
@@ -39,7 +40,8 @@ IMAGES = Path(__file__).parent / "images"
 PERIOD = 0.04  # [s] a picture of the films stays: as long as the control period that it shows
 LINE = ("--rate", "9000", "--mix", "S=1,B=1", "--speed", "1.5")
 OURS = ("--parcel", "0.3x0.4", "--mass", "12", "--speed", "1.2")
-SLIDING = "sliding mode"  # the rule that tracks, by the modules around the parcel
+# Rules that act in films, of tasks whose name stands before.
+SLIDING, PARKING = "track: sliding mode", "park: parking rule"
 ORIENTATIONS = (0.0, math.pi / 4.0, -math.pi / 4.0, math.pi / 2.0)  # [rad] in the legend
 GENTLE = (*ORIENTATIONS, math.radians(80.0), -math.radians(80.0))  # [rad] of streams
 ZONE = 8  # columns of a zone for S- and B-boxes
@@ -57,7 +59,7 @@ class Film:
     """A film of episodes of one environment, one after the other."""
 
     env_id: str  # as Gymnasium has it
-    controller: str  # an agent of `agents.names()`, or SLIDING
+    controller: str  # an agent of `agents.names()`, or a rule
     starts: tuple[dict[str, Any], ...]  # `options` of each episode's reset
     every: int = 1  # control periods from picture to picture
     text: float = TEXT
@@ -75,14 +77,12 @@ class Film:
         return [painter.draw(_cropped(scene, *area)) for scene in scenes]
 
     def _acting(self) -> tuple[gym.Env[Any, Any], Any]:
-        if self.controller != SLIDING:
+        if self.controller not in (SLIDING, PARKING):
             policy = agents.load(self.controller)
             return gym.make(self.env_id, **policy.env_kwargs), policy
-        from surface_gym.agents.rules.steering import SlidingMode
-
-        env = gym.make(self.env_id, actions="window")
-        bare: Any = env.unwrapped
-        return env, SlidingMode(bare.config)
+        rule = RULES.find(self.controller)
+        env = gym.make(self.env_id, actions=rule.actions, observe=rule.observe)
+        return env, rule.make(env.get_wrapper_attr("config"))
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,16 @@ TRACK = Film(
     SLIDING,
     ({"speed": 0.8, "parcel": "S", "tilt": 0.21},),
     every=2,
+    text=1.1,
+)
+
+PARK = Film(
+    "SmartSurface/Park-v0",
+    PARKING,
+    (
+        {"speed": 1.5, "parcel": "S", "ahead": 0.8, "aside": 0.15, "angle": 0.5},
+        {"speed": 1.5, "parcel": "B", "ahead": 0.7, "aside": -0.1, "angle": -0.4},
+    ),
     text=1.1,
 )
 
@@ -322,6 +332,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "sort.webp": partial(_film, SORT.pictures, PERIOD, WIDE),
     "slow.webp": partial(_film, SLOW.pictures, PERIOD, WIDE),
     "stop.webp": partial(_film, STOP.pictures, PERIOD, WIDE),
+    "park.webp": partial(_film, PARK.pictures, PERIOD, WIDE),
     "track.webp": partial(_film, TRACK.pictures, 1.5 * PERIOD, WIDE),
     "orient.webp": partial(_film, ORIENT.pictures, PERIOD, WIDE),
     "flow.webp": partial(_film, flow_by_chutes, 2.0 * PERIOD, BROAD),

@@ -23,6 +23,7 @@ SHIPPED = {
     "stop": ShippedTask("surface_gym.tasks.stop:Stop", 150),
     "track": ShippedTask("surface_gym.tasks.track:Track", 300),
     "orient": ShippedTask("surface_gym.tasks.orient:Orient", 200),
+    "park": ShippedTask("surface_gym.tasks.park:Park", 150),
     "flow": ShippedTask("surface_gym.flow.task:Flow", None),
     "singulate": ShippedTask("surface_gym.flow.slope_tasks:Singulate", None),
     "merge": ShippedTask("surface_gym.flow.slope_tasks:Merge", None),

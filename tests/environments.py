@@ -31,7 +31,11 @@ STREAMS = tuple(name for name, periods in registration.PERIODS.items() if period
 ON_SLOPES = tuple(name for name in STREAMS if registration.TASKS[name].takes_away)
 FLOW = registration.env_id(registration.DEFAULT_STREAM)
 # Tasks of one parcel; streams have tests of their own.
-IDS = sorted(map(registration.env_id, {*registration.SHIPPED}.difference(STREAMS)))
+LATER = registration.env_id("park")  # comes last, so that the others' cells stay as they were
+IDS = sorted(
+    map(registration.env_id, {*registration.SHIPPED}.difference(STREAMS)),
+    key=lambda env_id: (env_id == LATER, env_id),
+)
 ACTIONS = tuple(actions.KINDS)
 SENSORS = sensors.KINDS
 SORT = "SmartSurface/Sort-v0"
@@ -80,6 +84,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "speed": 0.7, "parcel": "B", "path": ((0.5, 1.0), (2.0, 1.3), (4.0, 1.0)), "tilt": 0.2,
     },
     "SmartSurface/Orient-v0": {"speed": 1.3, "parcel": "B", "angle": 0.5},
+    "SmartSurface/Park-v0": {
+        "speed": 1.3, "parcel": "B", "ahead": 0.7, "aside": 0.1, "angle": 0.3,
+    },
 }  # fmt: skip
 
 # Parcels of every kind of base.

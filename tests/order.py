@@ -123,7 +123,7 @@ NIGHTLY = (
     *(
         f"tests/test_modules.py::test_gymnasiums_checker_has_nothing_to_say[{task}"
         for task in (
-            *("slow", "stop", "track", "orient"),
+            *("slow", "stop", "track", "orient", "park"),
             *("flow", "singulate", "merge", "sequence"),
         )
     ),
@@ -166,7 +166,7 @@ NIGHTLY = (
     *(
         f"{OF_STREAMS[1]}[{task}"
         for task in (
-            *("slow", "stop", "track", "orient"),
+            *("slow", "stop", "track", "orient", "park"),
             *("flow", "singulate", "merge", "sequence"),
         )
     ),
@@ -190,7 +190,7 @@ NIGHTLY = (
             "test_neither_it_nor_the_number_of_threads_matters",
             "tests/test_env.py::TestTwins::test_go_on_alike",
         )
-        for task in ("Slow", "Stop", "Track", "Orient")
+        for task in ("Slow", "Stop", "Track", "Orient", "Park")
     ),
     # Kernels of their own, where others are tried of the same kind of action or sensor.
     *(
@@ -201,6 +201,7 @@ NIGHTLY = (
             "Slow-v0-window",
             "Stop-v0-halves",
             "Orient-v0-modules",
+            "Park-v0-modules",
             "Sort-v0-quadrants",
         )
     ),
@@ -229,24 +230,24 @@ NIGHTLY = (
     *(
         "tests/agents/planning/test_models.py::"
         f"test_in_a_lab_it_is_the_start_of_the_environment_with_all_its_noise[{task}"
-        for task in ("sort", "stop", "track", "orient")
+        for task in ("sort", "stop", "track", "orient", "park")
     ),
     "tests/web/test_agents.py::test_a_policy_of_the_lab_sees_axes_and_outline_and_acts_as_in_python",
     *(
         f"{OF_INFOS}{task}"
-        for task in ("Slow", "Stop", "Track", "Orient", "Flow", "Singulate", "Sequence")
+        for task in (*("Slow", "Stop", "Track", "Orient", "Park"), "Flow", "Singulate", "Sequence")
     ),
     # By day one task of a parcel is equal to Python's to the bit.
     *(
         f"tests/web/test_tasks.py::test_episodes_are_equal_from_their_starts_to_their_ends[{task}"
-        for task in ("slow", "track", "orient", "stop")
+        for task in ("slow", "track", "orient", "park", "stop")
     ),
     "tests/web/test_agents.py::test_a_run_on_a_slope_acts_as_in_python",
     "tests/web/test_agents.py::test_without_agents_a_task_on_a_slope_has_the_player_and_layouts",
     "tests/web/test_own_task.py::test_its_script_gives_the_same_end_in_another_process[{'stuck'",
     *(
         f"tests/web/test_agents.py::test_a_rule_runs_as_in_python[exact-{task}"
-        for task in ("slow", "track", "orient")
+        for task in ("slow", "track", "orient", "park")
     ),
     # By day the playground's driven modules are equal to Python's.
     "tests/web/test_tasks.py::test_driven_modules_are_equal_too",
@@ -286,7 +287,7 @@ NIGHTLY = (
     "tests/test_hub.py::test_environments_are_those_of_the_package",  # whose kernel is its own
     *(
         f"tests/test_axes.py::TestOnRequest::test_nothing_is_there_unasked[SmartSurface/{task}-v0"
-        for task in ("Slow", "Stop", "Track", "Orient")
+        for task in ("Slow", "Stop", "Track", "Orient", "Park")
     ),
 )
 

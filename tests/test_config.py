@@ -158,7 +158,7 @@ class TestLab:
             assert 0.149 < extent.min() <= extent.max() <= 0.45
             assert math.hypot(*parcel.com_offset) <= 0.03
 
-    @pytest.mark.parametrize("task", ["sort", "slow", "stop", "track", "orient"])
+    @pytest.mark.parametrize("task", ["sort", "slow", "stop", "track", "orient", "park"])
     def test_tasks_draw_its_parcels(self, task):
         assert EnvConfig(task=task, preset="lab").task.parcels == LAB.parcels
         assert EnvConfig(task=task, preset="camera") == EnvConfig(task=task, sensors=Camera())

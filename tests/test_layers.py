@@ -26,7 +26,7 @@ LAYERS = (
     ("config",),
     ("core", "flow", "env", "scenes", "machine"),
     ("trajectory", "simulation", "recorder", "player"),
-    ("vector_env", "cuda", "web"),
+    ("vector_env", "goal_env", "cuda", "web"),
     ("agents.base",),
     ("agents.planning",),
     ("agents.scheduling", "agents.library"),

@@ -1,5 +1,6 @@
 """`surface-gym benchmark`: run a policy on the benchmark, or make the board of all entries."""
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,10 @@ if TYPE_CHECKING:
 
 TABLE = "table"  # first argument of the second form
 RESULTS = Path("benchmarks/results")
-SINGLES = tuple(name for name, periods in PERIODS.items() if periods is not None)
+PROTOCOL = Path(__file__).with_name("protocol-1.json")
+SINGLES = tuple(
+    name for name in json.loads(PROTOCOL.read_text())["digests"] if PERIODS[name] is not None
+)
 INTERRUPTED = 130  # exit code after Ctrl-C
 
 

@@ -59,6 +59,7 @@ MODULES = tuple(
         "layouts",
         "local",
         "steering",
+        "parking",
         "braking",
         "departures",
         "patterns",

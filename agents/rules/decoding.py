@@ -37,6 +37,16 @@ PATH = (
     "tilt", "sine of theta", "cosine of theta", "turning speed", "size", "speed error",
     "sine of phase x", "cosine of phase x", "sine of phase y", "cosine of phase y",
 )  # fmt: skip
+# Quantities of a parcel that parks; the first are in the order of `PARK`.
+(K_SINE, K_COSINE, K_TURNING, K_SIZE, K_FORWARD, K_LATERAL, K_ALONG, K_ACROSS, K_TURN, K_FRICTION,
+ K_SINE_X, K_COSINE_X, K_SINE_Y, K_COSINE_Y, K_WIDTH, K_FILL, K_LOAD_X, K_LOAD_Y,
+ ) = range(18)  # fmt: skip
+PARK = (
+    "sine of theta", "cosine of theta", "turning speed", "size", "forward speed", "lateral speed",
+    "to go along", "to go across", "angle to turn", "friction learned",
+    "sine of phase x", "cosine of phase x", "sine of phase y", "cosine of phase y", "width", "fill",
+    "load learned, x", "load learned, y",
+)  # fmt: skip
 
 
 class Sight(NamedTuple):
@@ -68,6 +78,13 @@ def look_at_path(config: EnvConfig) -> Sight:
     rows, columns = kind.shape
     x = line.pitch_x * (np.arange(columns) - columns // 2)
     return _look(config, PATH, x, line.pitch_y * (np.arange(rows) - rows // 2))
+
+
+def look_at_park(config: EnvConfig, reach: int) -> Sight:
+    """Make the `Sight` of a parcel that parks, with modules up to `reach` on each side of it."""
+    line = config.chosen_line
+    near = np.arange(-reach, reach + 1)
+    return _look(config, PARK, line.pitch_x * near, line.pitch_y * near)
 
 
 def _look(config: EnvConfig, names: Iterable[str], x: NDArray[Any], y: NDArray[Any]) -> Sight:
@@ -225,6 +242,54 @@ def see_path(row: Singles, sight: Sight) -> PathReading:
         slope,
         _read(row, sight, SLOPE_AHEAD),
         math.asin(_read(row, sight, TILT)),
+    )
+
+
+class ParkReading(NamedTuple):
+    """Decoded observation of a parcel that parks."""
+
+    x: float  # [m] of its centre past the nearest module
+    y: float  # [m]
+    cosine: float  # of theta
+    sine: float
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+    half_length: float  # [m]
+    half_width: float  # [m]
+    fill: float  # [-] share of the base in the rectangle around it
+    along: float  # [m] x to the goal
+    across: float  # [m] y to the goal
+    turn: float  # [rad] goal theta - theta
+    friction: float  # [-] estimated factor of mu_max
+    load_x: float  # [m] estimated place of the load in the base's frame
+    load_y: float  # [m]
+
+
+@inlined
+def see_park(row: Singles, sight: Sight) -> ParkReading:
+    """Decode an observation (features,) of a parcel that parks."""
+    phase_x = math.atan2(_read(row, sight, K_SINE_X), _read(row, sight, K_COSINE_X))
+    phase_y = math.atan2(_read(row, sight, K_SINE_Y), _read(row, sight, K_COSINE_Y))
+    half_length, is_shown = _read(row, sight, K_SIZE), sight.place[K_WIDTH] >= 0
+    return ParkReading(
+        _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
+        # Phases in y count from the line's middle, halfway between two rows.
+        _past(sight.pitch_y * phase_y / (2.0 * math.pi), sight.pitch_y) - 0.5 * sight.pitch_y,
+        _read(row, sight, K_COSINE),
+        _read(row, sight, K_SINE),
+        _read(row, sight, K_FORWARD),
+        _read(row, sight, K_LATERAL),
+        _read(row, sight, K_TURNING),
+        half_length,
+        _read(row, sight, K_WIDTH) if is_shown else half_length,
+        _read(row, sight, K_FILL) if is_shown else 1.0,
+        _read(row, sight, K_ALONG),
+        _read(row, sight, K_ACROSS),
+        _read(row, sight, K_TURN),
+        1.0 + sight.friction_spread * _read(row, sight, K_FRICTION),
+        sight.load_spread * _read(row, sight, K_LOAD_X),
+        sight.load_spread * _read(row, sight, K_LOAD_Y),
     )
 
 

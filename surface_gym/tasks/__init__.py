@@ -2,6 +2,7 @@
 
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.orient import Orient
+from surface_gym.tasks.park import Park
 from surface_gym.tasks.slow import Slow
 from surface_gym.tasks.sort import Sort
 from surface_gym.tasks.stop import Stop
@@ -13,6 +14,7 @@ TASKS: dict[str, type[Task]] = {
     "stop": Stop,
     "track": Track,
     "orient": Orient,
+    "park": Park,
 }
 
-__all__ = ["TASKS", "Orient", "Slow", "Sort", "Stop", "Task", "Track"]
+__all__ = ["TASKS", "Orient", "Park", "Slow", "Sort", "Stop", "Task", "Track"]

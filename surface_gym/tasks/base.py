@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym import checks, state as st
 from surface_gym.compiler.jit import kernel_function
@@ -47,6 +48,8 @@ class Task:
     The compiled functions cannot read the task's fields. Parameters that they need go into the
     goal.
 
+    Tasks with `goal_features` may be goal environments: see `achieved`, `asked` and `reached`.
+
     Three ordinary methods serve rules and planners. `decode` turns observations into SI units,
     `decode_start` turns an observation into a start, and `cost` returns a planner's cost.
     """
@@ -76,6 +79,7 @@ class Task:
     )
     # whether goals at y < 0 are observed in a mirror, so that actions must be mirrored too
     mirrored: ClassVar[bool] = False
+    goal_features: ClassVar[tuple[str, ...]] = ()  # features that depend on the goal, see `GoalEnv`
     is_stream: ClassVar[bool] = False  # whether it is a `StreamTask`
     batch: ClassVar[str] = "surface_gym.core.batch:Batch"  # "module:Class" of its batch
     periods: ClassVar[int] = 100  # control periods after which an episode is truncated
@@ -163,6 +167,21 @@ class Task:
     def check_goal(self, goal: Numbers) -> None:
         """Raise a ValueError if a goal (goals,) from a machine is impossible for the task."""
         checks.limited("goal", goal, checks.FARTHEST)
+
+    def achieved(self, state: EnvState) -> tuple[float, ...]:
+        """Return the sensed quantities that a goal asks for, for `GoalEnv`."""
+        del state
+        raise ValueError(f"{type(self).__name__}.achieved must be a method, as Task says, got none")
+
+    def asked(self, state: EnvState) -> tuple[float, ...]:
+        """Return the goal's values of the quantities of `achieved`."""
+        del state
+        raise ValueError(f"{type(self).__name__}.asked must be a method, as Task says, got none")
+
+    def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
+        """Return (...) whether achieved quantities (..., quantities) are a success."""
+        del achieved, asked
+        raise ValueError(f"{type(self).__name__}.reached must be a method, as Task says, got none")
 
     def benchmark(self) -> Benchmark:
         """Return the starts of the comparison, and the columns of its table."""
@@ -276,6 +295,11 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the pose [m, m, rad] of parcels at entry: rear at the edge, on the line's middle."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
+
+
+def sensed_speed(state: EnvState) -> float:
+    """Return the speed [m/s] that `is_slower` compares, by the sensor."""
+    return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
 
 
 @kernel_function

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import VX, X
@@ -12,7 +13,7 @@ from surface_gym.state import RUNNING, SUCCESS, EnvState, is_driven, is_slower
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, high_column, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
-from surface_gym.tasks.start import Draw, Start, between
+from surface_gym.tasks.start import Draw, Numbers, Start, between
 
 POSITION = 0  # index in the goal: [m] goal x of the centre
 SHORTFALL = 0  # index in the memory: [m] shortfall at the last decision
@@ -46,6 +47,7 @@ FEATURES = (
     ),
 )
 COLUMN = columns(FEATURES)
+GOAL_FEATURES = tuple(each.name for each in FEATURES[len(base.PARCEL_FEATURES) :])
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Stop(base.Task):
     speeds: tuple[float, float] = (0.5, 2.7)  # [m/s] entry speed
 
     features = FEATURES
+    goal_features = GOAL_FEATURES
     terms = TERMS
     outcomes = OUTCOMES
     metrics = ("stop_error",)
@@ -129,6 +132,17 @@ class Stop(base.Task):
         first = np.minimum(zone_start + half_length + speed**2 / (2.0 * base.BRAKING), last)
         position = draw.within("position", between(first, last, share), 0.0, draw.line.length)
         return Start(parcel, base.entry(draw, parcel), (speed, 0.0, 0.0), (position,))
+
+    def achieved(self, state: EnvState) -> tuple[float, ...]:
+        """Return x [m] and the speed [m/s] of the fastest point, by the sensor."""
+        return state.sensed[X], base.sensed_speed(state)
+
+    def asked(self, state: EnvState) -> tuple[float, ...]:
+        return state.goal[POSITION], 0.0
+
+    def reached(self, achieved: Numbers, asked: Numbers) -> NDArray[np.bool_]:
+        off, speed = np.moveaxis(achieved - asked, -1, 0)
+        return np.asarray((np.abs(off) <= SUCCESS_ERROR) & (speed < base.STALL_SPEED))
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
         """Decode the start from the first observation; the goal is the goal x."""

@@ -99,7 +99,7 @@ def test_every_picture_is_made_by_the_command_shown_small_and_in_its_help(pictur
     shown = {name for page in PAGES for name in NAMED.findall((ROOT / page).read_text())}
     assert shown >= set(pictures)
     videos = list((DOCS / "images").glob("*.webp"))
-    assert len(videos) == 10
+    assert len(videos) == 11
     for video in videos:
         assert video.stat().st_size <= VIDEO, video.name
         assert last_duration(video) >= 1000, video.name

@@ -27,7 +27,15 @@ FIXED: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
         (1.3, 0.5, 0.01),
     ),
     "orient": ({"speed": 1.3, "parcel": "B", "angle": -0.4}, (-0.4,)),
+    "park": (
+        {"speed": 1.3, "parcel": "B", "ahead": 0.7, "aside": 0.1, "angle": -0.4},
+        (1.1, 0.9, -0.4),
+    ),
 }
+POSES = {
+    "track": (0.5, 0.9, 0.0),
+    "park": (0.4, 0.8, 0.0),
+}  # of a B-box; on a line the rear is at 0
 BAD_ARGUMENTS = {
     "sort": [("slow_share", 1.1), ("speeds", (0.0, 1.0)), ("slow_speeds", (1.0, 0.5))],
     "slow": [("speeds", (2.0, 1.0)), ("ratios", (0.5, 1.5))],
@@ -36,12 +44,14 @@ BAD_ARGUMENTS = {
         ("speeds", (0.5, 6.0)), ("tilts", (0.0, 1.0)), ("kinds", ()), ("kinds", ("circle",)),
     ],
     "orient": [("angles", (-4.0, 0.0))],
+    "park": [("angles", (-4.0, 0.0)), ("ahead", (0.5, 1.5)), ("aside", (0.2, -0.2))],
 }  # fmt: skip
 
 BAD_OPTIONS = {
     "slow": {"ratio": (-0.1, 1.1, math.nan, "half", None)},
     "stop": {"position": (-0.1, 3.1, math.inf, "there", None)},
     "orient": {"angle": (-3.2, 3.2, math.nan, "left", None)},
+    "park": {"ahead": (-0.1, 1.5, math.nan, None), "aside": (-0.7, 0.7), "angle": (-3.2, 45)},
     "track": {
         "path": (
             "straight", None, [(0.5, 1.0)], [(2.0, 1.0), (1.0, 1.0)], [(-0.1, 1.0), (1.0, 1.0)],
@@ -81,7 +91,7 @@ class TestOptions:
             assert start.goal == pytest.approx(goal, abs=1e-12)
             assert start.parcel is sg.layouts.box("B")
             assert start.velocity == (1.3, 0.0, 0.0)
-            assert start.pose == ((0.5, 0.9, 0.0) if name == "track" else (0.225, 1.0, 0.0))
+            assert start.pose == pytest.approx(POSES.get(name, (0.225, 1.0, 0.0)), abs=1e-12)
             assert start.tilt == options.get("tilt", 0.0)
             assert len(start.goal) == task.goals
 

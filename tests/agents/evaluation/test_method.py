@@ -19,7 +19,13 @@ from surface_gym.tasks import TASKS
 LAB = PRESETS["lab"]
 
 
-@pytest.mark.parametrize("task", TASKS)
+def test_methods_of_a_task_without_agents() -> None:
+    several = all_methods("park")
+    assert [each.name for each in several] == ["fixed layout", "parking rule", "planner"]
+    assert [each.name for each in rivals(several)] == ["fixed layout", "parking rule"]
+
+
+@pytest.mark.parametrize("task", [task for task in TASKS if task != "park"])
 def test_methods_of_a_task_of_one_parcel(task) -> None:
     several = all_methods(task)
     names = [method.name for method in several]

@@ -100,6 +100,13 @@ def test_it_is_exact(task, figure, most) -> None:
     assert (np.abs(runs.metrics[figure]) <= most).all()
 
 
+def test_it_parks() -> None:
+    start = {"speed": 1.4, "ahead": 0.7, "aside": -0.1, "angle": 0.3}
+    assert planned(
+        "park", [{**start, "parcel": parcel} for parcel in "SB"], budget=24
+    ).success.all()
+
+
 def test_on_a_path_nodes_cost_their_errors_so_far() -> None:
     config = EnvConfig(task="track", actions="halves")
     env = sg.SmartSurfaceEnv(task="track", actions="halves")

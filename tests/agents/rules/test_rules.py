@@ -124,5 +124,6 @@ def test_it_refuses_a_configuration_it_is_not_made_for(rule) -> None:
     with pytest.raises(ValueError, match="orientations"):
         rule.make(config_for(rule, orientations=(0.0, math.pi / 3)))
     if rule.make not in (FixedLayout, EventRule, ROLLING):
+        others = "halves" if rule.actions == "quadrants" else "quadrants"
         with pytest.raises(ValueError, match="actions"):
-            rule.make(EnvConfig(task=rule.task, actions="quadrants"))
+            rule.make(EnvConfig(task=rule.task, actions=others))

@@ -173,7 +173,7 @@ def test_a_parcel_that_is_not_of_the_task_is_refused(held, changed, message) -> 
     [
         ("sort", (0.5,)), ("sort", (2.0,)), ("stop", (1e5,)), ("orient", (4.0,)),
         ("slow", (1.5, 1.0)), ("slow", (0.5, 0.0)), ("track", (1.0, 0.0, 0.0)),
-        ("track", (-1.0, 0.0, 0.1)),
+        ("track", (-1.0, 0.0, 0.1)), ("park", (1.0, 0.8, 4.0)), ("park", (1.0, 1e5, 0.0)),
     ],
 )  # fmt: skip
 def test_a_goal_that_no_start_has_is_refused(task, goal) -> None:

@@ -1,0 +1,97 @@
+"""Compare controllers of Park on the same starts, with exact sensors and in the lab.
+
+python examples/park.py
+python examples/park.py --ppo runs/NAME
+
+The planner knows the true state and parameters: what it does not reach is taken as unreachable.
+"""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from surface_gym.agents import library
+from surface_gym.agents.evaluation.scenario import SEED
+from surface_gym.agents.planning.planner import Oracle
+from surface_gym.agents.rules.base import RULES
+from surface_gym.config import EnvConfig
+
+PARK = "SmartSurface/Park-v0"
+Result = tuple[float, ...]  # success, distance [m], angle error [rad]
+
+
+def play(
+    make: Callable[[EnvConfig], Any], preset: str, starts: int, **arguments: Any
+) -> list[Result]:
+    """Play an episode from each start; `make` gives a controller."""
+    env = gym.make(PARK, preset=preset, **arguments)
+    config: EnvConfig = env.get_wrapper_attr("config")
+    controller, results = make(config), list[Result]()
+    for k in range(starts):
+        (seen, info), state, over = env.reset(seed=SEED + k), None, False
+        while not over:
+            begun: Any = None if state is None else np.zeros(1, dtype=bool)
+            action, state = controller.predict(seen[np.newaxis], state, begun)
+            seen, _, terminated, truncated, info = env.step(action[0])
+            over = terminated or truncated
+        results.append((bool(info["is_success"]), info["distance"], info["angle_error"]))
+    return results
+
+
+def _same(policy: Any, _config: EnvConfig) -> Any:
+    return policy
+
+
+def search(preset: str, starts: int) -> list[Result]:
+    """Search a plan for each start."""
+    oracle = Oracle(EnvConfig("park", preset=preset, actions="halves"))
+    found = [oracle.find({}, SEED + k) for k in range(starts)]
+    return [(each.success, *each.metrics) for each in found]
+
+
+def show(name: str, preset: str, results: list[Result]) -> None:
+    """Print a row of a table."""
+    success, distance, angle = np.array(results).T
+    middle, most = 1e3 * np.quantile(distance, (0.5, 0.9))
+    turned = np.degrees(np.median(np.abs(angle)))
+    row = f"{success.mean():.3f} of {len(results)} | {middle:.1f} | {most:.1f} | {turned:.2f}"
+    print(f"| {name}, {preset} | {row} |", flush=True)
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--ppo", help="folder of a run of `python train.py --task park`")
+    parser.add_argument("--starts", type=int, default=128)
+    parser.add_argument("--planned", type=int, default=40, help="starts of the planner")
+    asked = parser.parse_args()
+    print("| controller | success | distance, median [mm] | 90 % [mm] | angle, median [deg] |")
+    print("|---|---:|---:|---:|---:|")
+    rules = [RULES.find(f"park: {name}") for name in ("fixed layout", "parking rule")]
+    for preset in ("exact", "lab"):
+        found = {}
+        for rule in rules:
+            given = {"actions": rule.actions, "observe": rule.observe}
+            found[rule.name] = play(rule.make, preset, asked.starts, **given)
+            show(rule.name, preset, found[rule.name])
+        if asked.ppo is not None:
+            policy = library.read(asked.ppo)
+            given = dict(policy.env_kwargs)
+            found["PPO"] = play(partial(_same, policy), preset, asked.starts, **given)
+            show("PPO", preset, found["PPO"])
+        planned = search(preset, asked.planned)
+        show("planner", preset, planned)
+        reached = [k for k, each in enumerate(planned) if each[0]]
+        for name, results in found.items():
+            share = np.mean([results[k][0] for k in reached])
+            print(
+                f"| {name}, of {len(reached)} starts that the planner reaches | {share:.3f} | | | |"
+            )
+
+
+if __name__ == "__main__":
+    main()

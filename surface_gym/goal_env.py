@@ -1,0 +1,88 @@
+"""Goal environments, as Gymnasium-Robotics and hindsight experience replay (HER) expect them."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from surface_gym import checks
+from surface_gym.physics.types import Array
+from surface_gym.tasks.base import Task
+
+GoalObservation = dict[str, Any]
+
+
+class GoalEnv(gym.Wrapper[GoalObservation, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """A wrapper with a Dict of observation, achieved goal and desired goal, and a sparse reward.
+
+    It serves every task with `goal_features`: Stop and Park. The observation has the other
+    features, so that it does not depend on the goal. The goals are the quantities of the task's
+    methods `achieved`, by the sensor, and `asked`. The reward is 1 for a success, else 0. It is
+    `compute_reward` of the two goals. With exact sensors it is 1 exactly if the episode succeeds.
+
+    Goals need not be drawn again in training: an episode that rests elsewhere is a success of
+    another goal. Stable-Baselines3's `HerReplayBuffer` uses this, as in
+    `examples/learners/her_park.py`.
+
+        >>> import gymnasium as gym, surface_gym
+        >>> from surface_gym.goal_env import GoalEnv
+        >>> env = GoalEnv(gym.make("SmartSurface/Park-v0", actions="halves"))
+        >>> observation, info = env.reset(seed=0)
+        >>> sorted(observation), observation["desired_goal"].shape
+        (['achieved_goal', 'desired_goal', 'observation'], (4,))
+
+    Args:
+        env: environment of a task with `goal_features`, made by `gymnasium.make` or the class.
+
+    Raises:
+        ValueError: the task does not say what its goal asks for.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
+        config = env.get_wrapper_attr("config")
+        self._task: Task = config.task
+        if not self._task.goal_features:
+            raise ValueError(
+                f"env must have a task with goal_features, got the task {config.task_name!r}"
+            )
+        space = checks.instance("observation_space", env.observation_space, spaces.Box, "a Box")
+        hidden = [config.columns[name].place for name in self._task.goal_features]
+        self._shown = np.delete(np.arange(space.shape[0]), hidden)
+        self._batch = env.get_wrapper_attr("batch")
+        size = len(self._task.asked(self._batch.view(0)))
+        goals = spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.observation_space = spaces.Dict(
+            observation=spaces.Box(space.low[self._shown], space.high[self._shown]),
+            achieved_goal=goals,
+            desired_goal=goals,
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[GoalObservation, dict[str, Any]]:
+        """Begin an episode, like the environment's `reset`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._observe(observation), info
+
+    def step(self, action: Any) -> tuple[GoalObservation, float, bool, bool, dict[str, Any]]:
+        """Step by one control period, like the environment's `step`, with the sparse reward."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        seen = self._observe(observation)
+        reward = self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info)
+        return seen, float(reward), terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """Return the rewards (...) of goals (..., quantities): 1 for a success, else 0."""
+        del info
+        return self._task.reached(achieved_goal, desired_goal).astype(np.float64)
+
+    def _observe(self, observation: Any) -> GoalObservation:
+        state = self._batch.view(0)
+        return {
+            "observation": observation[self._shown],
+            "achieved_goal": np.array(self._task.achieved(state), dtype=np.float64),
+            "desired_goal": np.array(self._task.asked(state), dtype=np.float64),
+        }
