@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from surface_gym import checks, state as st
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
@@ -43,6 +44,7 @@ class Task:
       `state.observation`, from `state.sensed`.
     - `mirror(state) -> float`: -1 if the observation is mirrored in y, so that features of modules
       are mirrored too; else 1.
+    - `draw_goal(state, canvas)`, if the observation is a picture: draw the goal by `draw_line`.
 
     The compiled functions cannot read the task's fields. Parameters that they need go into the
     goal.
@@ -217,6 +219,11 @@ class Task:
         """Return 1: the observation is not mirrored."""
         return 1.0
 
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw nothing."""
+
 
 def draws_default_parcels(task: Task) -> bool:
     """Return whether a task draws the default parcels of its class."""
@@ -266,6 +273,10 @@ PARCEL_FEATURES = (
 COLUMN = columns(PARCEL_FEATURES)
 
 
+MARK_WIDTH = 0.05  # [m] of a goal in a picture
+SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
+
+
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return start and end x [m] of a parcel's zone; `zone`: its columns, or None."""
     _, _, first, columns = line.site(parcel.base, zone).zone
@@ -276,6 +287,13 @@ def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> t
 def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
     """Return the pose [m, m, rad] of parcels at entry: rear at the edge, on the line's middle."""
     return (draw.line.column_edge(0) + parcels.rear, draw.line.line_y, 0.0)
+
+
+@kernel_function
+def draw_speed(canvas: Canvas, x: float, y: float, speed: float) -> None:
+    """Draw an asked speed [m/s] as a line across x, centred at a point [m]."""
+    half = 0.5 * SPEED_LENGTH * speed
+    draw_line(canvas, (x, y - half), (x, y + half), MARK_WIDTH)
 
 
 @kernel_function

@@ -1,0 +1,169 @@
+"""Pictures of a batch's environments: the surface, the goal and the parcel, drawn from above."""
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from surface_gym import canvas as cv, state as st
+from surface_gym.canvas import Canvas, Frame, Pixels
+from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.config import EnvConfig
+from surface_gym.core.assembly import compiled_functions
+from surface_gym.feature_groups import SHOWN_DRIVE
+from surface_gym.physics.contacts import bounded
+from surface_gym.physics.types import RADIUS, THETA, Array, Integers, Scratch, X, Y
+from surface_gym.state import BodyTable, EnvState, Geometry, ParcelState, SurfaceState
+from surface_gym.tasks.base import Task
+
+DISC_CORNERS = 48  # of the polygon that is drawn for a disc
+# Its radius divided by the disc's, so that both have the same area.
+DISC_FACTOR = math.sqrt(2.0 * math.pi / DISC_CORNERS / math.sin(2.0 * math.pi / DISC_CORNERS))
+NOSE = 0.8  # length of the line to the front, divided by the front's distance from the centre
+NOSE_WIDTH = 0.3  # its width, divided by the same distance
+
+
+def make_frame(config: EnvConfig) -> Frame:
+    """Return the frame of the pictures of a configuration."""
+    image, line = config.image, config.chosen_line
+    assert image is not None
+    left, right, low, high = line.extent if image.area is None else image.area
+    scale = min(image.width / (right - left), image.height / (high - low))
+    left = 0.5 * (left + right) - 0.5 * image.width / scale
+    top = 0.5 * (low + high) + 0.5 * image.height / scale
+    colours = np.eye(3) if image.channels == 3 else np.array(cv.LUMINANCE)[:, np.newaxis]
+    first_x, _, first_y, _ = line.extent
+    across = scale * (top - first_y - line.pitch_y * np.arange(line.rows + 1))
+    along = scale * (first_x + line.pitch_x * np.arange(line.columns + 1) - left)
+    rows, row_share = _overlaps(image.height, across[::-1])
+    rows[:, 1] = line.rows - 1 - rows[:, 1]  # elements are counted upwards
+    return Frame(
+        left,
+        top,
+        scale,
+        cv.FULL * np.array(cv.PAINTS) @ colours,
+        cv.FULL * np.array(cv.MODULE) @ colours,
+        rows,
+        row_share,
+        *_overlaps(image.width, along),
+    )
+
+
+def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
+    """Return overlaps of pixels with elements between rising edges [px], in order of both."""
+    pixel = np.arange(pixels)[:, np.newaxis]
+    share = np.minimum(pixel + 1.0, edges[1:]) - np.maximum(pixel, edges[:-1])
+    found = np.argwhere(share > 1e-9)
+    return found, share[found[:, 0], found[:, 1]]
+
+
+@inlined
+def _mix_row(frame: Frame, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
+    """Write a row of elements into `mixed` (width x channels), as wide as the picture.
+
+    `levels` (columns x channels) gets the values of the elements.
+    """
+    channels = frame.paints.shape[1]
+    for column in range(state.rotor.shape[1]):
+        place = channels * column
+        if not state.rotor[row, column]:
+            for c in range(channels):
+                levels[place + c] = frame.paints[cv.SUPPORT, c]
+            continue
+        axis = state.axis[row, column]
+        cosine, sine = state.direction[axis, 0], state.direction[axis, 1]
+        first, second = cosine * cosine - sine * sine, 2.0 * sine * cosine
+        if state.drive[axis, st.DRIVEN] > 0.0:
+            along, across = state.drive[axis, st.ALONG], state.drive[axis, st.ACROSS]
+            first = bounded((cosine * along - sine * across) / SHOWN_DRIVE, -1.0, 1.0)
+            second = bounded((sine * along + cosine * across) / SHOWN_DRIVE, -1.0, 1.0)
+        for c in range(channels):
+            levels[place + c] = (
+                frame.module[0, c] + frame.module[1, c] * first + frame.module[2, c] * second
+            )
+    for j in range(mixed.shape[0]):
+        mixed[j] = 0.0
+    for k in range(frame.columns.shape[0]):
+        pixel, column, share = frame.columns[k, 0], frame.columns[k, 1], frame.column_share[k]
+        for c in range(channels):
+            mixed[channels * pixel + c] += share * levels[channels * column + c]
+
+
+@inlined
+def _draw_ground(canvas: Canvas, state: EnvState) -> None:
+    """Draw supports and modules: each pixel is the mean of the elements under it, by area."""
+    frame, table = canvas.frame, canvas.table
+    height, size = canvas.pixels.shape
+    first = cv.FREE + state.rotor.shape[1] * frame.paints.shape[1]
+    levels = table[cv.FREE : first]
+    mixed, total = table[first : first + size], table[first + size : first + 2 * size]
+    k, current = 0, -1
+    for pixel in range(height):
+        line = canvas.pixels[pixel]
+        for j in range(size):
+            total[j] = 0.5  # to round
+        while k < frame.rows.shape[0] and frame.rows[k, 0] == pixel:
+            if frame.rows[k, 1] != current:
+                current = frame.rows[k, 1]
+                _mix_row(frame, state, current, levels, mixed)
+            share = frame.row_share[k]
+            for j in range(size):
+                total[j] += share * mixed[j]
+            k += 1
+        for j in range(size):
+            line[j] = np.uint8(np.int32(total[j]))
+
+
+@inlined
+def _draw_parcel(canvas: Canvas, state: EnvState) -> None:
+    """Draw the base at its true pose, and a line from its centre towards its front."""
+    truth, corners = state.truth, state.corners
+    cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
+    front = st.reach_along(state, 0.0, 1.0, 0.0)
+    count = corners.shape[0]
+    if state.edges[0, 2] > state.body[RADIUS]:  # a disc without edges and corners
+        count = DISC_CORNERS
+    for k in range(count):
+        if count == corners.shape[0]:
+            x, y = corners[k, 0], corners[k, 1]
+        else:
+            angle = 2.0 * math.pi * k / DISC_CORNERS
+            x, y = DISC_FACTOR * front * math.cos(angle), DISC_FACTOR * front * math.sin(angle)
+        cv.put_corner(
+            canvas, k, truth[X] + cosine * x - sine * y, truth[Y] + sine * x + cosine * y
+        )
+    cv.fill(canvas, count, cv.PARCEL)
+    tip = truth[X] + NOSE * front * cosine, truth[Y] + NOSE * front * sine
+    cv.paint_line(canvas, (truth[X], truth[Y]), tip, NOSE_WIDTH * front, cv.FRONT)
+
+
+def make_drawing(config: EnvConfig) -> Any:
+    """Build `draw_envs`, the kernel that draws environments of a configuration."""
+    functions = compiled_functions(config.task, Task, "draw_goal")
+    return _make_drawing(functions["draw_goal"], f"{type(config.task).__name__}-pictures")
+
+
+@lru_cache(maxsize=64)
+def _make_drawing(draw_goal: Callable[..., None], label: str) -> Any:
+    def draw_envs(
+        elements: Geometry,
+        surfaces: SurfaceState,
+        parcels: ParcelState,
+        bodies: BodyTable,
+        frame: Frame,
+        pictures: Pixels,
+        scratch: Scratch,
+        sensor_scratch: Scratch,
+        chosen: Integers,
+    ) -> int:
+        for i in chosen:
+            state = st.env_state(surfaces, parcels, bodies, i, i, elements)
+            canvas = Canvas(pictures[i], frame, scratch.table)
+            _draw_ground(canvas, state)
+            draw_goal(state, canvas)
+            _draw_parcel(canvas, state)
+        return 0
+
+    return compiled(draw_envs, label)
