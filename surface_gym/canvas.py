@@ -20,6 +20,7 @@ Pixels = NDArray[np.uint8]
 
 IMAGE = "image"  # value of `observe` for `Image()`
 LEAST, MOST = 8, 1024  # [px] height and width
+AWAY = 1e9  # [px] shapes that reach as far from the picture are not drawn
 NARROWEST = 1.5  # [px] width of a line
 
 # Paints, and their shares of red, green and blue. Only a parcel contains blue, and all of it does.
@@ -37,12 +38,12 @@ FREE = COVER + MOST  # first number that shapes do not use
 
 @dataclass(frozen=True)
 class Image:
-    """A picture from above as the observation: `observe=Image(...)`; `observe="image"` is `Image()`.
+    """A picture from above as the observation: `observe=Image(...)`, or "image" for the defaults.
 
     The observation is an array (height, width, channels) of bytes instead of features. It shows the
     true state at the end of the control period, as an ideal camera would: without delay and noise.
-    `sensors` do not change it. Frictions, tilt, mass and load are invisible, and velocity too:
-    stack pictures to show it.
+    `sensors` do not change it. Friction, tilt, mass and load are invisible. Velocity is invisible
+    in a single picture: stack pictures to show it.
 
     x runs to the right and y upwards. The scale is the same along x and y, and fixed: it is the
     largest that shows the whole `area`. With 64 x 64 pixels, a pixel of Sort is 47 mm wide.
@@ -51,8 +52,8 @@ class Image:
     | --- | --- |
     | beyond the surface | black |
     | support | a dark grey without blue: 0.1, 0.1, 0 |
-    | module | 0.4 + 0.35 cos(2 a), 0.4 + 0.35 sin(2 a), 0 for the present angle a of its axis. A driven \
-module has the velocity of its surface in x and y, divided by 2 m/s, instead of cosine and sine |
+    | module | 0.4 + 0.35 cos(2 a), 0.4 + 0.35 sin(2 a), 0 with the present angle a of its axis |
+    | driven module | 0.4 + 0.35 vx, 0.4 + 0.35 vy, 0 with the velocity of its surface over 2 m/s |
     | goal, as the task draws it | 1, 1, 0 |
     | parcel | 1, 1, 1; from its centre towards its front 0, 0, 1 |
 
@@ -165,10 +166,12 @@ def fill(canvas: Canvas, corners: int, paint: int) -> None:
     for k in range(corners):
         left, right = min(left, table[2 * k]), max(right, table[2 * k])
         top, bottom = min(top, table[2 * k + 1]), max(bottom, table[2 * k + 1])
-    first = int(bounded(math.floor(left), 0.0, width))
-    last = int(bounded(math.ceil(right), 0.0, width)) - 1
+    if not (min(left, top) > -AWAY and max(right, bottom) < AWAY):
+        return
+    first = math.floor(bounded(left, 0.0, width))
+    last = math.ceil(bounded(right, 0.0, width)) - 1
     for row in range(
-        int(bounded(math.floor(top), 0.0, height)), int(bounded(math.ceil(bottom), 0.0, height))
+        math.floor(bounded(top, 0.0, height)), math.ceil(bounded(bottom, 0.0, height))
     ):
         for column in range(first, last + 1):
             table[COVER + column] = 0.0
@@ -176,6 +179,8 @@ def fill(canvas: Canvas, corners: int, paint: int) -> None:
             _cover_edge(table, k - 1 if k > 0 else corners - 1, k, row, first, last)
         for column in range(first, last + 1):
             share = min(1.0, abs(table[COVER + column]))
+            if not share > 0.0:
+                continue
             for c in range(channels):
                 before = float(pixels[row, channels * column + c])
                 mixed = before + share * (paints[paint, c] - before)

@@ -9,7 +9,7 @@ import numpy as np
 
 from surface_gym import canvas as cv, state as st
 from surface_gym.canvas import Canvas, Frame, Pixels
-from surface_gym.compiler.jit import compiled, inlined
+from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import compiled_functions
 from surface_gym.feature_groups import SHOWN_DRIVE
@@ -21,8 +21,8 @@ from surface_gym.tasks.base import Task
 DISC_CORNERS = 48  # of the polygon that is drawn for a disc
 # Its radius divided by the disc's, so that both have the same area.
 DISC_FACTOR = math.sqrt(2.0 * math.pi / DISC_CORNERS / math.sin(2.0 * math.pi / DISC_CORNERS))
-NOSE = 0.8  # length of the line to the front, divided by the front's distance from the centre
-NOSE_WIDTH = 0.3  # its width, divided by the same distance
+NOSE = 0.7  # length of the line to the front, divided by the front's distance from the centre
+NOSE_WIDTH = 0.25  # its width, divided by the same distance
 
 
 def make_frame(config: EnvConfig) -> Frame:
@@ -91,8 +91,8 @@ def _mix_row(frame: Frame, state: EnvState, row: int, levels: Array, mixed: Arra
             mixed[channels * pixel + c] += share * levels[channels * column + c]
 
 
-@inlined
-def _draw_ground(canvas: Canvas, state: EnvState) -> None:
+@linked
+def draw_ground(canvas: Canvas, state: EnvState) -> None:
     """Draw supports and modules: each pixel is the mean of the elements under it, by area."""
     frame, table = canvas.frame, canvas.table
     height, size = canvas.pixels.shape
@@ -116,24 +116,26 @@ def _draw_ground(canvas: Canvas, state: EnvState) -> None:
             line[j] = np.uint8(np.int32(total[j]))
 
 
-@inlined
-def _draw_parcel(canvas: Canvas, state: EnvState) -> None:
+@linked
+def draw_parcel(canvas: Canvas, state: EnvState) -> None:
     """Draw the base at its true pose, and a line from its centre towards its front."""
     truth, corners = state.truth, state.corners
     cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
-    front = st.reach_along(state, 0.0, 1.0, 0.0)
+    radius, edges = state.body[RADIUS], state.edges
+    front = radius  # distance of the perimeter ahead of the centroid
+    for k in range(edges.shape[0]):
+        if edges[k, 0] > 0.0:
+            front = min(front, edges[k, 2] / edges[k, 0])
     count = corners.shape[0]
-    if state.edges[0, 2] > state.body[RADIUS]:  # a disc without edges and corners
+    if edges[0, 2] > radius:  # a disc without edges and corners
         count = DISC_CORNERS
     for k in range(count):
         if count == corners.shape[0]:
             x, y = corners[k, 0], corners[k, 1]
         else:
             angle = 2.0 * math.pi * k / DISC_CORNERS
-            x, y = DISC_FACTOR * front * math.cos(angle), DISC_FACTOR * front * math.sin(angle)
-        cv.put_corner(
-            canvas, k, truth[X] + cosine * x - sine * y, truth[Y] + sine * x + cosine * y
-        )
+            x, y = DISC_FACTOR * radius * math.cos(angle), DISC_FACTOR * radius * math.sin(angle)
+        cv.put_corner(canvas, k, truth[X] + cosine * x - sine * y, truth[Y] + sine * x + cosine * y)
     cv.fill(canvas, count, cv.PARCEL)
     tip = truth[X] + NOSE * front * cosine, truth[Y] + NOSE * front * sine
     cv.paint_line(canvas, (truth[X], truth[Y]), tip, NOSE_WIDTH * front, cv.FRONT)
@@ -161,9 +163,9 @@ def _make_drawing(draw_goal: Callable[..., None], label: str) -> Any:
         for i in chosen:
             state = st.env_state(surfaces, parcels, bodies, i, i, elements)
             canvas = Canvas(pictures[i], frame, scratch.table)
-            _draw_ground(canvas, state)
+            draw_ground(canvas, state)
             draw_goal(state, canvas)
-            _draw_parcel(canvas, state)
+            draw_parcel(canvas, state)
         return 0
 
     return compiled(draw_envs, label)
