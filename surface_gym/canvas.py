@@ -195,7 +195,7 @@ def put_corner(canvas: Canvas, k: int, x: float, y: float) -> None:
     canvas.table[2 * k + 1] = (frame.top - y) * frame.scale
 
 
-@inlined
+@linked
 def paint_line(
     canvas: Canvas, start: tuple[float, float], end: tuple[float, float], width: float, paint: int
 ) -> None:
