@@ -1,7 +1,7 @@
 """Pictures as observations: their size and colours, and the compiled functions that draw them.
 
-A shape covers a share of each pixel. The share is the exact area, so a picture does not depend on
-how a shape is cut into pixels, and its mirror image is the picture of the mirrored scene.
+A shape covers the exact share of each pixel. So the mirror image of a picture is the picture of the
+mirrored scene, but for rounding.
 """
 
 import math
@@ -72,15 +72,11 @@ class Image:
     area: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("height", "width"):
-            checks.set_fields(
-                self, **{name: checks.integer(name, getattr(self, name), LEAST, MOST)}
-            )
-        checks.set_fields(self, channels=checks.one_of("channels", self.channels, (1, 3)))
+        size = (checks.integer, LEAST, MOST)
+        checks.settle(self, height=size, width=size, channels=(checks.one_of, (1, 3)))
         if self.area is not None:
-            left, right, low, high = checks.array("area", self.area, (4,)).tolist()
-            for value in (left, right, low, high):
-                checks.coordinate("area", value)
+            area = checks.limited("area", checks.array("area", self.area, (4,)), checks.FARTHEST)
+            left, right, low, high = area.tolist()
             if right - left < 1e-3 or high - low < 1e-3:
                 raise ValueError(
                     "area must be the least and greatest x and the least and greatest y, at least "
@@ -196,10 +192,17 @@ def put_corner(canvas: Canvas, k: int, x: float, y: float) -> None:
 
 
 @linked
-def paint_line(
-    canvas: Canvas, start: tuple[float, float], end: tuple[float, float], width: float, paint: int
+def draw_line(
+    canvas: Canvas, start: tuple[float, float], end: tuple[float, float], width: float
 ) -> None:
-    """Draw a line of a width [m] between two points (x, y) [m]."""
+    """Draw a line of the goal between two points (x, y) [m].
+
+    Args:
+        canvas: the picture.
+        start: x and y [m].
+        end: x and y [m].
+        width: [m], and at least 1.5 pixels.
+    """
     dx, dy = end[0] - start[0], end[1] - start[1]
     length = math.sqrt(dx * dx + dy * dy)
     if not length > 0.0:
@@ -209,19 +212,4 @@ def paint_line(
     put_corner(canvas, 1, start[0] + half * dy, start[1] - half * dx)
     put_corner(canvas, 2, end[0] + half * dy, end[1] - half * dx)
     put_corner(canvas, 3, end[0] - half * dy, end[1] + half * dx)
-    fill(canvas, 4, paint)
-
-
-@inlined
-def draw_line(
-    canvas: Canvas, start: tuple[float, float], end: tuple[float, float], width: float
-) -> None:
-    """Draw a line of the goal between two points (x, y) [m], at least 1.5 pixels wide.
-
-    Args:
-        canvas: the picture.
-        start: x and y [m].
-        end: x and y [m].
-        width: [m].
-    """
-    paint_line(canvas, start, end, width, GOAL)
+    fill(canvas, 4, GOAL)

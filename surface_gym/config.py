@@ -232,14 +232,16 @@ class EnvConfig:
 
     def _checked_observe(self) -> tuple[str, ...] | Image:
         """Return the observed groups in order, or the image."""
-        asked = Image() if self.observe == IMAGE else self.observe
-        groups = self.groups
+        asked, groups = self.observe, tuple(self.groups)
+        if isinstance(asked, (str, type)):
+            allowed = f"{IMAGE!r}, an Image, or some of {groups}"
+            asked = Image() if asked == IMAGE else checks.instance("observe", asked, Image, allowed)
         if not isinstance(asked, Image):
-            if isinstance(asked, (tuple, list)) and any(
-                each == IMAGE or isinstance(each, Image) for each in asked
-            ):
+            if isinstance(asked, (tuple, list)) and {IMAGE, Image} & {
+                each if isinstance(each, str) else type(each) for each in asked
+            }:
                 raise ValueError(f"observe must have no groups beside an image, got {asked!r}")
-            asked = checks.some_of("observe", asked, tuple(groups))
+            asked = checks.some_of("observe", asked, groups)
             return tuple(name for name in groups if name in asked)
         if self.observe_axes:
             raise ValueError("observe_axes must be False with an image, which shows axes, got True")

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO learns Sort from pictures alone: two grey frames and a small network.
+"""Stable-Baselines3's PPO learns Sort from pictures alone: three grey frames and a small network.
 
 pip install -c constraints.txt -e ".[agents]"
 python examples/learners/pixels.py --seed 0
@@ -12,14 +12,14 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import VecFrameStack
 from torch import Tensor, nn
 
 import surface_gym as sg
 from surface_gym.agents.vec_env import SurfaceVecEnv
 
-IMAGE = sg.Image(height=24, width=44, area=(0.0, 2.2, 0.4, 1.6))  # the line, 50 mm per pixel
-NUM_ENVS = 256
+IMAGE = sg.Image(height=16, width=32, area=(0.0, 2.2, 0.45, 1.55))  # the line, 69 mm per pixel
+NUM_ENVS = 512
 
 
 class SmallCnn(BaseFeaturesExtractor):
@@ -40,12 +40,12 @@ class SmallCnn(BaseFeaturesExtractor):
 
 
 def make(num_envs: int) -> VecFrameStack:
-    """Environments whose observation is the last two pictures, so that they show the velocity."""
+    """Environments whose observation is the last three pictures, so that they show the velocity."""
     env = gym.make_vec(
         "SmartSurface/Sort-v0", num_envs, observe=IMAGE, actions="halves",
         autoreset_mode=AutoresetMode.SAME_STEP,
     )  # fmt: skip
-    return VecFrameStack(SurfaceVecEnv(env), n_stack=2)
+    return VecFrameStack(SurfaceVecEnv(env), n_stack=3)
 
 
 def sorted_share(model: PPO) -> dict[str, float]:
@@ -68,23 +68,24 @@ def sorted_share(model: PPO) -> dict[str, float]:
 
 
 class Curve(BaseCallback):
-    """Prints the share of sorted starts now and then."""
-
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps // 32_768 > (self.num_timesteps - 4096) // 32_768:
-            print(f"{self.num_timesteps} periods: {sorted_share(self.model)}", flush=True)
+    """Prints the share of sorted starts every 100 000 control periods."""
 
     def _on_step(self) -> bool:
+        if self.num_timesteps % 100_000 < NUM_ENVS:
+            print(f"{self.num_timesteps} periods: {sorted_share(self.model)}", flush=True)
         return True
 
 
 def learn(steps: int, seed: int) -> PPO:
     """The model that so many control periods lead to; the learning rate falls to 0 over them."""
     torch.set_num_threads(1)  # the network is small
+    network = {
+        "features_extractor_class": SmallCnn, "net_arch": [64], "share_features_extractor": False,
+    }  # fmt: skip
     model = PPO(
-        "CnnPolicy", VecNormalize(make(NUM_ENVS), norm_obs=False), n_steps=16, batch_size=512, n_epochs=4, ent_coef=0.005,
-        learning_rate=lambda left: 6e-4 * left, seed=seed, device="cpu", verbose=1,
-        policy_kwargs={"features_extractor_class": SmallCnn, "net_arch": [64]},
+        "CnnPolicy", make(NUM_ENVS), n_steps=16, batch_size=1024, n_epochs=2, gae_lambda=0.9,
+        ent_coef=0.005, learning_rate=lambda left: 1e-3 * left, seed=seed, device="cpu",
+        policy_kwargs=network,
     )  # fmt: skip
     return model.learn(steps, callback=Curve())
 

@@ -421,7 +421,11 @@ class Batch(BaseBatch):
     def _compile(self) -> Callable[..., int]:
         if self.config.image is not None:
             given = (*self._drawn, *self._workers.scratches, self._all)
-            self._draw = compile_for(make_drawing(self.config), *given)
+            try:
+                self._draw = compile_for(make_drawing(self.config), *given)
+            except CompilerError as error:
+                name = type(self.task).__name__
+                raise ValueError(f"{name}.draw_goal does not compile: {error}") from error
         return super()._compile()
 
     @property
@@ -434,7 +438,11 @@ class Batch(BaseBatch):
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         super()._run(chosen, threads)
         if self.config.image is not None:
-            self._workers.run(threads, self._draw, self._drawn, chosen)
+            try:
+                self._workers.run(threads, self._draw, self._drawn, chosen)
+            except IndexError as error:
+                name = type(self.task).__name__
+                raise ValueError(f"{name}.draw_goal must keep within its arrays") from error
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
         found = super()._state(axes)

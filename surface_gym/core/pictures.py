@@ -22,7 +22,7 @@ DISC_CORNERS = 48  # of the polygon that is drawn for a disc
 # Its radius divided by the disc's, so that both have the same area.
 DISC_FACTOR = math.sqrt(2.0 * math.pi / DISC_CORNERS / math.sin(2.0 * math.pi / DISC_CORNERS))
 NOSE = 0.7  # length of the line to the front, divided by the front's distance from the centre
-NOSE_WIDTH = 0.25  # its width, divided by the same distance
+NOSE_WIDTH = 0.4  # its width, divided by the same distance
 
 
 def make_frame(config: EnvConfig) -> Frame:
@@ -116,29 +116,38 @@ def draw_ground(canvas: Canvas, state: EnvState) -> None:
             line[j] = np.uint8(np.int32(total[j]))
 
 
+Turn = tuple[float, float]  # cosine and sine of an angle
+
+
+@inlined
+def _put(canvas: Canvas, k: int, pose: Array, turn: Turn, x: float, y: float) -> None:
+    """Set corner k to the point (x, y) [m] of a base at a pose."""
+    cosine, sine = turn
+    cv.put_corner(canvas, k, pose[X] + cosine * x - sine * y, pose[Y] + sine * x + cosine * y)
+
+
 @linked
 def draw_parcel(canvas: Canvas, state: EnvState) -> None:
     """Draw the base at its true pose, and a line from its centre towards its front."""
-    truth, corners = state.truth, state.corners
-    cosine, sine = math.cos(truth[THETA]), math.sin(truth[THETA])
-    radius, edges = state.body[RADIUS], state.edges
-    front = radius  # distance of the perimeter ahead of the centroid
+    truth, corners, edges, radius = state.truth, state.corners, state.edges, state.body[RADIUS]
+    turn = math.cos(truth[THETA]), math.sin(truth[THETA])
+    if edges[0, 2] > radius:  # a disc without edges and corners
+        for k in range(DISC_CORNERS):
+            angle, reach = 2.0 * math.pi * k / DISC_CORNERS, DISC_FACTOR * radius
+            _put(canvas, k, truth, turn, reach * math.cos(angle), reach * math.sin(angle))
+        cv.fill(canvas, DISC_CORNERS, cv.PARCEL)
+    else:
+        for k in range(corners.shape[0]):
+            _put(canvas, k, truth, turn, corners[k, 0], corners[k, 1])
+        cv.fill(canvas, corners.shape[0], cv.PARCEL)
+    front = radius  # distance of the perimeter ahead of the centre
     for k in range(edges.shape[0]):
         if edges[k, 0] > 0.0:
             front = min(front, edges[k, 2] / edges[k, 0])
-    count = corners.shape[0]
-    if edges[0, 2] > radius:  # a disc without edges and corners
-        count = DISC_CORNERS
-    for k in range(count):
-        if count == corners.shape[0]:
-            x, y = corners[k, 0], corners[k, 1]
-        else:
-            angle = 2.0 * math.pi * k / DISC_CORNERS
-            x, y = DISC_FACTOR * radius * math.cos(angle), DISC_FACTOR * radius * math.sin(angle)
-        cv.put_corner(canvas, k, truth[X] + cosine * x - sine * y, truth[Y] + sine * x + cosine * y)
-    cv.fill(canvas, count, cv.PARCEL)
-    tip = truth[X] + NOSE * front * cosine, truth[Y] + NOSE * front * sine
-    cv.paint_line(canvas, (truth[X], truth[Y]), tip, NOSE_WIDTH * front, cv.FRONT)
+    for k in range(4):
+        ahead = NOSE * front if k in (1, 2) else 0.0
+        _put(canvas, k, truth, turn, ahead, (0.5 if k < 2 else -0.5) * NOSE_WIDTH * front)
+    cv.fill(canvas, 4, cv.FRONT)
 
 
 def make_drawing(config: EnvConfig) -> Any:

@@ -23,7 +23,7 @@ ANGLE_ERROR = 0  # index in the metrics: [rad] theta - goal angle
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
 MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
-HAND = 0.6  # [m] length of the goal's line in a picture
+GOAL_LENGTH = 0.6  # [m] length of the goal's line in a picture
 EXIT_SPEED = 0.1  # [m/s] exit speed for planners
 # [m/s^2] loss of v^2 / 2 per radian, times the half length
 TURN_LOSS = 2.5
@@ -211,7 +211,7 @@ class Orient(base.Task):
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
         """Draw a line from the zone's end along the goal angle."""
         x, y, angle = st.zone_end(state), state.elements.line_y, state.goal[ANGLE]
-        tip = x + HAND * math.cos(angle), y + HAND * math.sin(angle)
+        tip = x + GOAL_LENGTH * math.cos(angle), y + GOAL_LENGTH * math.sin(angle)
         draw_line(canvas, (x, y), tip, base.MARK_WIDTH)
 
 

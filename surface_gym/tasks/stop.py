@@ -22,7 +22,7 @@ STOP_ERROR = 0  # index in the metrics: [m] x of the centre - goal x
 OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = base.failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
-HALF_LINE = 0.5  # [m] half length of the goal's line in a picture
+GOAL_REACH = 0.5  # [m] half length of the goal's line in a picture
 CAUTION = 0.5  # [-] safety margin of planners, relative to the time of a quarter turn
 
 # The reward, term by term.
@@ -219,7 +219,7 @@ class Stop(base.Task):
     def draw_goal(state: EnvState, canvas: Canvas) -> None:
         """Draw a line across the surface at the goal x."""
         x, y = state.goal[POSITION], state.elements.line_y
-        draw_line(canvas, (x, y - HALF_LINE), (x, y + HALF_LINE), base.MARK_WIDTH)
+        draw_line(canvas, (x, y - GOAL_REACH), (x, y + GOAL_REACH), base.MARK_WIDTH)
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:

@@ -12,6 +12,7 @@ from stable_baselines3.common.env_checker import check_env as check_by_stable_ba
 
 import surface_gym as sg
 from surface_gym.config import EnvConfig
+from surface_gym.extend import Canvas, EnvState, draw_line, kernel_function
 from surface_gym.lines import Field
 from surface_gym.tasks.start import Start
 from tests import environments as te
@@ -323,14 +324,25 @@ def test_frames_are_stacked_by_gymnasium():
     assert (env.step(15)[0][-1] != frames[-1]).any()
 
 
+def draw_without_an_end(state: EnvState, canvas: Canvas) -> None:
+    draw_line(canvas, (0.0, state.goal[0]))
+
+
+def draw_beyond(state: EnvState, canvas: Canvas) -> None:
+    draw_line(canvas, (0.0, state.goal[1]), (1.0, 1.0), 0.1)
+
+
 class TestBadInput:
     @pytest.mark.parametrize(
         ("given", "message"),
         [
-            ({"observe": "picture"}, "observe must be some of .*, got 'picture'"),
+            (
+                {"observe": "picture"},
+                "observe must be 'image', an Image, or some of .*, got 'picture'",
+            ),
             ({"observe": ("image", "parcel")}, "observe must have no groups beside an image, got"),
             ({"observe": (sg.Image(),)}, "observe must have no groups beside an image, got"),
-            ({"observe": sg.Image}, "observe must be some of"),
+            ({"observe": sg.Image}, r"observe must be 'image', an .*; call it: Image\(\)"),
             (
                 {"observe": "image", "observe_axes": True},
                 "observe_axes must be False with an image",
@@ -351,9 +363,17 @@ class TestBadInput:
         with pytest.raises(ValueError, match=r"^observe must be of features to be decoded, got I"):
             config.decode(np.zeros((1, 64, 64, 1)))
 
-    def test_a_task_without_its_drawing_is_named(self):
+    @pytest.mark.parametrize(
+        ("function", "message"),
+        [
+            (print, "must be a static method and a kernel_function"),
+            (kernel_function(draw_without_an_end), "does not compile"),
+            (kernel_function(draw_beyond), "must keep within its arrays"),
+        ],
+    )
+    def test_a_task_that_draws_wrongly_is_named(self, function, message):
         class Blind(sg.tasks.Sort):
-            draw_goal = staticmethod(print)
+            draw_goal = staticmethod(function)
 
-        with pytest.raises(ValueError, match=r"^Blind\.draw_goal must be a static method and a"):
-            sg.SmartSurfaceEnv(Blind(), observe="image", **HALVES)
+        with pytest.raises(ValueError, match=rf"^Blind\.draw_goal {message}"):
+            sg.SmartSurfaceEnv(Blind(), observe="image", **HALVES).reset(seed=0)
