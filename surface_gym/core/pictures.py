@@ -35,8 +35,9 @@ def make_frame(config: EnvConfig) -> Frame:
     top = 0.5 * (low + high) + 0.5 * image.height / scale
     colours = np.eye(3) if image.channels == 3 else np.array(cv.LUMINANCE)[:, np.newaxis]
     first_x, _, first_y, _ = line.extent
-    across = scale * (top - first_y - line.pitch_y * np.arange(line.rows + 1))
-    along = scale * (first_x + line.pitch_x * np.arange(line.columns + 1) - left)
+    row, column = (np.arange(count + 1.0) for count in (line.rows, line.columns))
+    across: Array = scale * (top - first_y - line.pitch_y * row)
+    along: Array = scale * (first_x + line.pitch_x * column - left)
     rows, row_share = _overlaps(image.height, across[::-1])
     rows[:, 1] = line.rows - 1 - rows[:, 1]  # elements are counted upwards
     return Frame(
