@@ -90,7 +90,7 @@ class Image:
         return self.height, self.width, self.channels
 
 
-class Frame(NamedTuple):
+class Viewport(NamedTuple):
     """What all pictures of a batch share."""
 
     left: float  # [m] x of the left edge
@@ -110,7 +110,7 @@ class Canvas(NamedTuple):
     """A picture that is being drawn."""
 
     pixels: Pixels  # (height, width x channels), from y at the top downwards
-    frame: Frame
+    viewport: Viewport
     table: Array  # memory of a scratch
 
 
@@ -154,7 +154,7 @@ def _cover_edge(table: Array, start: int, end: int, row: int, first: int, last: 
 @linked
 def fill(canvas: Canvas, corners: int, paint: int) -> None:
     """Fill a polygon whose corners [px] are in the canvas's table."""
-    pixels, table, paints = canvas.pixels, canvas.table, canvas.frame.paints
+    pixels, table, paints = canvas.pixels, canvas.table, canvas.viewport.paints
     channels = paints.shape[1]
     height, width = pixels.shape[0], pixels.shape[1] // channels
     left = top = math.inf
@@ -186,9 +186,9 @@ def fill(canvas: Canvas, corners: int, paint: int) -> None:
 @inlined
 def put_corner(canvas: Canvas, k: int, x: float, y: float) -> None:
     """Set corner k of the next polygon to (x, y) [m]."""
-    frame = canvas.frame
-    canvas.table[2 * k] = (x - frame.left) * frame.scale
-    canvas.table[2 * k + 1] = (frame.top - y) * frame.scale
+    viewport = canvas.viewport
+    canvas.table[2 * k] = (x - viewport.left) * viewport.scale
+    canvas.table[2 * k + 1] = (viewport.top - y) * viewport.scale
 
 
 @linked
@@ -207,7 +207,7 @@ def draw_line(
     length = math.sqrt(dx * dx + dy * dy)
     if not length > 0.0:
         return
-    half = 0.5 * max(width, NARROWEST / canvas.frame.scale) / length
+    half = 0.5 * max(width, NARROWEST / canvas.viewport.scale) / length
     put_corner(canvas, 0, start[0] - half * dy, start[1] + half * dx)
     put_corner(canvas, 1, start[0] + half * dy, start[1] - half * dx)
     put_corner(canvas, 2, end[0] + half * dy, end[1] - half * dx)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surface_gym import canvas as cv
-from surface_gym.canvas import Canvas, Frame, Image
+from surface_gym.canvas import Canvas, Image, Viewport
 from surface_gym.physics.types import make_scratch
 
 HEIGHT, WIDTH, SCALE = 9, 12, 4.0  # [px], [px], [px/m]
@@ -16,9 +16,11 @@ NONE = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
 def blank(channels: int = 1) -> Canvas:
     """A black canvas whose lower left corner is at (1, 2) m."""
     paints = np.tile([[10.0], [100.0], [255.0], [50.0]], channels)
-    frame = Frame(1.0, 2.0 + HEIGHT / SCALE, SCALE, paints, np.zeros((3, channels)), *NONE, *NONE)
+    viewport = Viewport(
+        1.0, 2.0 + HEIGHT / SCALE, SCALE, paints, np.zeros((3, channels)), *NONE, *NONE
+    )
     pixels = np.zeros((HEIGHT, WIDTH * channels), dtype=np.uint8)
-    return Canvas(pixels, frame, make_scratch().table)
+    return Canvas(pixels, viewport, make_scratch().table)
 
 
 def fill(canvas: Canvas, corners: np.ndarray, paint: int = cv.PARCEL) -> None:

@@ -14,7 +14,7 @@ from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, add_loads, make_kernel
-from surface_gym.core.pictures import make_drawing, make_frame
+from surface_gym.core.pictures import make_drawing, make_viewport
 from surface_gym.core.wear import WearMeter
 from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
@@ -394,7 +394,7 @@ class Batch(BaseBatch):
         self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
         if config.image is not None:
             self._pictures = np.zeros((self.num_envs, *config.image.shape), dtype=np.uint8)
-            self._frame = make_frame(config)
+            self._viewport = make_viewport(config)
 
     def _make_scratch(self) -> Any:
         return ph.make_scratch()
@@ -433,7 +433,7 @@ class Batch(BaseBatch):
         """The arrays that pictures are drawn from, and the pictures."""
         _, *states = self._arrays
         flat = self._pictures.reshape(*self._pictures.shape[:2], -1)
-        return self.params.elements, *states, self._frame, flat
+        return self.params.elements, *states, self._viewport, flat
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         super()._run(chosen, threads)

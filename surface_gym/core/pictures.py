@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import canvas as cv, state as st
-from surface_gym.canvas import Canvas, Frame, Pixels
+from surface_gym.canvas import Canvas, Pixels, Viewport
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.core.assembly import compiled_functions
@@ -25,8 +25,8 @@ NOSE = 0.7  # length of the line to the front, divided by the front's distance f
 NOSE_WIDTH = 0.4  # its width, divided by the same distance
 
 
-def make_frame(config: EnvConfig) -> Frame:
-    """Return the frame of the pictures of a configuration."""
+def make_viewport(config: EnvConfig) -> Viewport:
+    """Return the viewport of the pictures of a configuration."""
     image, line = config.image, config.chosen_line
     assert image is not None
     left, right, low, high = line.extent if image.area is None else image.area
@@ -40,7 +40,7 @@ def make_frame(config: EnvConfig) -> Frame:
     along: Array = scale * (first_x + line.pitch_x * column - left)
     rows, row_share = _overlaps(image.height, across[::-1])
     rows[:, 1] = line.rows - 1 - rows[:, 1]  # elements are counted upwards
-    return Frame(
+    return Viewport(
         left,
         top,
         scale,
@@ -61,17 +61,17 @@ def _overlaps(pixels: int, edges: Array) -> tuple[Integers, Array]:
 
 
 @inlined
-def _mix_row(frame: Frame, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
+def _mix_row(viewport: Viewport, state: EnvState, row: int, levels: Array, mixed: Array) -> None:
     """Write a row of elements into `mixed` (width x channels), as wide as the picture.
 
     `levels` (columns x channels) gets the values of the elements.
     """
-    channels = frame.paints.shape[1]
+    channels = viewport.paints.shape[1]
     for column in range(state.rotor.shape[1]):
         place = channels * column
         if not state.rotor[row, column]:
             for c in range(channels):
-                levels[place + c] = frame.paints[cv.SUPPORT, c]
+                levels[place + c] = viewport.paints[cv.SUPPORT, c]
             continue
         axis = state.axis[row, column]
         cosine, sine = state.direction[axis, 0], state.direction[axis, 1]
@@ -82,12 +82,18 @@ def _mix_row(frame: Frame, state: EnvState, row: int, levels: Array, mixed: Arra
             second = bounded((sine * along + cosine * across) / SHOWN_DRIVE, -1.0, 1.0)
         for c in range(channels):
             levels[place + c] = (
-                frame.module[0, c] + frame.module[1, c] * first + frame.module[2, c] * second
+                viewport.module[0, c]
+                + viewport.module[1, c] * first
+                + viewport.module[2, c] * second
             )
     for j in range(mixed.shape[0]):
         mixed[j] = 0.0
-    for k in range(frame.columns.shape[0]):
-        pixel, column, share = frame.columns[k, 0], frame.columns[k, 1], frame.column_share[k]
+    for k in range(viewport.columns.shape[0]):
+        pixel, column, share = (
+            viewport.columns[k, 0],
+            viewport.columns[k, 1],
+            viewport.column_share[k],
+        )
         for c in range(channels):
             mixed[channels * pixel + c] += share * levels[channels * column + c]
 
@@ -95,9 +101,9 @@ def _mix_row(frame: Frame, state: EnvState, row: int, levels: Array, mixed: Arra
 @linked
 def draw_ground(canvas: Canvas, state: EnvState) -> None:
     """Draw supports and modules: each pixel is the mean of the elements under it, by area."""
-    frame, table = canvas.frame, canvas.table
+    viewport, table = canvas.viewport, canvas.table
     height, size = canvas.pixels.shape
-    first = cv.FREE + state.rotor.shape[1] * frame.paints.shape[1]
+    first = cv.FREE + state.rotor.shape[1] * viewport.paints.shape[1]
     levels = table[cv.FREE : first]
     mixed, total = table[first : first + size], table[first + size : first + 2 * size]
     k, current = 0, -1
@@ -105,11 +111,11 @@ def draw_ground(canvas: Canvas, state: EnvState) -> None:
         line = canvas.pixels[pixel]
         for j in range(size):
             total[j] = 0.5  # to round
-        while k < frame.rows.shape[0] and frame.rows[k, 0] == pixel:
-            if frame.rows[k, 1] != current:
-                current = frame.rows[k, 1]
-                _mix_row(frame, state, current, levels, mixed)
-            share = frame.row_share[k]
+        while k < viewport.rows.shape[0] and viewport.rows[k, 0] == pixel:
+            if viewport.rows[k, 1] != current:
+                current = viewport.rows[k, 1]
+                _mix_row(viewport, state, current, levels, mixed)
+            share = viewport.row_share[k]
             for j in range(size):
                 total[j] += share * mixed[j]
             k += 1
@@ -164,7 +170,7 @@ def _make_drawing(draw_goal: Callable[..., None], label: str) -> Any:
         surfaces: SurfaceState,
         parcels: ParcelState,
         bodies: BodyTable,
-        frame: Frame,
+        viewport: Viewport,
         pictures: Pixels,
         scratch: Scratch,
         sensor_scratch: Scratch,
@@ -172,7 +178,7 @@ def _make_drawing(draw_goal: Callable[..., None], label: str) -> Any:
     ) -> int:
         for i in chosen:
             state = st.env_state(surfaces, parcels, bodies, i, i, elements)
-            canvas = Canvas(pictures[i], frame, scratch.table)
+            canvas = Canvas(pictures[i], viewport, scratch.table)
             draw_ground(canvas, state)
             draw_goal(state, canvas)
             draw_parcel(canvas, state)
