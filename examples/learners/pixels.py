@@ -24,7 +24,7 @@ IMAGE = sg.Image(height=16, width=32, area=(0.0, 2.2, 0.45, 1.55))  # the line, 
 EACH = [(k / 100.0, box, side) for k in range(30, 271, 2) for box in "SB" for side in (1, -1)]
 STARTS = [dict(zip(("speed", "parcel", "side"), each, strict=True)) for each in EACH]
 SLOW = 0.9  # [-] share of training starts below 1.1 m/s; faster parcels are sorted without waiting
-NUM_ENVS, CURVE = 512, 50_000  # control periods from point to point of the learning curve
+NUM_ENVS, CURVE = 512, 100_000  # control periods from point to point of the learning curve
 
 
 class SmallCnn(BaseFeaturesExtractor):
