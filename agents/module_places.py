@@ -46,7 +46,7 @@ def find_shown(config: EnvConfig) -> Shown:
     """Describe how an environment observes the outline of a base."""
     line, columns = config.chosen_line, config.columns
     names = ("clearance", "length", "width", "fill", "sine of phase x", "cosine of phase x")
-    shown: list[Any] = [int("parcel" in config.observe)]
+    shown: list[Any] = [int("parcel" in config.observed_groups)]
     shown += [columns.get(name, ABSENT) for name in names]
     least = LEAST_ROWS if isinstance(line, Line) else float(line.zone_rows)
     shown += [least, float(line.zone_rows), config.control_period]

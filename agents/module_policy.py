@@ -71,7 +71,7 @@ class SortModuleView:
         self._image = config.images
         self._rest = find_rest(config)
         columns = config.columns
-        of_groups = [columns[each.name].place for each in group_features(config.observe)]
+        of_groups = [columns[each.name].place for each in group_features(config.observed_groups)]
         self._shared = np.array([*SHARED, *of_groups])
         # (QUADRANTS, QUADRANT_SIZE) feature columns of each; (QUADRANTS, 0) if not observed.
         rotors = [name for name in columns if name in _ROTORS]
@@ -112,7 +112,7 @@ class SortModuleView:
 
 def make_actor(config: EnvConfig, hidden: tuple[int, ...]) -> SharedNetwork:
     """Make the untrained actor of an environment's modules."""
-    sizes = shared_size(config.observe), place_size(config.observe)
+    sizes = shared_size(config.observed_groups), place_size(config.observed_groups)
     return SharedNetwork(*sizes, hidden, len(config.chosen_orientations))
 
 

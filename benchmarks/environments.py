@@ -24,11 +24,12 @@ MANY = 1024  # environments, for the threads
 ROUNDS = 7
 SECONDS = 0.7  # of each program in a round
 
-# Requirements, as ratios; of Sort with its own parcels.
+# Requirements, as ratios but for pictures; of Sort with its own parcels.
 LEAST_SINGLE = 1.2  # of LunarLander-v3
 LEAST_VECTOR = 4.0  # of EnvPool's LunarLander, one thread each
 LEAST_THREADS = 1.8  # two threads over one
 LEAST_ADAPTER = 0.7  # of the vector env behind it
+LEAST_PICTURES = 20_000.0  # pictures a second
 LEAST_STREAM = 0.75  # parcels of a stream, over as many environments of one parcel
 
 # Sort with its own parcels, and with the smaller parcel alone, which covers fewer elements.
@@ -138,6 +139,8 @@ def environment_figures() -> list[Figure]:
     sort = TASKS["Sort"]
     vector, many = f"Sort, {NUM_ENVS} environments", f"Sort, {MANY} environments"
     adapter = f"{vector}, Stable-Baselines3 adapter"
+    pictures = f"{vector}, 64 x 64 pictures"
+    programs[pictures] = _random(_vector(sort, observe="image"))
     programs[many] = _random(_vector(sort, MANY))
     programs[f"{many}, two threads"] = _random(_vector(sort, MANY, threads=2))
     programs[adapter] = _adapter(sort)
@@ -150,7 +153,12 @@ def environment_figures() -> list[Figure]:
         programs[LUNARS] = _envpool()
     rounds = [{name: program.speed() for name, program in programs.items()} for _ in range(ROUNDS)]
     figures = [
-        Figure(name, float(np.median([speeds[name] for speeds in rounds])), "steps/s")
+        Figure(
+            name,
+            float(np.median([speeds[name] for speeds in rounds])),
+            "steps/s",
+            least=LEAST_PICTURES if name == pictures else None,
+        )
         for name in programs
     ]
 

@@ -22,6 +22,7 @@ import gymnasium as gym
 import numpy as np
 from encoding import Picture, write_film, write_still
 
+import surface_gym as sg
 from surface_gym import agents
 from surface_gym.agents.rules import RULES
 from surface_gym.env import SmartSurfaceEnv
@@ -52,6 +53,7 @@ BROAD = 800  # of a stream
 SLOPE_EVERY = 3  # control periods from picture to picture of a slope
 BAR = 8  # [px] between two flows, one above the other
 SORTED_AT = 20  # control periods from the start to the picture of Sort
+ENLARGED = 5  # times, of an observed picture
 
 
 @dataclass(frozen=True)
@@ -327,6 +329,24 @@ SLOPES: dict[str, Callable[[], list[Picture]]] = {
     ),
 }  # fmt: skip
 
+
+def observations(file: Path) -> None:
+    """Draw an observation of Sort in grey and in colours, enlarged, side by side."""
+    policy, pictures = agents.load("sort-ppo"), []
+    for channels in (1, 3):
+        image = sg.Image(channels=channels)
+        envs = [
+            gym.make(SORT.env_id, **{**policy.env_kwargs, **own})
+            for own in ({}, {"observe": image})
+        ]
+        seen, picture = (env.reset(seed=0, options=SORT.starts[0])[0] for env in envs)
+        for _ in range(SORTED_AT):
+            action = policy.predict(seen)[0]
+            seen, picture = (env.step(action)[0] for env in envs)
+        pictures.append(np.repeat(picture, 3 // channels, axis=2))
+    write_still(np.kron(np.hstack(pictures), np.ones((ENLARGED, ENLARGED, 1), np.uint8)), file)
+
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     "start.webp": partial(_film, zone_and_modules, 0.08, BROAD),
     "sort.webp": partial(_film, SORT.pictures, PERIOD, WIDE),
@@ -342,6 +362,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     },
     "sort.png": sort_still,
     "flow.png": flow_still,
+    "observations.png": observations,
     "trajectories.png": trajectories,
     "alignment.png": alignment,
     "checkered.png": checkered,

@@ -10,6 +10,7 @@ from surface_gym.registration import register, register_all
 
 if TYPE_CHECKING:
     from surface_gym import layouts, lines, sensors, tasks
+    from surface_gym.canvas import Image
     from surface_gym.env import SmartSurfaceEnv
     from surface_gym.machine.estimate import Estimate
     from surface_gym.machine.identification import identify
@@ -31,6 +32,7 @@ __all__ = [
     "Actuators",
     "Disc",
     "Estimate",
+    "Image",
     "Parcel",
     "Polygon",
     "Randomisation",
@@ -54,6 +56,7 @@ __all__ = [
     "tasks",
 ]
 _NAMES = {
+    "canvas": ("Image",),
     "env": ("SmartSurfaceEnv",),
     "machine.estimate": ("Estimate",),
     "machine.identification": ("identify",),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surface_gym import checks
 from surface_gym.actions import ANY, ActionKind
+from surface_gym.canvas import IMAGE, Image
 from surface_gym.feature_groups import AXIS_SIZE, SHOWN_DRIVE, group_features, offered_groups
 from surface_gym.lines import BaseLine, Site
 from surface_gym.modules import ANGLE, FASTEST, ModuleKind, find_module
@@ -105,6 +106,7 @@ PRESETS = {preset.name: preset for preset in _EACH}
 
 
 LONGEST_STEP = 0.005  # [s]
+MOST_DRAWN = 4096  # rows and columns of a surface in an image
 INFOS = ("axes", "normal_forces", "energy", "load", "turns")  # optional entries of `info`
 SENSORS = "a Sensor: Exact(), Camera(), AdaptiveCamera(), Presence() of surface_gym.sensors"
 REWARD = "reward_"  # prefix of reward terms, since a term may be "success" too
@@ -158,8 +160,9 @@ class EnvConfig:
     observe_axes: bool = False  # whether the observation shows the modules' axes
     # optional entries of `info`: "axes", "normal_forces", "energy", "load", "turns"
     info: tuple[str, ...] = ()
-    # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups
-    observe: tuple[str, ...] = ()
+    # optional groups of observed features: "parcel", "rotors", "load", and the sensors' groups;
+    # "image" or an `Image(...)`: a picture instead of all features
+    observe: tuple[str, ...] | str | Image = ()
 
     def __init__(
         self,
@@ -221,12 +224,34 @@ class EnvConfig:
         period = checks.positive("control_period", self.control_period, *checks.CONTROL_PERIOD)
         set_field(self, "control_period", period)
         checks.one_of("observe_axes", self.observe_axes, (False, True))
-        for name, allowed_names in (("info", INFOS), ("observe", tuple(self.groups))):
-            checks.some_of(name, getattr(self, name), allowed_names)
-        set_field(self, "observe", tuple(name for name in self.groups if name in self.observe))
+        checks.some_of("info", self.info, INFOS)
+        set_field(self, "observe", self._checked_observe())
         self._check_places()
         self.task.check(self)
         _ = self.action_kind, self.draws
+
+    def _checked_observe(self) -> tuple[str, ...] | Image:
+        """Return the observed groups in order, or the image."""
+        asked, groups = self.observe, tuple(self.groups)
+        if isinstance(asked, (str, type)):
+            allowed = f"{IMAGE!r}, an Image, or some of {groups}"
+            asked = Image() if asked == IMAGE else checks.instance("observe", asked, Image, allowed)
+        if not isinstance(asked, Image):
+            if isinstance(asked, (tuple, list)) and {IMAGE, Image} & {
+                each if isinstance(each, str) else type(each) for each in asked
+            }:
+                raise ValueError(f"observe must have no groups beside an image, got {asked!r}")
+            asked = checks.some_of("observe", asked, groups)
+            return tuple(name for name in groups if name in asked)
+        if self.observe_axes:
+            raise ValueError("observe_axes must be False with an image, which shows axes, got True")
+        line = self.chosen_line
+        if max(line.rows, line.columns) > MOST_DRAWN:
+            raise ValueError(
+                f"line must have at most {MOST_DRAWN} rows and columns for an image, "
+                f"got {line.rows} and {line.columns}"
+            )
+        return asked
 
     def _check_modules(self) -> None:
         """Raise a ValueError if a kind of module is unknown, or given beside orientations."""
@@ -387,8 +412,18 @@ class EnvConfig:
         return offered_groups(self.sensors)
 
     @property
+    def image(self) -> Image | None:
+        """The observed picture; None: features are observed."""
+        return self.observe if isinstance(self.observe, Image) else None
+
+    @property
+    def observed_groups(self) -> tuple[str, ...]:
+        """Names of the observed groups of features."""
+        return self.observe if isinstance(self.observe, tuple) else ()
+
+    @property
     def features(self) -> tuple[Feature, ...]:
-        """Features of a parcel's observation."""
+        """Features of a parcel's observation; with an image, only of its state."""
         kind = self.action_kind
         window = tuple(
             Feature(f"occupied {row}, {column}", 0.0, 1.0, "a module that obeys, under the parcel")
@@ -396,7 +431,7 @@ class EnvConfig:
         )
         features = self.task.features + (window if kind.window_size else ())
         axes = self._axis_features() if self.observe_axes else ()
-        return features + axes + group_features(self.observe, self.groups)
+        return features + axes + group_features(self.observed_groups, self.groups)
 
     def _axis_features(self) -> tuple[Feature, ...]:
         """Features of the axes: cosine and sine of twice the angle, since axes have period pi.
@@ -443,6 +478,8 @@ class EnvConfig:
 
     def observed(self, observations: ArrayLike) -> ObservationTable:
         """Return observations (num_envs, features) as a table in SI units."""
+        if self.image is not None:
+            raise ValueError(f"observe must be of features to be decoded, got {self.image!r}")
         return ObservationTable(
             np.atleast_2d(np.asarray(observations, dtype=np.float64)),
             self.columns,
@@ -451,7 +488,9 @@ class EnvConfig:
         )
 
     def observation_space(self) -> spaces.Box:
-        """Return the observation space; a stream has one row per parcel."""
+        """Return the observation space: features, or a picture; a stream has a row per parcel."""
+        if self.image is not None:
+            return spaces.Box(0, 255, self.image.shape, np.uint8)
         row = self.row_space()
         if not self.task.is_stream:
             return row

@@ -247,6 +247,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
     parcel), and "load" (friction and load estimated by an `AdaptiveCamera`).
 
+    `observe="image"`, or a `surface_gym.Image` of another size and in colours, replaces all
+    features by a picture of the true state from above (uint8).
+
     ## Info
 
     `outcome` is "running" or why the episode ended; `outcomes` of the env lists all. It is a number

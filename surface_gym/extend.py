@@ -18,6 +18,7 @@ constants, other `kernel_function`s, and:
 - results of `outcome`: `RUNNING`, `SUCCESS`, or one of `failures(outcomes)`;
 - `show`, `show_within` and `show_bent`, which write a value into a column of an observation;
   `columns(features)` returns the columns;
+- `draw_line`, which draws a line of a goal on the `Canvas` of a picture;
 - `reach_along`, `zone_start`, `zone_end`, `planar_speed`, `is_slower`, and in `is_done` also
   `read_truth`.
 
@@ -48,6 +49,7 @@ task's functions whether a parcel at rest may move again.
 `register` gives a task a name.
 """
 
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.flow.arrivals import Poisson, Schedule, Spread, Steady, Trace
 from surface_gym.flow.base import SURFACE_TERMS, StreamTask
@@ -115,11 +117,11 @@ __all__ = [
     "BETWEEN", "COLUMNS", "COM_HEIGHT", "COM_X", "COM_Y", "DEPARTED_CORRECT", "DEPARTED_WRONG",
     "EXIT", "FIRST", "FIRST_COLUMN", "FIRST_ROW", "GOALS", "GYRATION", "HALF_LENGTH", "INLET",
     "LAST", "MASS", "MODULES", "OMEGA", "ORDER", "OWN_MEMORY", "RADIUS", "ROWS", "RUNNING", "SIDE",
-    "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY", "Array", "BaseLine", "Draw",
-    "DrivenModule", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group", "Inlet",
-    "Inlets", "Line", "Mode", "ModuleKind", "Parcels", "Pattern", "Poisson", "Schedule", "Sensor",
-    "Singles", "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task", "Trace",
-    "X", "Y", "between", "columns", "entry", "failures", "flow_line", "is_driven", "is_slower",
-    "kernel_function", "planar_speed", "reach_along", "read_truth", "register", "show", "show_bent",
-    "show_within", "slope_line", "zone_end", "zone_start",
+    "SUCCESS", "SURFACE_TERMS", "THETA", "TOUCHED", "VX", "VY", "Array", "BaseLine", "Canvas",
+    "Draw", "DrivenModule", "EnvState", "Exact", "Exit", "Exits", "Feature", "Field", "Group",
+    "Inlet", "Inlets", "Line", "Mode", "ModuleKind", "Parcels", "Pattern", "Poisson", "Schedule",
+    "Sensor", "Singles", "Spread", "Start", "Steady", "Stream", "StreamTask", "SurfaceView", "Task",
+    "Trace", "X", "Y", "between", "columns", "draw_line", "entry", "failures", "flow_line",
+    "is_driven", "is_slower", "kernel_function", "planar_speed", "reach_along", "read_truth",
+    "register", "show", "show_bent", "show_within", "slope_line", "zone_end", "zone_start",
 ]  # fmt: skip

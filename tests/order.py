@@ -192,6 +192,16 @@ NIGHTLY = (
         )
         for task in ("Slow", "Stop", "Track", "Orient", "Park")
     ),
+    # Drawings of the other goals that are lines.
+    *(
+        f"tests/core/test_pictures.py::{test}[SmartSurface/{task}-v0"
+        for test in (
+            "test_the_goal_is_where_the_options_say",
+            "TestSame::test_only_the_observation_differs_from_that_of_features",
+            "test_the_checkers_have_nothing_to_say",
+        )
+        for task in ("Slow", "Orient")
+    ),
     # Kernels of their own, where others are tried of the same kind of action or sensor.
     *(
         "tests/test_axes.py::TestAnyAngle::test_the_angles_of_choices_move_it_as_the_choices_do"
@@ -285,6 +295,7 @@ NIGHTLY = (
     "tests/test_wheel.py::test_environment_and_shipped_agent_work",
     "tests/learners/test_learners.py::test_it_learns_to_sort[cleanrl",
     "tests/test_hub.py::test_environments_are_those_of_the_package",  # whose kernel is its own
+    "tests/learners/test_learners.py::test_pixels_are_learned_from",
     *(
         f"tests/test_axes.py::TestOnRequest::test_nothing_is_there_unasked[SmartSurface/{task}-v0"
         for task in ("Slow", "Stop", "Track", "Orient", "Park")

@@ -18,7 +18,7 @@ LAYERS = (
     ("checks", "files", "registry"),
     ("compiler",),
     ("physics", "rendering", "recording"),
-    ("parcel", "state", "surface"),
+    ("canvas", "parcel", "state", "surface"),
     ("layouts",),
     ("lines", "randomisation"),
     ("sensors", "tasks"),

@@ -96,7 +96,7 @@ def make_metadata(source: "Source") -> dict[str, str]:
         "actions": config.actions,
         "control_period": repr(config.control_period),
         "orientations": json.dumps(config.chosen_orientations),
-        "observe": json.dumps(config.observe),
+        "observe": json.dumps(config.observed_groups),
         "features": json.dumps([each.name for each in config.features]),
         "preset": source.training.preset,
         "digest": source.digest,

@@ -252,7 +252,7 @@ class ModulesNetwork(torch.nn.Module):
     def __init__(self, env_config: EnvConfig, hidden: tuple[int, ...]) -> None:
         super().__init__()
         self.actor = make_actor(env_config, hidden)
-        self.critic = ValueNetwork(hidden, env_config.observe)
+        self.critic = ValueNetwork(hidden, env_config.observed_groups)
 
 
 class ModuleLearner(SharedLearner[ModulesNetwork, ModulesConfig]):

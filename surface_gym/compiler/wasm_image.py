@@ -43,7 +43,7 @@ class MemoryField:
 
 
 @dataclass(frozen=True)
-class Image:
+class MemoryImage:
     """A kernel's arguments as bytes."""
 
     fields: tuple[MemoryField, ...]
@@ -91,7 +91,7 @@ def compute_signature(leaves: dict[str, Any]) -> str:
     return hashlib.sha256(repr(kinds).encode()).hexdigest()[:16]
 
 
-def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
+def make_image(kernel: Any, arguments: tuple[Any, ...]) -> MemoryImage:
     """Make the memory image of a kernel's arguments.
 
     Args:
@@ -123,7 +123,7 @@ def make_image(kernel: Any, arguments: tuple[Any, ...]) -> Image:
             first = address - BASE
             memory[first : first + values.nbytes] = values.reshape(-1).view(np.uint8)
     memory[: WORD * len(words)] = np.array(words, dtype=np.int64).view(np.uint8)
-    return Image(tuple(fields), memory.tobytes(), end, compute_signature(leaves))
+    return MemoryImage(tuple(fields), memory.tobytes(), end, compute_signature(leaves))
 
 
 def is_scratch(name: str) -> bool:

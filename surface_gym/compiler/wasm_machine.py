@@ -9,7 +9,7 @@ import wasmtime
 from numpy.typing import NDArray
 
 from surface_gym.compiler.wasm import Module
-from surface_gym.compiler.wasm_image import BASE, Image
+from surface_gym.compiler.wasm_image import BASE, MemoryImage
 
 PAGE = 64 * 1024  # [bytes] of a page of memory
 
@@ -26,14 +26,14 @@ class Machine:
         exports: Any = wasmtime.Instance(self._store, code, given).exports(self._store)
         self._memory = exports["memory"]
         self._step = exports["step"]
-        self._image: Image | None = None
+        self._image: MemoryImage | None = None
 
     def _import(self, kind: Any, name: str) -> wasmtime.Func:
         """Make an import of the module from the C function that the CPU's code calls."""
         function = ctypes.CFUNCTYPE(ctypes.c_double, *[ctypes.c_double] * len(kind.params))
         return wasmtime.Func(self._store, kind, function(llvm.address_of_symbol(name)))
 
-    def load(self, image: Image) -> None:
+    def load(self, image: MemoryImage) -> None:
         """Write an image into the memory; earlier views are no longer valid."""
         if image.signature != self._signature:
             raise ValueError(

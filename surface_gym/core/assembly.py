@@ -99,7 +99,7 @@ def task_functions(config: EnvConfig) -> KernelFunctions:
         groups=tuple(
             ShownGroup(group.show, len(group.features), name in sensor.groups)
             for name, group in config.groups.items()
-            if name in config.observe
+            if name in config.observed_groups
         ),
     )
 

@@ -14,6 +14,7 @@ from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
 from surface_gym.core.assembly import FEWEST, Workers, make_env_params, make_state, task_functions
 from surface_gym.core.kernel import EnvParams, add_loads, make_kernel
+from surface_gym.core.pictures import make_drawing, make_viewport
 from surface_gym.core.wear import WearMeter
 from surface_gym.modules import surface_velocities
 from surface_gym.parcel import Parcel
@@ -25,6 +26,7 @@ from surface_gym.tasks.start import Parcels, Start
 
 NO_ENVS: Integers = np.zeros(0, dtype=np.int64)
 Infos = dict[str, NDArray[Any]]
+COMPILED = ("_kernel", "_draw")  # compiled functions of a batch, which pickling leaves out
 
 
 class Snapshot(NamedTuple):
@@ -117,7 +119,10 @@ class BaseBatch(ABC):
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """(num_envs, features), or (num_envs, rows, features) of a stream: a view."""
+        """(num_envs, features), or (num_envs, rows, features) of a stream: a view.
+
+        With an image, the pictures (num_envs, height, width, channels).
+        """
         return self.parcels.observation
 
     @property
@@ -153,7 +158,8 @@ class BaseBatch(ABC):
             terms = dict(zip(self.task.terms, self.terms[i].tolist(), strict=True))
             return ValueError(f"{name}.reward must write finite terms, got {terms}")
         features = self.config.features
-        wrong = ~np.isfinite(self.observation[i].reshape(-1, len(features))).all(axis=0)
+        observed = self.parcels.observation.reshape(self.num_envs, self.rows, -1)[i]
+        wrong = ~np.isfinite(observed).all(axis=0)
         listed = ", ".join(features[k].name for k in np.nonzero(wrong)[0])
         return ValueError(
             f"{name}.observe, with {type(self.config.sensors).__name__}, must write finite "
@@ -338,7 +344,7 @@ class BaseBatch(ABC):
         return seen
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_kernel"}
+        return {name: value for name, value in vars(self).items() if name not in COMPILED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -386,6 +392,9 @@ class Batch(BaseBatch):
         self._lays_out = not (shared or self.task.has_path)
         place, shape = partial(resets.place_in, config), (line.rows, line.columns)
         self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
+        if config.image is not None:
+            self._pictures = np.zeros((self.num_envs, *config.image.shape), dtype=np.uint8)
+            self._viewport = make_viewport(config)
 
     def _make_scratch(self) -> Any:
         return ph.make_scratch()
@@ -402,8 +411,42 @@ class Batch(BaseBatch):
     def _arrays(self) -> tuple[EnvParams, SurfaceState, ParcelState, BodyTable]:
         return self.params, self.surfaces, self.parcels, self.bodies
 
+    @property
+    def observation(self) -> NDArray[Any]:
+        return super().observation if self.config.image is None else self._pictures
+
     def make_kernel(self) -> Any:
         return make_kernel(task_functions(self.config))
+
+    def _compile(self) -> Callable[..., int]:
+        if self.config.image is not None:
+            given = (*self._drawn, *self._workers.scratches, self._all)
+            try:
+                self._draw = compile_for(make_drawing(self.config), *given)
+            except CompilerError as error:
+                name = type(self.task).__name__
+                raise ValueError(f"{name}.draw_goal does not compile: {error}") from error
+        return super()._compile()
+
+    @property
+    def _drawn(self) -> tuple[Any, ...]:
+        """The arrays that pictures are drawn from, and the pictures."""
+        _, *states = self._arrays
+        flat = self._pictures.reshape(*self._pictures.shape[:2], -1)
+        return self.params.elements, *states, self._viewport, flat
+
+    def _run(self, chosen: Integers, threads: int = 1) -> None:
+        super()._run(chosen, threads)
+        if self.config.image is not None:
+            try:
+                self._workers.run(threads, self._draw, self._drawn, chosen)
+            except IndexError as error:
+                name = type(self.task).__name__
+                raise ValueError(f"{name}.draw_goal must keep within its arrays") from error
+
+    def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
+        found = super()._state(axes)
+        return found if self.config.image is None else found | {"pictures": self._pictures}
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
         self.reset_cache.seed(env_index, generator)

@@ -145,6 +145,8 @@ class CudaVectorEnv(BaseVectorEnv):
     ) -> None:  # fmt: skip
         super().__init__(num_envs, autoreset_mode, max_episode_steps, None)
         self.config = EnvConfig(**config)
+        if self.config.image is not None:
+            raise ValueError(f"observe must be of features on a GPU, got {self.config.image!r}")
         self.device = device
         self.batch = make_device_batch(self.config, self.num_envs, device)
         self.outcomes = self.batch.outcomes  # names by the numbers of infos["outcome"]

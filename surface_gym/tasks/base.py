@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import checks, state as st
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.lines import BaseLine, Line
 from surface_gym.parcel import Parcel
@@ -44,6 +45,7 @@ class Task:
       `state.observation`, from `state.sensed`.
     - `mirror(state) -> float`: -1 if the observation is mirrored in y, so that features of modules
       are mirrored too; else 1.
+    - `draw_goal(state, canvas)`, if the observation is a picture: draw the goal by `draw_line`.
 
     The compiled functions cannot read the task's fields. Parameters that they need go into the
     goal.
@@ -236,6 +238,11 @@ class Task:
         """Return 1: the observation is not mirrored."""
         return 1.0
 
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw nothing."""
+
 
 def draws_default_parcels(task: Task) -> bool:
     """Return whether a task draws the default parcels of its class."""
@@ -285,6 +292,10 @@ PARCEL_FEATURES = (
 COLUMN = columns(PARCEL_FEATURES)
 
 
+MARK_WIDTH = 0.05  # [m] of a goal in a picture
+SPEED_LENGTH = 0.4  # [m per m/s] of the line that shows an asked speed
+
+
 def zone_span(line: BaseLine, parcel: Parcel, zone: tuple[int, int] | None) -> tuple[float, float]:
     """Return start and end x [m] of a parcel's zone; `zone`: its columns, or None."""
     _, _, first, columns = line.site(parcel.base, zone).zone
@@ -300,6 +311,13 @@ def entry(draw: Draw, parcels: Parcels) -> tuple[Numbers, float, float]:
 def sensed_speed(state: EnvState) -> float:
     """Return the speed [m/s] that `is_slower` compares, by the sensor."""
     return st.planar_speed(state.sensed) + abs(state.sensed[OMEGA]) * state.body[HALF_LENGTH]
+
+
+@kernel_function
+def draw_speed(canvas: Canvas, x: float, y: float, speed: float) -> None:
+    """Draw an asked speed [m/s] as a line across x, centred at a point [m]."""
+    half = 0.5 * SPEED_LENGTH * speed
+    draw_line(canvas, (x, y - half), (x, y + half), MARK_WIDTH)
 
 
 @kernel_function

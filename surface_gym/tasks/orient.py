@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from surface_gym import checks
+from surface_gym import checks, state as st
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import THETA
 from surface_gym.state import SUCCESS, EnvState
@@ -22,6 +23,7 @@ ANGLE_ERROR = 0  # index in the metrics: [rad] theta - goal angle
 OUTCOMES = (*base.LINE_OUTCOMES, "missed")
 MISSED = base.failures(OUTCOMES)[-1]
 SUCCESS_ERROR = math.radians(2.0)  # [rad]
+GOAL_LENGTH = 0.6  # [m] length of the goal's line in a picture
 EXIT_SPEED = 0.1  # [m/s] exit speed for planners
 # [m/s^2] loss of v^2 / 2 per radian, times the half length
 TURN_LOSS = 2.5
@@ -203,6 +205,14 @@ class Orient(base.Task):
         show(see, COLUMN.asked_angle, state.goal[ANGLE])
         show(see, COLUMN.angle_to_turn, left)
         show_bent(see, COLUMN.angle_to_turn_near, left)
+
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw a line from the zone's end along the goal angle."""
+        x, y, angle = st.zone_end(state), state.elements.line_y, state.goal[ANGLE]
+        tip = x + GOAL_LENGTH * math.cos(angle), y + GOAL_LENGTH * math.sin(angle)
+        draw_line(canvas, (x, y), tip, base.MARK_WIDTH)
 
 
 def _angle_to_turn(nodes: planning.Nodes) -> planning.Numbers:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.canvas import Canvas
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import THETA, VX, VY, X
-from surface_gym.state import SUCCESS, EnvState, planar_speed
+from surface_gym.state import SUCCESS, EnvState, planar_speed, zone_end
 from surface_gym.tasks import base, planning
 from surface_gym.tasks.benchmark import Benchmark, high_column, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
@@ -211,6 +212,13 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
         show(see, COLUMN.asked_ratio, state.goal[RATIO])
         show(see, COLUMN.excess_of_speed, excess)
         show_bent(see, COLUMN.fine_excess, excess)
+
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw a line across the zone's end, 0.4 m long per m/s of the goal speed."""
+        asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
+        base.draw_speed(canvas, zone_end(state), state.elements.line_y, asked)
 
 
 @kernel_function

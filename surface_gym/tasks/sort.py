@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks, state as st
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.layouts import ROLLING
 from surface_gym.lines import BaseLine
@@ -38,6 +39,7 @@ FAILURE_REWARD = -1.0
 # A parcel rolling along 45 deg axes loses speed at mu_min g / sqrt(2) along x and along y.
 ROLLING_LOSS = 0.01 * GRAVITY / math.sqrt(2.0)  # [m/s^2]
 HORIZON = 4.0  # [s] scale of the observed time
+SIDE_WIDTH = 0.1  # [m] of the goal side in a picture
 
 TOWARDS = "towards the asked side"
 # Features of a parcel, mirrored so that the asked side is y > 0.
@@ -256,6 +258,18 @@ the distance along the line, minus the distance from the line's middle |
         show(see, COLUMN.time, state.clock)
         show(see, COLUMN.distance_into_zone, rear - st.zone_start(state))
         show(see, COLUMN.side, state.goal[SIDE])
+
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw the zone's edge on the goal side; for side 0, the zone's end."""
+        start, end, y = st.zone_start(state), st.zone_end(state), state.elements.line_y
+        half = 0.5 * state.elements.pitch_y * state.zone[st.ROWS]
+        if state.goal[SIDE] == 0.0:
+            draw_line(canvas, (end, y - half), (end, y + half), SIDE_WIDTH)
+        else:
+            y += state.goal[SIDE] * (half + 0.5 * SIDE_WIDTH)
+            draw_line(canvas, (start, y), (end, y), SIDE_WIDTH)
 
 
 @kernel_function

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.physics.types import VX, X
 from surface_gym.state import RUNNING, SUCCESS, EnvState, is_driven, is_slower
@@ -22,6 +23,7 @@ STOP_ERROR = 0  # index in the metrics: [m] x of the centre - goal x
 OUTCOMES = (*base.LINE_OUTCOMES, "missed", "passed the asked x")
 MISSED, OVERSHOT = base.failures(OUTCOMES)[-2:]
 SUCCESS_ERROR = 0.005  # [m]
+GOAL_REACH = 0.5  # [m] half length of the goal's line in a picture
 CAUTION = 0.5  # [-] safety margin of planners, relative to the time of a quarter turn
 
 # The reward, term by term.
@@ -225,6 +227,13 @@ class Stop(base.Task):
         show_bent(see, COLUMN.to_go_near, to_go)
         show_bent(see, COLUMN.to_go_nearest, to_go)
         show(see, COLUMN.excess_of_speed, excess)
+
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw a line across the surface at the goal x."""
+        x, y = state.goal[POSITION], state.elements.line_y
+        draw_line(canvas, (x, y - GOAL_REACH), (x, y + GOAL_REACH), base.MARK_WIDTH)
 
 
 def _short_of_goal(nodes: planning.Nodes) -> planning.Numbers:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from surface_gym import checks
+from surface_gym.canvas import Canvas, draw_line
 from surface_gym.compiler.jit import kernel_function
 from surface_gym.layouts import LINE_Y
 from surface_gym.lines import BaseLine, Field
@@ -23,7 +24,16 @@ from surface_gym.state import (
     planar_speed,
 )
 from surface_gym.tasks import paths as shapes
-from surface_gym.tasks.base import DIRECTION, PHASE, SIZE, TURNING_SPEED, Task, failures
+from surface_gym.tasks.base import (
+    DIRECTION,
+    MARK_WIDTH,
+    PHASE,
+    SIZE,
+    TURNING_SPEED,
+    Task,
+    draw_speed,
+    failures,
+)
 from surface_gym.tasks.benchmark import DRAWN, Benchmark, median_column
 from surface_gym.tasks.features import Feature, columns, show, show_bent
 from surface_gym.tasks.planning import FAILED, Nodes, ObservationTable, PlanCost, nearest_parcel
@@ -39,6 +49,7 @@ OFF_PATH, STALLED, OFF_SURFACE = failures(OUTCOMES)
 FARTHEST = 0.15  # [m] maximum offset from the path
 STALL_SPEED = 0.05  # [m/s] slower parcels count as stalled
 STEEPEST = 3.0  # [-] slope of a path
+DRAWN_PIECES = 51  # straight pieces of a path in a picture
 HIGHEST_TILT = math.radians(30.0)  # [rad]
 
 # The reward, term by term. All but the last two are per metre of x, so that time earns nothing.
@@ -365,6 +376,19 @@ the path and the asked speed |
         show(see, COLUMN.cosine_of_phase_x, math.cos(turn_x * (x - state.elements.x0)))
         show(see, COLUMN.sine_of_phase_y, math.sin(turn_y * (y - state.elements.y0)))
         show(see, COLUMN.cosine_of_phase_y, math.cos(turn_y * (y - state.elements.y0)))
+
+    @staticmethod
+    @kernel_function
+    def draw_goal(state: EnvState, canvas: Canvas) -> None:
+        """Draw the path, and at its end a line across x, 0.4 m long per m/s of asked speed."""
+        x, y = state.goal[FIRST_X], state.path[0]
+        last = PATH_POINTS - 1
+        for k in range(1, DRAWN_PIECES + 1):
+            point = k * last // DRAWN_PIECES
+            next_x, next_y = state.goal[FIRST_X] + point * state.goal[STEP_X], state.path[point]
+            draw_line(canvas, (x, y), (next_x, next_y), MARK_WIDTH)
+            x, y = next_x, next_y
+        draw_speed(canvas, x, y, state.goal[SPEED])
 
 
 def _check_paths(first: Numbers, step: Numbers, y: Numbers, line: BaseLine) -> None:

@@ -327,6 +327,14 @@ def test_the_page_says_what_was_kept(example: str) -> None:
         assert version in PAGE
 
 
+def test_pixels_are_learned_from(tmp_path: Path) -> None:
+    """Versions are kept; few control periods sort less than the fixed layout, which sorts 0.769."""
+    needs("stable_baselines3")
+    done = run("pixels", 8192, tmp_path)
+    assert {"torch", "stable_baselines3"} < set(done.kept["versions"])
+    assert 0.0 <= done.kept["figures"]["success"] < 0.769
+
+
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.py")), ids=lambda file: file.stem)
 def test_an_example_is_short(file: Any) -> None:
     assert len(file.read_text().splitlines()) <= 80
