@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym.compiler.wasm import compile_module
-from surface_gym.compiler.wasm_image import Image, is_scratch, make_image, name_arguments
+from surface_gym.compiler.wasm_image import MemoryImage, is_scratch, make_image, name_arguments
 from surface_gym.compiler.wasm_machine import Machine
 from surface_gym.config import EnvConfig
 from surface_gym.core.batch import BaseBatch
@@ -63,7 +63,7 @@ class Twins:
         self.all = np.arange(num_envs)
 
     @property
-    def image(self) -> Image:
+    def image(self) -> MemoryImage:
         """The batch as an image."""
         return make_image(self.kernel, self.batch.arguments)
 
