@@ -12,7 +12,7 @@ from surface_gym.layouts import ROLLING
 from surface_gym.machine.log import LoggedRun, LoggedSurface
 from surface_gym.parcel import filled_up
 from surface_gym.physics import types as ph
-from surface_gym.physics.contacts import bounded, invalidate_contacts
+from surface_gym.physics.contacts import bounded, find_contacts, invalidate_contacts
 from surface_gym.physics.step import OFF_SURFACE, axis_direction, find_support, step_implicit
 from surface_gym.physics.types import Array, Body, Booleans, Grid, Integers, Scratch, make_scratch
 from surface_gym.state import Geometry
@@ -34,7 +34,8 @@ VALUES = ENTRY + 6
 MARGIN = 0.3  # [m] around the pictures' path, within which axes turn in predictions
 SOON = 1e-9  # [s] shortest time between the ends of steps
 SAME_LOAD = 1e-3  # [m/s^2] change of acceleration by which loads stay as they are
-FINEST = 1.0 / 32.0  # [-] shortest step around a change of contacts, in maximum steps
+MOST_INT = 2**63 - 1
+HALVINGS = 10  # of a step, to find when contacts change
 
 
 class PackedRuns(NamedTuple):
@@ -196,13 +197,13 @@ def _make_grid(memory: Memory, rotor: Booleans, values: Array) -> Grid:
 
 @inlined
 def _contact_set(scratch: Scratch) -> int:
-    """Return a number that tells sets of contacts apart."""
+    """Return a number, at least 0, that tells sets of contacts apart."""
     marks, found = scratch.marks, 0
     for k in range(marks[ph.SPANS]):
         found = 31 * found + marks[ph.SPAN_ROW + k]
         found = 31 * found + marks[ph.SPAN_FIRST + k]
         found = 31 * found + marks[ph.SPAN_LAST + k]
-    return found
+    return found & MOST_INT
 
 
 @inlined
@@ -217,50 +218,85 @@ def _turn(memory: Memory, window: Integers, state: Array, reach: float, turned: 
 
 
 @inlined
+def _step(
+    grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, length: float,
+    speed: float, turned: float,
+) -> tuple[bool, int]:  # fmt: skip
+    """Move the parcel by one step; a step that changes the acceleration is repeated with its loads.
+
+    Returns:
+        Whether axes go on turning, and the number of the contacts after the step; -1 off the
+        surface.
+    """
+    state, before, scratch = memory.state, memory.before, memory.scratch
+    goes_on = speed > 0.0
+    if goes_on:  # the direction in the middle of the step
+        goes_on = _turn(memory, window, state, reach, turned + 0.5 * speed * length)
+    for j in range(ph.STATE_SIZE):
+        before[j] = state[j]
+    report, _ = step_implicit(grid, body, state, scratch, length)
+    if report >= OFF_SURFACE:
+        return goes_on, -1
+    if abs(state[ph.AX] - before[ph.AX]) + abs(state[ph.AY] - before[ph.AY]) > SAME_LOAD:
+        for j in range(ph.AX):
+            state[j] = before[j]
+        step_implicit(grid, body, state, scratch, length)
+    find_support(grid, body, state, scratch, 0.0)
+    return goes_on, _contact_set(scratch)
+
+
+@inlined
+def _time_of_change(grid: Grid, body: Body, memory: Memory, length: float, held: int) -> float:
+    """Return the time [s] at which the contacts change within the latest step."""
+    state, before = memory.state, memory.before
+    earliest, latest = 0.0, length
+    for _ in range(HALVINGS):
+        time = 0.5 * (earliest + latest)
+        late = 0.5 * time * time / length  # the step's acceleration is constant
+        x = before[ph.X] + time * before[ph.VX] + late * (state[ph.VX] - before[ph.VX])
+        y = before[ph.Y] + time * before[ph.VY] + late * (state[ph.VY] - before[ph.VY])
+        turn = time * before[ph.OMEGA] + late * (state[ph.OMEGA] - before[ph.OMEGA])
+        find_contacts(grid, body, x, y, before[ph.THETA] + turn, memory.scratch)
+        if _contact_set(memory.scratch) == held:
+            earliest = time
+        else:
+            latest = time
+    return latest
+
+
+@inlined
 def _advance(
     grid: Grid, body: Body, memory: Memory, window: Integers, reach: float, seconds: float,
     dt: float, speed: float, turned: float,
 ) -> None:  # fmt: skip
     """Move the parcel on for a time [s].
 
-    A step in which contacts change is halved, down to a share of `dt`: the time of each change is
-    found, so that predictions do not jump with the parameters. A step that changes the acceleration
-    is repeated with the loads by the new one.
+    A step in which contacts change is repeated and ends at the change, so that predictions do not
+    jump with the parameters.
 
     Args:
         speed: [rad/s] of turning axes; 0: none turns.
         turned: [rad] by which they have turned at the start.
     """
-    state, before, scratch = memory.state, memory.before, memory.scratch
     left = seconds
-    length = longest = seconds / math.ceil(seconds / dt - 1e-6)
-    goes_on = speed > 0.0
-    find_support(grid, body, state, scratch, 0.0)
-    held = _contact_set(scratch)
+    longest = seconds / math.ceil(seconds / dt - 1e-6)
+    find_support(grid, body, memory.state, memory.scratch, 0.0)
+    held = _contact_set(memory.scratch)
     while left > 1e-12:
-        for j in range(ph.STATE_SIZE):
-            before[j] = state[j]
-        length = min(length, left)
-        if goes_on:  # the direction in the middle of the step
-            now_turned = turned + speed * (seconds - left + 0.5 * length)
-            goes_on = _turn(memory, window, state, reach, now_turned)
-        report, _ = step_implicit(grid, body, state, scratch, length)
-        if report >= OFF_SURFACE:
+        length = min(longest, left)
+        now_turned = turned + speed * (seconds - left)
+        goes_on, now = _step(grid, body, memory, window, reach, length, speed, now_turned)
+        if now >= 0 and now != held:
+            change = _time_of_change(grid, body, memory, length, held)
+            if change < length:
+                length = change
+                for j in range(ph.STATE_SIZE):
+                    memory.state[j] = memory.before[j]
+                goes_on, now = _step(grid, body, memory, window, reach, length, speed, now_turned)
+        if now < 0:
             break
-        if abs(state[ph.AX] - before[ph.AX]) + abs(state[ph.AY] - before[ph.AY]) > SAME_LOAD:
-            for j in range(ph.AX):
-                state[j] = before[j]
-            step_implicit(grid, body, state, scratch, length)
-        find_support(grid, body, state, scratch, 0.0)
-        now = _contact_set(scratch)
-        if now != held and length > FINEST * dt:
-            for j in range(ph.STATE_SIZE):
-                state[j] = before[j]
-            length *= 0.5
-            goes_on = speed > 0.0
-            continue
+        speed = speed if goes_on else 0.0
         left -= length
-        length = longest if now != held else min(longest, 2.0 * length)
         held = now
 
 

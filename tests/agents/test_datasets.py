@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from surface_gym import cli
-from surface_gym.agents import datasets
+from surface_gym.agents import datasets, library
 from surface_gym.agents.benchmark.entry import SEED as TEST_SEED
 from surface_gym.agents.dataset_cli import MAX_EPISODES, MAX_SEED, DatasetConfig, main
 from surface_gym.agents.datasets import (
@@ -130,13 +130,17 @@ def test_streams_are_cut_into_episodes() -> None:
 
 @pytest.mark.parametrize("task", SHIPPED)
 def test_every_task_has_its_recipes(task: str) -> None:
-    """Random actions, a rule and, except for streams, a planner and an agent for the lab."""
+    """Random actions, a rule and, except for streams, a planner; of shipped agents where one is."""
+    has_agents = any(name.startswith(f"{task}-") for name in library.names())
     for policy in RECIPES:
         try:
             recipe = find_recipe(task, policy)
         except ValueError:
-            assert policy == "planner" or task == "flow"
-            assert PERIODS[task] is None
+            if policy == "planner":
+                assert PERIODS[task] is None
+            else:
+                assert policy in ("agent", "mixed", "lab")
+                assert not has_agents or task == "flow"
             continue
         assert recipe.task == task
         assert (recipe.preset == "lab") == (policy == "lab")

@@ -172,6 +172,14 @@ def aim_of_orient(view: View, goal: np.ndarray, options: dict[str, Any]) -> None
     assert math.atan2(y - end[1], x - end[0]) == pytest.approx(options["angle"], abs=0.05)
 
 
+def aim_of_park(view: View, goal: np.ndarray, options: dict[str, Any]) -> None:
+    """A line as long as the B-box, 0.45 m, into the goal; the entry is at (0.4, 0.8) m."""
+    x, y = view.mean(goal)
+    end = 0.4 + options["ahead"], 0.8 + options["aside"]
+    assert math.atan2(end[1] - y, end[0] - x) == pytest.approx(options["angle"], abs=0.05)
+    assert math.dist(end, (x, y)) == pytest.approx(0.5 * 0.45, abs=view.pixel)
+
+
 def aim_of_slow(view: View, goal: np.ndarray, options: dict[str, Any]) -> None:
     tall = view.pixel * (goal.max(axis=1) > 0.0).sum()
     asked = options["ratio"] * options["speed"]
@@ -189,6 +197,7 @@ def aim_of_track(view: View, goal: np.ndarray, options: dict[str, Any]) -> None:
 AIMS: dict[str, Callable[[View, np.ndarray, dict[str, Any]], None]] = {
     te.SORT: aim_of_sort, "SmartSurface/Stop-v0": aim_of_stop, "SmartSurface/Slow-v0": aim_of_slow,
     "SmartSurface/Orient-v0": aim_of_orient, "SmartSurface/Track-v0": aim_of_track,
+    "SmartSurface/Park-v0": aim_of_park,
 }  # fmt: skip
 
 
