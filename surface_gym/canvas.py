@@ -203,11 +203,12 @@ def draw_line(
         end: x and y [m].
         width: [m], and at least 1.5 pixels.
     """
+    wide = max(width, NARROWEST / canvas.viewport.scale)
     dx, dy = end[0] - start[0], end[1] - start[1]
     length = math.sqrt(dx * dx + dy * dy)
     if not length > 0.0:
         return
-    half = 0.5 * max(width, NARROWEST / canvas.viewport.scale) / length
+    half = 0.5 * wide / length
     put_corner(canvas, 0, start[0] - half * dy, start[1] + half * dx)
     put_corner(canvas, 1, start[0] + half * dy, start[1] - half * dx)
     put_corner(canvas, 2, end[0] + half * dy, end[1] - half * dx)

@@ -119,7 +119,17 @@ NIGHTLY = (
     ),
     "tests/agents/evaluation/test_drives.py::test_a_stream_is_carried_by_driven_modules",
     "tests/benchmarks/test_actuators.py",
-    "tests/test_actuators.py::TestWaiting::test_under_streams_too[modules",
+    "tests/test_actuators.py::TestWaiting::test_under_streams_too",
+    # Kernels of their own: other cases of the same test hold the rest by day.
+    "tests/agents/rules/test_patterns.py::test_each_pattern_moves_a_parcel_as_predicted[31",
+    "tests/agents/rules/test_slopes.py::TestPatterns::"
+    "test_more_parcels_leave_one_by_one[singulate-arguments3",
+    "tests/flow/test_parallel_env.py::TestContract::"
+    "test_pettingzoos_checks_pass[{'orientations': 'any', 'sensors': Presence",
+    "tests/test_axes.py::TestAnyAngle::"
+    "test_the_angles_of_choices_move_it_as_the_choices_do[SmartSurface/Park-v0-window",
+    "tests/learners/test_learners.py::"
+    "test_a_library_stacks_infos_in_its_own_way[minari-by_minari-SmartSurface/Sequence",
     *(
         f"tests/test_modules.py::test_gymnasiums_checker_has_nothing_to_say[{task}"
         for task in (

@@ -78,7 +78,7 @@ class Park(base.Task):
     entry, and in `angles`. Parcel: equal odds.
 
     The goals are drawn where a planner with the true model reaches them: all of 40 drawn starts
-    (`python examples/park.py`). Slow parcels, and goals far ahead or far aside, may have none.
+    (`python -m benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have none.
 
     ### Goal and end
 

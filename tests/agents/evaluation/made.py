@@ -109,7 +109,7 @@ def whole_sweep(task: str, shares: dict[str, float], seeds: int = 1) -> list[pd.
         for name, share in shares.items()
         for factor in FACTORS.values()
         for seed in range(seeds)
-        if not (factor.of_lines and task == "track")
+        if not (factor.of_lines and task in ("track", "park"))
         for each in sweep_rows(task, name, factor.name, share, seed)
     ]
 

@@ -1,7 +1,7 @@
 """Compare controllers of Park on the same starts, with exact sensors and in the lab.
 
-python examples/park.py
-python examples/park.py --ppo runs/NAME
+python -m benchmarks.park
+python -m benchmarks.park --ppo runs/NAME
 
 The planner knows the true state and parameters: what it does not reach is taken as unreachable.
 """
