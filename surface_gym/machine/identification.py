@@ -22,6 +22,7 @@ from surface_gym.physics.types import Array
 
 SHIFTS = ("latency", "dead_time")  # equal changes of both change nothing but the time
 CLEAR = 0.25  # [-] share of the searched range: a direction with a larger error is unknown
+UNEXPLAINED = 2.0  # by which intervals are wider then: what the model lacks shifts all values
 ALIKE = 0.99  # [-] correlation from which two parameters are inseparable
 MISFIT = 1e-3  # [-] probability of chi^2 below which the model does not explain the logs
 MAX_RUNS = 200  # maximum runs of a search
@@ -172,9 +173,11 @@ def _judge(
     alike = np.triu(np.abs(correlation) > ALIKE, 1) & ~np.logical_or.outer(unknown, unknown)
     inseparable = [(names[i], names[j]) for i, j in np.argwhere(alike).tolist()]
     lost = {name for pair in inseparable for name in pair}
-    wide = np.sqrt(variance) * float(stats.t.ppf(0.975, max(1, count - free)))
-    wide[[each or name in lost for each, name in zip(unknown, names, strict=True)]] = math.inf
     chi2, degrees = float(squares[:, 0].sum()), len(residuals) - x.size - entries.size
+    is_explained = bool(stats.chi2.sf(chi2, degrees) > MISFIT)
+    wide = (1.0 if is_explained else UNEXPLAINED) * np.sqrt(variance)
+    wide *= float(stats.t.ppf(0.975, max(1, count - free)))
+    wide[[each or name in lost for each, name in zip(unknown, names, strict=True)]] = math.inf
     return Estimate(
         values=dict(zip(names, np.clip(x, search.low, search.high).tolist(), strict=True)),
         intervals={name: _interval(name, x[k], wide[k]) for k, name in enumerate(names)},
@@ -183,7 +186,7 @@ def _judge(
         inseparable=tuple(inseparable),
         unknown=tuple(name for each, name in zip(unknown, names, strict=True) if each),
         misfit=chi2 / degrees,
-        is_explained=bool(stats.chi2.sf(chi2, degrees) > MISFIT),
+        is_explained=is_explained,
         misfits=tuple((squares[:, 0] / np.maximum(squares[:, 1], 1.0)).tolist()),
         frames=len(search.measured),
         noise=(float(search.noise[0]), float(search.noise[2])),
