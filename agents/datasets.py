@@ -356,7 +356,7 @@ def _describe(
     """Return the metadata of a data set."""
     from importlib.metadata import version
 
-    label = f"{recipe.method.name}" + ("" if recipe.preset is None else f", {recipe.preset}")
+    label = recipe.method.name + ("" if recipe.preset is None else f", {recipe.preset}")
     best = max(references, key=lambda each: references[each].mean_return)
     return {
         "dataset_id": name,

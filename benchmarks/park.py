@@ -7,43 +7,25 @@ The planner knows the true state and parameters: what it does not reach is taken
 """
 
 import argparse
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from surface_gym.agents import library
 from surface_gym.agents.evaluation.scenario import SEED
 from surface_gym.agents.planning.planner import Oracle
+from surface_gym.agents.rollout import run_episodes
 from surface_gym.agents.rules.base import RULES
 from surface_gym.config import EnvConfig
 
-PARK = "SmartSurface/Park-v0"
 Result = tuple[float, ...]  # success, distance [m], angle error [rad]
 
 
-def play(
-    make: Callable[[EnvConfig], Any], preset: str, starts: int, **arguments: Any
-) -> list[Result]:
-    """Play an episode from each start; `make` gives a controller."""
-    env = gym.make(PARK, preset=preset, **arguments)
-    config: EnvConfig = env.get_wrapper_attr("config")
-    controller, results = make(config), list[Result]()
-    for k in range(starts):
-        (seen, info), state, over = env.reset(seed=SEED + k), None, False
-        while not over:
-            begun: Any = None if state is None else np.zeros(1, dtype=bool)
-            action, state = controller.predict(seen[np.newaxis], state, begun)
-            seen, _, terminated, truncated, info = env.step(action[0])
-            over = terminated or truncated
-        results.append((bool(info["is_success"]), info["distance"], info["angle_error"]))
-    return results
-
-
-def _same(policy: Any, _config: EnvConfig) -> Any:
-    return policy
+def play(controller: Any, config: EnvConfig, starts: int) -> list[Result]:
+    """Play an episode from each start."""
+    found = run_episodes(controller, config, [{}] * starts, SEED)
+    distance, angle = (found.metrics[name] for name in config.task.metrics)
+    return list(zip(found.success, distance, angle, strict=True))
 
 
 def search(preset: str, starts: int) -> list[Result]:
@@ -75,13 +57,13 @@ def main() -> None:
     for preset in ("exact", "lab"):
         found = {}
         for rule in rules:
-            given = {"actions": rule.actions, "observe": rule.observe}
-            found[rule.name] = play(rule.make, preset, asked.starts, **given)
+            config = EnvConfig("park", preset=preset, actions=rule.actions, observe=rule.observe)
+            found[rule.name] = play(rule.make(config), config, asked.starts)
             show(rule.name, preset, found[rule.name])
         if asked.ppo is not None:
             policy = library.read(asked.ppo)
-            given = dict(policy.env_kwargs)
-            found["PPO"] = play(partial(_same, policy), preset, asked.starts, **given)
+            config = EnvConfig("park", **(policy.env_kwargs | {"preset": preset}))
+            found["PPO"] = play(policy, config, asked.starts)
             show("PPO", preset, found["PPO"])
         planned = search(preset, asked.planned)
         show("planner", preset, planned)

@@ -18,7 +18,8 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
-from .entry import CELLS, TASKS, BenchmarkEntry, Row, read_protocol
+from . import TASKS
+from .entry import CELLS, BenchmarkEntry, Row, read_protocol
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95

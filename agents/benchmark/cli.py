@@ -1,6 +1,5 @@
 """`surface-gym benchmark`: run a policy on the benchmark, or make the board of all entries."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,15 +11,14 @@ from surface_gym.cli import parse_options
 from surface_gym.executors import WorkError, describe_error
 from surface_gym.registration import PERIODS
 
+from . import TASKS
+
 if TYPE_CHECKING:
     from rich.console import Console
 
 TABLE = "table"  # first argument of the second form
 RESULTS = Path("benchmarks/results")
-PROTOCOL = Path(__file__).with_name("protocol-1.json")
-SINGLES = tuple(
-    name for name in json.loads(PROTOCOL.read_text())["digests"] if PERIODS[name] is not None
-)
+SINGLES = tuple(name for name in TASKS if PERIODS[name] is not None)
 INTERRUPTED = 130  # exit code after Ctrl-C
 
 

@@ -33,14 +33,12 @@ from .. import library
 from ..evaluation.streams import measure_stream, play_stream
 from ..rollout import run_episodes
 from ..scheduling.scheduler import begin_streams
+from . import FILE, TASKS, VERSION
 from .process import ENV_KWARGS, PolicyFailure, PolicyLimits, PolicyProcess
 
-VERSION = 1
-FILE = Path(__file__).parent / f"protocol-{VERSION}.json"
 EPISODES = 128  # per cell and training seed
 SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
-TASKS: tuple[str, ...] = tuple(json.loads(FILE.read_text())["digests"])
 
 
 def _slower(quarter_turn: float) -> Preset:

@@ -224,11 +224,9 @@ def see_path(row: Singles, sight: Sight) -> PathReading:
     along = asked_speed + _read(row, sight, SPEED_ERROR)
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
     sine = slope * cosine
-    phase_x = math.atan2(_read(row, sight, SINE_X), _read(row, sight, COSINE_X))
-    phase_y = math.atan2(_read(row, sight, SINE_Y), _read(row, sight, COSINE_Y))
     return PathReading(
-        _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
-        _past(sight.pitch_y * phase_y / (2.0 * math.pi), sight.pitch_y),
+        _read_place(row, sight, SINE_X, COSINE_X, sight.pitch_x),
+        _read_place(row, sight, SINE_Y, COSINE_Y, sight.pitch_y),
         theta,
         math.cos(theta),
         math.sin(theta),
@@ -269,13 +267,11 @@ class ParkReading(NamedTuple):
 @inlined
 def see_park(row: Singles, sight: Sight) -> ParkReading:
     """Decode an observation (features,) of a parcel that parks."""
-    phase_x = math.atan2(_read(row, sight, K_SINE_X), _read(row, sight, K_COSINE_X))
-    phase_y = math.atan2(_read(row, sight, K_SINE_Y), _read(row, sight, K_COSINE_Y))
     half_length, is_shown = _read(row, sight, K_SIZE), sight.place[K_WIDTH] >= 0
     return ParkReading(
-        _past(sight.pitch_x * phase_x / (2.0 * math.pi), sight.pitch_x),
+        _read_place(row, sight, K_SINE_X, K_COSINE_X, sight.pitch_x),
         # Phases in y count from the line's middle, halfway between two rows.
-        _past(sight.pitch_y * phase_y / (2.0 * math.pi), sight.pitch_y) - 0.5 * sight.pitch_y,
+        _read_place(row, sight, K_SINE_Y, K_COSINE_Y, sight.pitch_y) - 0.5 * sight.pitch_y,
         _read(row, sight, K_COSINE),
         _read(row, sight, K_SINE),
         _read(row, sight, K_FORWARD),
@@ -291,6 +287,13 @@ def see_park(row: Singles, sight: Sight) -> ParkReading:
         sight.load_spread * _read(row, sight, K_LOAD_X),
         sight.load_spread * _read(row, sight, K_LOAD_Y),
     )
+
+
+@inlined
+def _read_place(row: Singles, sight: Sight, sine: int, cosine: int, pitch: float) -> float:
+    """Return the distance [m] from the window's middle module, by the phase in a pitch [m]."""
+    phase = math.atan2(_read(row, sight, sine), _read(row, sight, cosine))
+    return _past(pitch * phase / (2.0 * math.pi), pitch)
 
 
 @inlined

@@ -8,14 +8,10 @@ from typing import Any
 import numpy as np
 
 from surface_gym.agents.base import find_axes
-from surface_gym.agents.rules import RULES
+from surface_gym.agents.rules import BEST_RULES, RULES
 from surface_gym.config import EnvConfig
 
-RULE = {
-    "sort": "event rule", "slow": "braking rule", "stop": "braking rule", "track": "sliding mode",
-    "orient": "turning rule", "flow": "event rule", "singulate": "time slots",
-    "merge": "time slots", "sequence": "pass and park",
-}  # fmt: skip
+RULE = BEST_RULES
 
 
 class FixedLayout:

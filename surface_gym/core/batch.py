@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surface_gym import state as st
+from surface_gym.canvas import Pixels
 from surface_gym.compiler.jit import CompilerError, compile_for, compiled
 from surface_gym.config import REWARD, EnvConfig
 from surface_gym.core import resets
@@ -392,6 +393,7 @@ class Batch(BaseBatch):
         self._lays_out = not (shared or self.task.has_path)
         place, shape = partial(resets.place_in, config), (line.rows, line.columns)
         self._plan = resets.BodyPlan(self.task.parcels, place, self.num_envs, shape)
+        self._pictures: Pixels | None = None
         if config.image is not None:
             self._pictures = np.zeros((self.num_envs, *config.image.shape), dtype=np.uint8)
             self._viewport = make_viewport(config)
@@ -413,13 +415,13 @@ class Batch(BaseBatch):
 
     @property
     def observation(self) -> NDArray[Any]:
-        return super().observation if self.config.image is None else self._pictures
+        return self.parcels.observation if self._pictures is None else self._pictures
 
     def make_kernel(self) -> Any:
         return make_kernel(task_functions(self.config))
 
     def _compile(self) -> Callable[..., int]:
-        if self.config.image is not None:
+        if self._pictures is not None:
             given = (*self._drawn, *self._workers.scratches, self._all)
             try:
                 self._draw = compile_for(make_drawing(self.config), *given)
@@ -431,13 +433,14 @@ class Batch(BaseBatch):
     @property
     def _drawn(self) -> tuple[Any, ...]:
         """The arrays that pictures are drawn from, and the pictures."""
+        assert self._pictures is not None
         _, *states = self._arrays
         flat = self._pictures.reshape(*self._pictures.shape[:2], -1)
         return self.params.elements, *states, self._viewport, flat
 
     def _run(self, chosen: Integers, threads: int = 1) -> None:
         super()._run(chosen, threads)
-        if self.config.image is not None:
+        if self._pictures is not None:
             try:
                 self._workers.run(threads, self._draw, self._drawn, chosen)
             except IndexError as error:
@@ -446,7 +449,7 @@ class Batch(BaseBatch):
 
     def _state(self, axes: bool) -> dict[str, NDArray[Any]]:
         found = super()._state(axes)
-        return found if self.config.image is None else found | {"pictures": self._pictures}
+        return found if self._pictures is None else found | {"pictures": self._pictures}
 
     def seed(self, env_index: int, generator: np.random.Generator) -> None:
         self.reset_cache.seed(env_index, generator)
