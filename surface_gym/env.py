@@ -189,9 +189,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu
     0.5), and rolls almost freely across it (mu 0.01). A parcel moves only by its own speed, or by
-    gravity on a tilted surface, and can be steered only while it moves. Units are SI and radians; x
-    runs along the line, y across it, theta anti-clockwise. One class serves every task; Flow's page
-    says how streams differ.
+    gravity on a tilted surface, and can be steered only while it moves: a module brakes, but never
+    pushes. Units are SI and radians; x runs along the line, y across it, theta anti-clockwise. One
+    class serves every task; Flow's page says how streams differ.
 
     ## Actions
 
@@ -206,6 +206,10 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "halves" | Discrete, n * n for n choices | modules ahead of the parcel's centre (a // n) and behind it (a % n) |
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
+    | "parcels" | MultiDiscrete, 2 per row of the observation | in streams: modules ahead of each parcel's centre, then behind it |
+
+    Streams have "modules" and "parcels", all other tasks the first four. With
+    `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
     as many entries as there are modules, and all of them share one reward. PPO of
@@ -214,8 +218,6 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
     without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
-
-    With `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     ## Driven modules
 
@@ -265,10 +267,17 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## End
 
-    Success and failure terminate an episode; the time limit truncates it. `gym.make` adds
-    Gymnasium's `TimeLimit`. If an episode terminates in its last control period, `TimeLimit` also
-    sets `truncated`; `outcome` still says why it terminated. The native vector env sets one flag
-    only.
+    Success and failure terminate an episode; the time limit truncates it, which is no failure. A
+    task's page names its failures. Three have one meaning in all tasks, unless the page says
+    otherwise:
+
+    - "stalled": no point of the base moves faster than 1 mm/s;
+    - "off the line": no rotor is under the base any more;
+    - "off the surface": the centre of mass passes the edge of the surface.
+
+    `gym.make` adds Gymnasium's `TimeLimit`. If an episode terminates in its last control period,
+    `TimeLimit` also sets `truncated`; `outcome` still says why it terminated. The native vector env
+    sets one flag only.
 
     ## Arguments
 

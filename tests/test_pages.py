@@ -29,20 +29,18 @@ def _arguments(task):
 
 
 def test_a_page_lists_every_feature_term_option_and_argument():
-    tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
-    streams = []
-    for name in pages.STREAMS:  # a page leads to the page of the task that it extends
-        base = pages.base_of(name)
-        page = pages.stream_page(name) + (pages.stream_page(base) if base else "")
-        streams.append((page, registration.TASKS[name]))
-        for name in OF_ONE_PARCEL:
-            assert f"| `{name}` |" not in page
-    for page, features, words in (
-        *((page, task.features, (*task.terms, *task.options)) for page, task in tasks),
-        *((page, task.features, [*task.terms, *_arguments(task)]) for page, task in streams),
-    ):
-        assert all(f"| {feature.name} |" in page for feature in features)
+    for name in (*pages.TASKS, *pages.STREAMS):
+        task, page, base = registration.TASKS[name], WRITTEN[f"{name}.md"], pages.BASES.get(name)
+        assert all(f"`{word}`" in page for word in task().options)
+        while base:  # a page leads to the page of the task that it extends
+            assert f"{base}.md#" in page
+            page += WRITTEN[f"{base}.md"]
+            base = pages.BASES.get(base)
+        words = [*task.terms, *_arguments(task)] if name in pages.STREAMS else task.terms
         assert all(f"`{word}`" in page for word in words)
+        assert all(f"| {feature.name} |" in page for feature in task.features)
+        for each in OF_ONE_PARCEL:
+            assert f"| `{each}` |" not in page
 
 
 def test_every_environment_has_a_page():

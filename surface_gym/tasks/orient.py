@@ -50,12 +50,9 @@ class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
     A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
-    theta, within 2 deg.
-
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. The difference between modules left and right of its centre turns the parcel. Turning
-    costs speed and causes lateral drift, which cannot be recovered. A turned parcel covers other
-    modules.
+    theta, within 2 deg. The difference between modules left and right of its centre turns the
+    parcel. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
+    covers other modules.
 
     ### Start
 
@@ -65,15 +62,9 @@ class Orient(base.Task):
     ### Goal and end
 
     The episode ends when the rearmost point of the base passes the zone's end. "success": theta is
-    then within 2 deg of the goal angle; full turns are not removed. Each failure ends the episode
-    as `terminated`:
-
-    - "missed": left the zone at another angle;
-    - "stalled": no point of the base moves faster than 1 mm/s before that;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    then within 2 deg of the goal angle; full turns are not removed. Failures are "stalled", "off the
+    line" and "off the surface", as in every task, and "missed": it leaves the zone at another
+    angle.
 
     ### Reward
 

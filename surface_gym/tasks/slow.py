@@ -49,11 +49,9 @@ COLUMN = columns(FEATURES)
 class Slow(base.Task):
     """Slow the parcel to a ratio of its entry speed before its rear leaves the zone.
 
-    A parcel enters a line of rotors among supports, and the zone's modules brake it.
-
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. Lost speed cannot be recovered. Uneven braking turns the parcel or moves it off the
-    line. The braking force jumps when the parcel's edges cross modules' centres.
+    A parcel enters a line of rotors among supports, and the zone's modules brake it. Lost speed
+    cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
+    jumps when the parcel's edges cross modules' centres.
 
     ### Start
 
@@ -64,14 +62,8 @@ class Slow(base.Task):
     ### Goal and end
 
     The episode ends when the rear passes the zone's end. "success": speed / entry speed is then
-    within 0.01 of the goal ratio. Each failure ends the episode as `terminated`:
-
-    - "missed": left the zone at another ratio;
-    - "stalled": no point of the base moves faster than 1 mm/s;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the surface", as
+    in every task, and "missed": it leaves the zone at another ratio.
 
     ### Reward
 

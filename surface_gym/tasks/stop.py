@@ -56,11 +56,9 @@ GOAL_FEATURES = tuple(each.name for each in FEATURES[len(base.PARCEL_FEATURES) :
 class Stop(base.Task):
     """Stop the parcel with its centre at a goal x.
 
-    A parcel enters a line of rotors among supports. It must stop at a goal position, within 5 mm.
-
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. A parcel that stops short stays there, and a parcel past the goal cannot return. The
-    last millimetres depend on the modules under the base.
+    A parcel enters a line of rotors among supports. It must stop at a goal position, within 5 mm. A
+    parcel that stops short stays there, and a parcel past the goal cannot return. The last
+    millimetres depend on the modules under the base.
 
     ### Start
 
@@ -73,14 +71,11 @@ class Stop(base.Task):
     ### Goal and end
 
     The parcel is at rest when no point of the base moves faster than 1 mm/s. "success": it rests
-    with its centre within 5 mm of the goal x. Each failure ends the episode as `terminated`:
+    with its centre within 5 mm of the goal x. Failures are "off the line" and "off the surface", as
+    in every task, and:
 
     - "missed": it rests elsewhere;
-    - "passed the asked x": its centre is more than 5 mm past it and still moves;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
 
     ### Reward
 

@@ -101,10 +101,7 @@ class Track(Task):
     """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
 
     The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x)
-    across it.
-
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. Gravity alone drives the parcel, and only downhill. Motion across the field requires
+    across it. Gravity alone drives the parcel, and only downhill. Motion across the field requires
     turning the velocity, which costs speed.
 
     ### Start
@@ -117,13 +114,11 @@ class Track(Task):
 
     ### Goal and end
 
-    "success": the centre is past the path's last x. Each failure ends the episode as `terminated`:
+    "success": the centre is past the path's last x. Failures:
 
     - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
     - "stalled": slower than 0.05 m/s;
     - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
 
     ### Reward
 
