@@ -75,9 +75,7 @@ class Orient(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    ### Info
-
-    - `angle_error` [rad]: current theta - goal angle; signed.
+    `info` has `angle_error` [rad]: current theta - goal angle; signed.
 
     ### Example
 

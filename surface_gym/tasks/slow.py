@@ -75,9 +75,7 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |
 
-    ### Info
-
-    - `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
+    `info` has `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
 
     ### Example
 

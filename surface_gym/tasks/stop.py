@@ -86,9 +86,7 @@ class Stop(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    ### Info
-
-    - `stop_error` [m]: current x of the centre - goal x; signed.
+    `info` has `stop_error` [m]: current x of the centre - goal x; signed.
 
     ### Example
 
