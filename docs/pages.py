@@ -93,7 +93,7 @@ def _space(config: EnvConfig) -> str:
 
 
 def _overview(task: str) -> str:
-    """Tabulate an environment's spaces and how it is made, as Gymnasium's pages do."""
+    """Tabulate an environment's spaces, as Gymnasium's pages do."""
     kinds = ACTIONS if task in STREAMS else KINDS
     acting = [f'{_space(EnvConfig(task, actions=kind))} with `actions="{kind}"`' for kind in kinds]
     space: Any = EnvConfig(task).observation_space()
@@ -106,7 +106,6 @@ def _overview(task: str) -> str:
                 "Observation space",
                 f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})",
             ),
-            ("Make", f'`import gymnasium, surface_gym`; `gymnasium.make("{env_id(task)}")`'),
         ),
     )
 

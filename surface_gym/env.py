@@ -212,11 +212,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
-    as many entries as there are modules, and all of them share one reward. PPO of
-    Stable-Baselines3 with its default settings sorts 0 of 200 parcels after 20 000 steps by
-    "modules", and 32 by "halves" (`python examples/first_agent.py`).
-
-    "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
+    as many entries as there are modules, and all of them share one reward. "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
     without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
 
     ## Driven modules
@@ -234,9 +230,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     A choice is then a direction and a speed; with speed 0 it is a stop. The rows of
     `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes a
     module without a command, which conveys towards +x. Directions take the place of `orientations`,
-    which must not be given. Kinds with other speeds and directions are made with the classes of
-    `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move
-    a parcel at rest, so no episode ends as "stalled".
+    which must not be given. Classes of `surface_gym.modules` set other speeds and directions, e.g.
+    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move a parcel at rest, so no
+    episode ends as "stalled".
 
     ## Observation
 
@@ -247,10 +243,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
     the observation does not show slowly turning axes. `observe` adds groups of features: "parcel"
     (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
-    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`).
-
-    `observe="image"`, or a `surface_gym.Image` of another size and in colours, replaces all
-    features by a picture of the true state from above (uint8).
+    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`). `observe="image"`, or
+    a `surface_gym.Image` of another size and in colours, replaces all features by a picture of the
+    true state from above (uint8).
 
     ## Info
 
@@ -289,9 +284,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running
-    episode is not changed.
-
-    `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
+    episode is not changed. `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
     environment with seed s + i to the bit.
 
     >>> import gymnasium as gym, surface_gym

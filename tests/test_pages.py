@@ -52,8 +52,8 @@ def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
     top, _, rest = WRITTEN[f"{task}.md"].partition("\n### ")
     env = gym.make(pages.env_id(task))
     shown = ["webp", "| Action space |", f"{env.action_space.nvec.size} numbers of 0 to 3"]
-    shown += ["| Observation space |", str(env.observation_space.shape), "import gymnasium"]
-    shown += [f'gymnasium.make("{env.spec.id}")', "```pycon\n>>> import gymnasium as gym"]
+    shown += ["| Observation space |", str(env.observation_space.shape)]
+    shown += ["```pycon\n>>> import gymnasium as gym", f'gym.make("{env.spec.id}"']
     places = [top.index(text) for text in shown]
     assert places == sorted(places)
     assert ">>>" not in rest
