@@ -217,22 +217,13 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Driven modules
 
-    `modules` is the kind of all modules. "idle" (default) are the rotors described above. All other
-    kinds have a surface that moves, and that grips a parcel alike in all directions (mu 0.5):
-
-    | `modules` | its surface moves |
-    | --- | --- |
-    | "belt" | ahead or back |
-    | "popup" | ahead, or to one side |
-    | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
-    | "omni" | in eight directions: three omni-wheels |
-
-    A choice is then a direction and a speed; with speed 0 it is a stop. The rows of
-    `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes a
-    module without a command, which conveys towards +x. Directions take the place of `orientations`,
-    which must not be given. Classes of `surface_gym.modules` set other speeds and directions, e.g.
-    `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move a parcel at rest, so no
-    episode ends as "stalled".
+    `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or
+    one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
+    every kind but "idle" moves, and grips a parcel alike in all directions (mu 0.5). See [the
+    kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; with speed 0 it
+    is a stop. The rows of `env.unwrapped.config.modes` are the choices. Only the last row is not a
+    choice: it describes a module without a command, which conveys towards +x. `orientations` must
+    not be given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
 
