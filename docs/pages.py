@@ -6,7 +6,7 @@ import itertools
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,22 @@ def _features_heading(task: str) -> str:
     return "Features of a row" if task in STREAMS else "Observation"
 
 
+def _feature_rows(features: tuple[Feature, ...], first: int) -> list[tuple[str, ...]]:
+    """Return a table's rows from a feature on; features of the neighbour behind are one row."""
+    rows, behind = [], [each for each in features if each.name.endswith(" behind")]
+    for place, each in enumerate(features[first:], first):
+        like = replace(each, name=each.name.replace(" behind", " ahead"))
+        if each not in behind or like not in features:
+            bounds = f"{each.low:g}", f"{each.high:g}"
+            rows.append((str(place), each.name, each.meaning, each.formula, *bounds))
+        elif each is behind[-1]:
+            names = ", ".join(other.name for other in behind)
+            start, ahead = place - len(behind) + 1, place - 2 * len(behind) + 1
+            text = f"as {ahead} to {start - 1}, of the next parcel behind"
+            rows.append((f"{start} to {place}", names, text, "", "", ""))
+    return rows
+
+
 def _features(task: str) -> str:
     """Tabulate a task's features; the first ones may be on another task's page."""
     features, base = registration.TASKS[task].features, BASES.get(task)
@@ -128,10 +144,7 @@ def _features(task: str) -> str:
         same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
     table = _table(
         ("index", "feature", "value", "shown as", "min", "max"),
-        (
-            (str(place), each.name, each.meaning, each.formula, f"{each.low:g}", f"{each.high:g}")
-            for place, each in enumerate(features[same:], same)
-        ),
+        _feature_rows(features, same),
     )
     if not same:
         return table
