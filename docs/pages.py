@@ -20,6 +20,7 @@ from surface_gym.flow.base import ACTIONS, OF_ONE_PARCEL, StreamTask
 from surface_gym.registration import DEFAULT_STREAM, env_id
 from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Task
+from surface_gym.tasks.features import Feature
 
 # Tasks on streams of parcels, and where each page leads on.
 MATERIAL_FLOW = (
@@ -121,7 +122,8 @@ def _features_heading(task: str) -> str:
 
 def _feature_rows(features: tuple[Feature, ...], first: int) -> list[tuple[str, ...]]:
     """Return a table's rows from a feature on; features of the neighbour behind are one row."""
-    rows, behind = [], [each for each in features if each.name.endswith(" behind")]
+    rows: list[tuple[str, ...]] = []
+    behind = [each for each in features if each.name.endswith(" behind")]
     for place, each in enumerate(features[first:], first):
         like = replace(each, name=each.name.replace(" behind", " ahead"))
         if each not in behind or like not in features:
