@@ -213,7 +213,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
     as many entries as there are modules, and all of them share one reward. "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
-    without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
+    without a rotor are ignored. The places ahead of a parcel, behind it and so on are relative to its sensed pose.
 
     ## Driven modules
 
@@ -221,8 +221,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
     every kind but "idle" moves, and grips a parcel alike in all directions (mu 0.5). See [the
     kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; with speed 0 it
-    is a stop. The rows of `env.unwrapped.config.modes` are the choices. Only the last row is not a
-    choice: it describes a module without a command, which conveys towards +x. `orientations` must
+    is a stop. `env.unwrapped.config.modes` has one row per choice; one more row, the last,
+    describes a module without a command, which conveys towards +x. `orientations` must
     not be given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
@@ -230,7 +230,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle, so that axes that differ by 180 deg are the same. For driven modules the two
+    its axis angle, since a turn by 180 deg changes nothing. For driven modules the two
     features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
     the observation does not show slowly turning axes. `observe` adds groups of features: "parcel"
     (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
@@ -240,15 +240,15 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## Info
 
-    `outcome` is "running" or why the episode ended; `outcomes` of the env lists all. It is a number
-    that prints as its name and equals this text. `info` also has `is_success`, `time` [s], the true
+    `outcome` is "running" or the reason of the end; `env.unwrapped.outcomes` lists all. An outcome
+    is a number that prints as its name, and `info["outcome"] == "success"` works, too. `info` also has `is_success`, `time` [s], the true
     `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length,
     width [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward,
     with the prefix `reward_`, and the task's own metrics. The argument `info=("axes",
     "normal_forces")` adds two arrays (rows, columns): the axis angle [rad] of every element, and
     the normal force [N] on it. `info=("energy",)` adds three sums since the start [J]: `drive_work`
-    is the work of all drives, `drawn_energy` leaves out braking drives, and `friction_heat` is the
-    heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
+    is the work of all drives, `drawn_energy` counts only drives that push, and `friction_heat` is
+    the heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
     a stream, these values cover all parcels.
 
     ## End
@@ -269,8 +269,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation. A preset with parcels of its own replaces the
-    study's boxes, but not other parcels of a task. `render_mode` is None, "rgb_array" (without a
+    "lab", sets sensors, actuators and randomisation. The parcels of a preset replace the S-box and
+    the B-box, but no other parcels of a task. `render_mode` is None, "rgb_array" (without a
     display) or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's

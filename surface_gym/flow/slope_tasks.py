@@ -61,9 +61,9 @@ class Singulate(TakeAwayTask):
 
     `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
     0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
-    any angle. A due parcel and all later ones wait until its base has a clearance of `entry_gap` to
-    all others. It then enters, with its rear at the upper edge. At most one parcel enters per
-    physics step. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
+    any angle. A parcel enters, with its rear at the upper edge, as soon as its base has a clearance of
+    `entry_gap` to all others. Until then, it and all later parcels wait. At most one parcel enters
+    per physics step.
 
     ### The end
 
@@ -104,7 +104,7 @@ class Singulate(TakeAwayTask):
 
     As in `Flow`, but the prefix `episode_` marks the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
-    touches, the largest impulse and squeeze, and times. In PettingZoo, each module can be an agent,
+    touches, the largest impulse and force between parcels, and times. In PettingZoo, each module can be an agent,
     too: `surface_gym.flow.parallel_env.ModuleParallelEnv`.
 
     ### Example

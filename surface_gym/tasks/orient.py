@@ -50,8 +50,8 @@ class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
     A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
-    theta, within 2 deg. The difference between modules left and right of its centre turns the
-    parcel. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
+    theta, within 2 deg. Modules that brake only one side of the parcel turn
+    it. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
     covers other modules.
 
     ### Start
@@ -62,7 +62,7 @@ class Orient(base.Task):
     ### Goal and end
 
     The episode ends when the rearmost point of the base passes the zone's end. "success": theta is
-    then within 2 deg of the goal angle; full turns are not removed. Failures are "stalled", "off the
+    then within 2 deg of the goal angle; a full turn too much is an error of 360 deg. Failures are "stalled", "off the
     line" and "off the surface", as in every task, and "missed": it leaves the zone at another
     angle.
 

@@ -56,8 +56,8 @@ class Slow(base.Task):
     ### Start
 
     The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`, but at most 0.98 of
-    the ratio of a parcel that rolls all the way unbraked, since rolling slows it, too.
+    uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling slows
+    a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
 
     ### Goal and end
 
@@ -69,11 +69,11 @@ class Slow(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 per ratio | decrease of the excess, divided by the entry speed. The excess is the \
-absolute difference from the speed at which a parcel rolls to the goal speed at the zone's end |
+    | `excess` | 1 | decrease of the excess, divided by the entry speed. The excess is the distance \
+of the speed from a goal: the speed from which the parcel would roll, unbraked, to the goal ratio at the zone's end |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |
+    | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |
 
     `info` has `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
 

@@ -109,8 +109,8 @@ class Track(Task):
     The centre starts on the path's first point, at the asked speed along the path, with theta 0.
     Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path: equal odds.
     The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
-    spline: see `surface_gym.tasks.paths.random_path`. The option `path` is a path of that
-    module, or points (n, 2) [m] of a polyline. A path's slope is at most 3.
+    spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path, or points
+    (n, 2) [m] of a polyline. A path's slope is at most 3.
 
     ### Goal and end
 
@@ -122,15 +122,15 @@ class Track(Task):
 
     ### Reward
 
-    All terms except the last two are per metre of x gained, so that time earns nothing.
+    The first four terms are paid per metre of x gained, so a slow parcel does not earn more.
 
     | term | scale | meaning |
     | --- | --- | --- |
     | `distance` | 0.3 per metre | x gained |
-    | `precision` | 1 per metre | times exp(-abs(`cross_error`) / 5 mm) |
-    | `cross_error` | -8 per metre | times abs(`cross_error`) in m |
-    | `speed_error` | -2 per metre | times the absolute difference in m/s between the speed along \
-the path and the asked speed |
+    | `precision` | 1 per metre | x gained, times exp(-abs(`cross_error`) / 5 mm) |
+    | `cross_error` | -8 per metre | x gained, times abs(`cross_error`) in m |
+    | `speed_error` | -2 per metre | x gained, times the absolute difference in m/s between the speed \
+along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
@@ -139,7 +139,7 @@ the path and the asked speed |
     - `rms_error` [m]: root mean square of the error across the path, over the time so far.
     - `speed_error` [m/s]: root mean square of the difference between the speed along the path and
       the asked speed, over the time so far.
-    - `cross_error` [m]: current error across the path, positive to its left.
+    - `cross_error` [m]: current error across the path, positive to the left of the path.
 
     ### Example
 
