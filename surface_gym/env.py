@@ -254,8 +254,7 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     ## End
 
     Success and failure terminate an episode; the time limit truncates it, which is no failure. A
-    task's page names its failures. Three have one meaning in all tasks, unless the page says
-    otherwise:
+    task's page names its failures. Three failures occur in many tasks:
 
     - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the line": no rotor is under the base any more;

@@ -52,18 +52,14 @@ class Singulate(TakeAwayTask):
     hold it, turn it or move it aside. Only the slope restores speed lost by braking. Touching
     parcels push each other, and may block each other permanently.
 
-    ### The surface
+    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
+    `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
 
-    The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. `tilt` and `line`
-    change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
-
-    ### Bulk
-
-    `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
-    0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
-    any angle. A parcel enters, with its rear at the upper edge, as soon as its base has a clearance of
-    `entry_gap` to all others. Until then, it and all later parcels wait. At most one parcel enters
-    per physics step.
+    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes
+    of 0.2 to 0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the
+    surface and at any angle. A parcel enters, with its rear at the upper edge, as soon as its base
+    has a clearance of `entry_gap` to all others. Until then, it and all later parcels wait. At most
+    one parcel enters per physics step.
 
     ### The end
 
@@ -77,11 +73,9 @@ class Singulate(TakeAwayTask):
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait on the surface until it runs again.
 
-    ### Actions
-
-    Modules obey parcels as in `Flow`. At 0 deg they brake a parcel, at 90 deg it rolls, at -45 deg
-    they move it to y > 0, and at 45 deg to y < 0. 45 deg ahead and -45 deg behind turn it
-    clockwise. The observation is a table as in `Flow`, but no row is mirrored.
+    **Actions.** Modules obey parcels as in `Flow`. At 0 deg they brake a parcel, at 90 deg it
+    rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. 45 deg ahead and -45 deg behind
+    turn it clockwise. The observation is a table as in `Flow`, but no row is mirrored.
 
     ### Reward
 
@@ -95,17 +89,13 @@ class Singulate(TakeAwayTask):
     | `waiting` | 0 | per waiting parcel |
     | `jam` | -10 | once |
 
-    ### End
+    **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there
+    are parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
 
-    An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there are
-    parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
-
-    ### Info
-
-    As in `Flow`, but the prefix `episode_` marks the fields of
+    **Info.** As in `Flow`, but the prefix `episode_` marks the fields of
     `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
-    touches, the largest impulse and force between parcels, and times. In PettingZoo, each module can be an agent,
-    too: `surface_gym.flow.parallel_env.ModuleParallelEnv`.
+    touches, the largest impulse and force between parcels, and times. In PettingZoo, each module
+    can be an agent, too: `surface_gym.flow.parallel_env.ModuleParallelEnv`.
 
     ### Example
 
@@ -142,22 +132,17 @@ class Merge(TakeAwayTask):
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
     must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
-    one. No motor drives them: the slope pulls, and the modules brake, hold, turn and move them
-    aside. A parcel without room waits on its line and blocks it, while the other lines continue.
+    one. A parcel without room waits on its line and blocks it, while the other lines continue.
 
     Surface, end, actions, reward, episode and infos are as in `Singulate`.
 
-    ### Lines
-
-    `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets at the
-    upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets the
-    arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
+    **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
+    at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
+    the arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
     equal odds.
 
-    ### Info
-
-    In addition to Singulate, at the end of an episode: `episode_unfairness`, the difference between
-    the largest and the smallest mean wait at the lines' entries [s].
+    **Info.** In addition to Singulate, at the end of an episode: `episode_unfairness`, the
+    difference between the largest and the smallest mean wait at the lines' entries [s].
 
     ### Example
 
@@ -212,17 +197,15 @@ class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
     Each parcel has a place in an order, but arrives out of order within a window of parcels.
-    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. No
-    motor drives them: the slope pulls, and the modules brake, hold, turn and move them aside.
+    Parcels must depart by the lower end in order, each at least `gap` behind the previous one.
     Parcels must wait for their turn where others can pass them.
 
     All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m.
 
-    ### Order
-
-    `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
-    random. A departure is correct only if all parcels with lower numbers have departed. The default
-    stream has 2000 parcels per hour, which arrive one by one in the middle, and a window of 4.
+    **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
+    parcels at random. A departure is correct only if all parcels with lower numbers have departed.
+    The default stream has 2000 parcels per hour, which arrive one by one in the middle, and a
+    window of 4.
 
     ### Example
 

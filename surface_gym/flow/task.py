@@ -136,12 +136,11 @@ class Flow(StreamTask):
     entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel from
     the k-th physics step.
 
-    ### Observation
-
-    A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
-    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y.
-    Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, `queue` more rows (one by
-    default) show waiting parcels at their entry poses, in order of entry. Unused rows are 0.
+    **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel
+    keeps its row while it is on the line; free rows are 0. The row of a parcel with an exit at y <
+    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, `queue`
+    more rows (one by default) show waiting parcels at their entry poses, in order of entry. Unused
+    rows are 0.
 
     ### Reward
 
@@ -155,19 +154,16 @@ class Flow(StreamTask):
     | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |
 
-    ### End
+    **End.** An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it
+    as `terminated`: parcels are on the line, and none has moved for `patience` seconds.
 
-    An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it as
-    `terminated`: parcels are on the line, and none has moved for `patience` seconds.
-
-    ### Info
-
-    `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each row's parcel,
-    -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
-    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward.
-    The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0
-    until the episode ends. They have parcels per hour, share of missorted parcels, touches and jams
-    per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and hour.
+    **Info.** `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each
+    row's parcel, -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
+    so far; `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the
+    reward. The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They
+    are 0 until the episode ends. They have parcels per hour, share of missorted parcels, touches
+    and jams per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and
+    hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and

@@ -54,17 +54,13 @@ class Orient(base.Task):
     it. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
     covers other modules.
 
-    ### Start
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
 
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
-
-    ### Goal and end
-
-    The episode ends when the rearmost point of the base passes the zone's end. "success": theta is
-    then within 2 deg of the goal angle; a full turn too much is an error of 360 deg. Failures are "stalled", "off the
-    line" and "off the surface", as in every task, and "missed": it leaves the zone at another
-    angle.
+    **Goal and end.** The episode ends when the rearmost point of the base passes the zone's end.
+    "success": theta is then within 2 deg of the goal angle; a full turn too much is an error of 360
+    deg. Failures are "stalled", "off the line" and "off the surface", as in every task, and
+    "missed": it leaves the zone at another angle.
 
     ### Reward
 

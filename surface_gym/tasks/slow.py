@@ -53,17 +53,13 @@ class Slow(base.Task):
     cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
     jumps when the parcel's edges cross modules' centres.
 
-    ### Start
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling
+    slows a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
 
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling slows
-    a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
-
-    ### Goal and end
-
-    The episode ends when the rear passes the zone's end. "success": speed / entry speed is then
-    within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the surface", as
-    in every task, and "missed": it leaves the zone at another ratio.
+    **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
+    speed is then within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the
+    surface", as in every task, and "missed": it leaves the zone at another ratio.
 
     ### Reward
 

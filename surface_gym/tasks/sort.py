@@ -69,18 +69,14 @@ class Sort(Task):
     the speed towards y > 0, and at +45 deg towards y < 0. Friction reduces the speed meanwhile, so
     a slow parcel stalls before it has left the line.
 
-    ### Start
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in
+    `speeds`. The parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0,
+    straight ahead, is available as an option only.
 
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. The
-    parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0, straight
-    ahead, is available as an option only.
-
-    ### Goal and end
-
-    "success": no rotor is under the base, and its centre is on the goal side of the line's middle.
-    For side 0: the rear is past the zone's end, with a rotor still under the base. Failures are
-    "stalled" and "off the surface", as in every task, and:
+    **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
+    the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
+    base. Failures are "stalled" and "off the surface", as in every task, and:
 
     - "wrong side": off the rotors, but not on the goal side (for side 0: off the rotors);
     - "passed the zone": the rear is past the zone's end (sides +1 and -1).

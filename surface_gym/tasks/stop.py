@@ -60,19 +60,16 @@ class Stop(base.Task):
     parcel that stops short stays there, and a parcel past the goal cannot return. The last
     millimetres depend on the modules under the base.
 
-    ### Start
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
+    farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
+    the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
+    that is less. In a short zone the farthest may be before the nearest; then the goal is the
+    farthest.
 
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the farthest stop.
-    The nearest results from full braking (0.5 g) as soon as the parcel is wholly in the zone. The
-    farthest is the last point wholly in the zone, or 0.8 of the rolling distance if that is less.
-    In a short zone the farthest may be before the nearest; then the goal is the farthest.
-
-    ### Goal and end
-
-    The parcel is at rest when no point of the base moves faster than 1 mm/s. "success": it rests
-    with its centre within 5 mm of the goal x. Failures are "off the line" and "off the surface", as
-    in every task, and:
+    **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
+    "success": it rests with its centre within 5 mm of the goal x. Failures are "off the line" and
+    "off the surface", as in every task, and:
 
     - "missed": it rests elsewhere;
     - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.

@@ -104,17 +104,13 @@ class Track(Task):
     across it. Gravity alone drives the parcel, and only downhill. Motion across the field requires
     turning the velocity, which costs speed.
 
-    ### Start
+    **Start.** The centre starts on the path's first point, at the asked speed along the path, with
+    theta 0. Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path:
+    equal odds. The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline
+    or a cubic spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path,
+    or points (n, 2) [m] of a polyline. A path's slope is at most 3.
 
-    The centre starts on the path's first point, at the asked speed along the path, with theta 0.
-    Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path: equal odds.
-    The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
-    spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path, or points
-    (n, 2) [m] of a polyline. A path's slope is at most 3.
-
-    ### Goal and end
-
-    "success": the centre is past the path's last x. Failures:
+    **Goal and end.** "success": the centre is past the path's last x. Failures:
 
     - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
     - "stalled": slower than 0.05 m/s;
