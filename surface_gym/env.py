@@ -260,9 +260,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     - "off the line": no rotor is under the base any more;
     - "off the surface": the centre of mass passes the edge of the surface.
 
-    `gym.make` adds Gymnasium's `TimeLimit`. If an episode terminates in its last control period,
-    `TimeLimit` also sets `truncated`; `outcome` still says why it terminated. The native vector env
-    sets one flag only.
+    If an episode terminates in its last control period, the `TimeLimit` of `gym.make` also sets
+    `truncated`; the native vector env sets one flag only.
 
     ## Arguments
 
