@@ -212,16 +212,17 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
-    as many entries as there are modules, and all of them share one reward. "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
-    without a rotor are ignored. The places ahead of a parcel, behind it and so on are relative to its sensed pose.
+    as many entries as there are modules, and all entries share one reward. "modules" has one entry
+    per module of the widest line (4 rows). On a narrower line, entries without a rotor are ignored.
+    Places ahead of the parcel or behind it refer to its sensed pose.
 
     ## Driven modules
 
     `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or
     one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
     every kind but "idle" moves, and grips a parcel alike in all directions (mu 0.5). See [the
-    kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; with speed 0 it
-    is a stop. `env.unwrapped.config.modes` has one row per choice; one more row, the last,
+    kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; speed
+    0 stops the surface. `env.unwrapped.config.modes` has one row per choice; one more row, the last,
     describes a module without a command, which conveys towards +x. `orientations` must
     not be given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
 

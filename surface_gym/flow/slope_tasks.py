@@ -198,7 +198,7 @@ class Sequence(TakeAwayTask):
 
     Each parcel has a place in an order, but arrives out of order within a window of parcels.
     Parcels must depart by the lower end in order, each at least `gap` behind the previous one.
-    Parcels must wait for their turn where others can pass them.
+    They must wait where others can pass them.
 
     All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m.
 

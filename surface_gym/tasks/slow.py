@@ -51,7 +51,7 @@ class Slow(base.Task):
 
     A parcel enters a line of rotors among supports, and the zone's modules brake it. Lost speed
     cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
-    jumps when the parcel's edges cross modules' centres.
+    jumps when an edge of the parcel crosses a module.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
     Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling
@@ -65,8 +65,8 @@ class Slow(base.Task):
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 | decrease of the excess, divided by the entry speed. The excess is the distance \
-of the speed from a goal: the speed from which the parcel would roll, unbraked, to the goal ratio at the zone's end |
+    | `excess` | 1 | decrease of the speed error, divided by the entry speed. The error is the absolute \
+difference from the right speed. A parcel with the right speed reaches the goal ratio if it rolls on unbraked |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |
