@@ -49,7 +49,7 @@ def test_success_of_agents_is_that_of_their_cards(task):
     "agent", ["sort-ppo", "sort-dqn", *(f"{task}-ppo" for task in [*EXACT][1:])]
 )
 def test_agents_for_the_lab_also_succeed_with_exact_sensors(agent):
-    """docs/robustness.md states the bound; agents without the lab have exact sensors on their cards."""
+    """docs/robustness.md states the bound of 0.02."""
     plain = float(read_success(agent, "exact"))
     for preset in ("exact", "camera"):
         assert float(read_success(f"{agent}-lab", preset)) >= plain - 0.021
