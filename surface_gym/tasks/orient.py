@@ -59,7 +59,7 @@ class Orient(base.Task):
 
     **Goal and end.** The episode ends when the rearmost point of the base passes the zone's end.
     "success": theta is then within 2 deg of the goal angle; a full turn too much is an error of 360
-    deg. Failures are "stalled", "off the line" and "off the surface", as in every task, and
+    deg. Failures are "stalled", "off the line" and "off the surface", as in other tasks, and
     "missed": it leaves the zone at another angle.
 
     ### Reward

@@ -59,7 +59,7 @@ class Slow(base.Task):
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
     speed is then within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the
-    surface", as in every task, and "missed": it leaves the zone at another ratio.
+    surface", as in other tasks, and "missed": it leaves the zone at another ratio.
 
     ### Reward
 

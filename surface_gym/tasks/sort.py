@@ -76,7 +76,7 @@ class Sort(Task):
 
     **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
     the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
-    base. Failures are "stalled" and "off the surface", as in every task, and:
+    base. Failures are "stalled" and "off the surface", as in other tasks, and:
 
     - "wrong side": off the rotors, but not on the goal side (for side 0: off the rotors);
     - "passed the zone": the rear is past the zone's end (sides +1 and -1).

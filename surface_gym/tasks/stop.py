@@ -69,7 +69,7 @@ class Stop(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm of the goal x. Failures are "off the line" and
-    "off the surface", as in every task, and:
+    "off the surface", as in other tasks, and:
 
     - "missed": it rests elsewhere;
     - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
