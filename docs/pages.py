@@ -2,10 +2,11 @@
 
 import argparse
 import inspect
+import itertools
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from surface_gym.env import SmartSurfaceEnv
 from surface_gym.flow.base import ACTIONS, OF_ONE_PARCEL, StreamTask
 from surface_gym.registration import DEFAULT_STREAM, env_id
 from surface_gym.tasks import TASKS
+from surface_gym.tasks.base import Task
 from surface_gym.tasks.features import Feature
 
 # Tasks on streams of parcels, and where each page leads on.
@@ -25,13 +27,17 @@ MATERIAL_FLOW = (
     "Inlets, exits, the take-away, streams and rules: [material flow on a slope]"
     "(../material-flow.md)."
 )
-SINGULATE = "Surface, end, actions, reward and infos: [Singulate](singulate.md)."
 STREAMS = {
     DEFAULT_STREAM: "Streams, exits, the physics of parcels that touch, and controllers: "
     "[a flow of parcels](../flow.md).",
-    "singulate": MATERIAL_FLOW,
-    "merge": f"{SINGULATE} {MATERIAL_FLOW}",
-    "sequence": f"{SINGULATE} {MATERIAL_FLOW}",
+    **dict.fromkeys(("singulate", "merge", "sequence"), MATERIAL_FLOW),
+}
+# The task whose page has a task's first features, and a stream's other arguments.
+BASES = {
+    **dict.fromkeys(("stop", "orient", "park"), "slow"),
+    DEFAULT_STREAM: "sort",
+    "singulate": DEFAULT_STREAM,
+    **dict.fromkeys(("merge", "sequence"), "singulate"),
 }
 WIDTH = 120  # characters of a line
 LONGEST_DEFAULT = 60  # characters of a default in a table
@@ -88,11 +94,11 @@ def _space(config: EnvConfig) -> str:
 
 
 def _overview(task: str) -> str:
-    """Tabulate an environment's spaces and how it is made, as Gymnasium's pages do."""
+    """Tabulate an environment's spaces, as Gymnasium's pages do."""
     kinds = ACTIONS if task in STREAMS else KINDS
     acting = [f'{_space(EnvConfig(task, actions=kind))} with `actions="{kind}"`' for kind in kinds]
     space: Any = EnvConfig(task).observation_space()
-    features = "#features-of-a-row" if task in STREAMS else "#observation"
+    features = f"#{_features_heading(task)}".replace(" ", "-").lower()
     return _table(
         ("", ""),
         (
@@ -101,7 +107,6 @@ def _overview(task: str) -> str:
                 "Observation space",
                 f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})",
             ),
-            ("Make", f'`import gymnasium, surface_gym`; `gymnasium.make("{env_id(task)}")`'),
         ),
     )
 
@@ -111,13 +116,42 @@ def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _feature_table(features: Iterable[Feature], without: tuple[Feature, ...] = ()) -> str:
-    rows = (
-        (str(place), each.name, each.meaning, each.formula, f"{each.low:g}", f"{each.high:g}")
-        for place, each in enumerate(features)
-        if each not in without
+def _features_heading(task: str) -> str:
+    return "Features of a row" if task in STREAMS else "Observation"
+
+
+def _feature_rows(features: tuple[Feature, ...], first: int) -> list[tuple[str, ...]]:
+    """Return a table's rows from a feature on; features of the neighbour behind are one row."""
+    rows: list[tuple[str, ...]] = []
+    behind = [each for each in features if each.name.endswith(" behind")]
+    for place, each in enumerate(features[first:], first):
+        like = replace(each, name=each.name.replace(" behind", " ahead"))
+        if each not in behind or like not in features:
+            bounds = f"{each.low:g}", f"{each.high:g}"
+            rows.append((str(place), each.name, each.meaning, each.formula, *bounds))
+        elif each is behind[-1]:
+            names = ", ".join(other.name for other in behind)
+            start, ahead = place - len(behind) + 1, place - 2 * len(behind) + 1
+            text = f"as {ahead} to {start - 1}, of the next parcel behind"
+            rows.append((f"{start} to {place}", names, text, "", "", ""))
+    return rows
+
+
+def _features(task: str) -> str:
+    """Tabulate a task's features; the first ones may be on another task's page."""
+    features, base = registration.TASKS[task].features, BASES.get(task)
+    same = 0
+    if base is not None:
+        pairs = zip(features, registration.TASKS[base].features, strict=False)
+        same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+    table = _table(
+        ("index", "feature", "value", "shown as", "min", "max"),
+        _feature_rows(features, same),
     )
-    return _table(("index", "feature", "value", "shown as", "min", "max"), rows)
+    if not same:
+        return table
+    page = f"{base}.md#{_features_heading(str(base))}".replace(" ", "-").lower()
+    return f"Features 0 to {same - 1} are as in [{str(base).capitalize()}]({page}).\n\n{table}"
 
 
 def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:
@@ -125,20 +159,21 @@ def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:
 
     Fields that another class has with the same default are left out.
     """
-    same = {} if without is None else vars(without())
+    same, usual = {} if without is None else _defaults(without), _defaults(kind)
     source = [
         line.strip()
         for each in kind.__mro__
         if each is not object
         for line in inspect.getsource(each).splitlines()
     ]
-    rows, usual = [], kind()
+    rows = []
     for field in fields(kind):
         if not field.init and kind is not EnvConfig:
             continue
         if issubclass(kind, StreamTask) and field.name in OF_ONE_PARCEL:
             continue
-        if field.name in same and same[field.name] == getattr(usual, field.name):
+        value = usual[field.name]
+        if field.name in same and same[field.name] == value:
             continue
         places = [
             at
@@ -146,10 +181,15 @@ def _argument_table(kind: type[Any], without: type[Any] | None = None) -> str:
             if line.startswith(f"{field.name}: ") and (" = " in line or "  # " in line)
         ]
         comment = next(filter(None, (_comment(source, at) for at in places)), "")
-        value = getattr(usual, field.name) if field.default is MISSING else field.default
         default = _default(value, source[places[0]])
         rows.append((f"`{field.name}`", f"`{default}`", comment))
     return _table(("argument", "default", "meaning"), rows)
+
+
+def _defaults(kind: type[Any]) -> dict[str, Any]:
+    """Return the defaults of a dataclass's fields; `Task` itself has no instance."""
+    declared = {field.name: field.default for field in fields(kind) if field.default is not MISSING}
+    return declared if kind is Task else {**vars(kind()), **declared}
 
 
 def _default(value: Any, line: str) -> str:
@@ -189,15 +229,15 @@ def page(name: str) -> str:
         _opening(
             task_class, env_id(name), _film(name, f"Episodes of {env_id(name)}"), _overview(name)
         ),
-        "## Observation",
-        _feature_table(task.features),
-        'With `actions="window"` 25 more follow, one per module around the parcel\'s centre: 1 if '
-        "the module obeys and is under the parcel, else 0.",
+        f"## {_features_heading(name)}",
+        _features(name),
         "## Arguments of the task",
-        _argument_table(task_class),
-        "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
-        f"Episodes are truncated after {limit} control periods, {limit * period:g} s.\n"
-        f"Actions, sensors and the environment's own arguments: {ENVIRONMENT}",
+        _argument_table(task_class, Task),
+        _wrap(
+            "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
+            f"Episodes are truncated after {limit} control periods, {limit * period:g} s. Actions, "
+            f"sensors, ends and the other arguments: {ENVIRONMENT}"
+        ),
     )
 
 
@@ -207,42 +247,32 @@ def environment_page() -> str:
         _opening(SmartSurfaceEnv, "SmartSurfaceEnv"),
         "## Arguments of every environment",
         _argument_table(EnvConfig),
-        "## Tasks",
-        "\n".join(f"- [{env_id(name)}]({name}.md)" for name in TASKS),
-        "Many parcels at once:",
-        "\n".join(f"- [{env_id(name)}]({name}.md)" for name in STREAMS),
+        "All tasks of one parcel also have:",
+        _argument_table(Task),
     )
-
-
-def base_of(name: str) -> str | None:
-    """Return the task to whose page a page leads for most features and arguments, if any."""
-    return "singulate" if STREAMS[name].startswith(SINGULATE) else None
 
 
 def stream_page(name: str) -> str:
     """Write the Markdown page of a task's environment of many parcels."""
     kind, title = registration.TASKS[name], env_id(name)
     assert issubclass(kind, StreamTask)
-    base = base_of(name)
-    features, arguments = [_feature_table(kind.features)], [_argument_table(kind)]
-    if base is not None:
-        other = registration.TASKS[base]
-        features = [
-            f"All [features of {base.capitalize()}]({base}.md#features-of-a-row), and:",
-            _feature_table(kind.features, other.features),
-        ]
+    base = BASES[name]
+    arguments = [_argument_table(kind)]
+    if base in STREAMS:
         arguments = [
-            f"All [arguments of {base.capitalize()}]({base}.md#arguments-of-the-task); these have "
-            "other defaults:",
-            _argument_table(kind, other),
+            f"All [arguments of {base.capitalize()}]({base}.md#arguments-of-the-task); these are "
+            "new or have other defaults:",
+            _argument_table(kind, registration.TASKS[base]),
         ]
     return _join(
         _opening(kind, title, _film(name, f"A stream of {title}"), _overview(name)),
-        "## Features of a row",
-        *features,
+        f"## {_features_heading(name)}",
+        _features(name),
         "## Arguments of the task",
         *arguments,
-        f"Actions, sensors and the environment's other arguments: {ENVIRONMENT}\n{STREAMS[name]}",
+        _wrap(
+            f"Actions, sensors and the environment's other arguments: {ENVIRONMENT} {STREAMS[name]}"
+        ),
     )
 
 

@@ -189,9 +189,9 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     A surface is a grid of modules, by default with idle rotors. A rotor drags along its axis (mu
     0.5), and rolls almost freely across it (mu 0.01). A parcel moves only by its own speed, or by
-    gravity on a tilted surface, and can be steered only while it moves. Units are SI and radians; x
-    runs along the line, y across it, theta anti-clockwise. One class serves every task; Flow's page
-    says how streams differ.
+    gravity on a tilted surface, and can be steered only while it moves: a module brakes, but never
+    pushes. Units are SI and radians; x runs along the line, y across it, theta anti-clockwise. One
+    class serves every task; Flow's page says how streams differ.
 
     ## Actions
 
@@ -206,83 +206,75 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "halves" | Discrete, n * n for n choices | modules ahead of the parcel's centre (a // n) and behind it (a % n) |
     | "quadrants" | MultiDiscrete, 4 | ahead left, ahead right, behind left, behind right; left is y > 0 |
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
+    | "parcels" | MultiDiscrete, 2 per row of the observation | in streams: modules ahead of each parcel's centre, then behind it |
+
+    Streams have "modules" and "parcels", all other tasks the first four. With
+    `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
-    as many entries as there are modules, and all of them share one reward. PPO of
-    Stable-Baselines3 with its default settings sorts 0 of 200 parcels after 20 000 steps by
-    "modules", and 32 by "halves" (`python examples/first_agent.py`).
-
-    "modules" has one entry per module of the widest line (4 rows). On a narrower line, entries
-    without a rotor are ignored. Ahead, behind, left, right and around refer to the sensed pose.
-
-    With `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
+    as many entries as there are modules, and all entries share one reward. "modules" has one entry
+    per module of the widest line (4 rows). On a narrower line, entries without a rotor are ignored.
+    Places ahead of the parcel or behind it refer to its sensed pose.
 
     ## Driven modules
 
-    `modules` is the kind of all modules. "idle" (default) are the rotors described above. All other
-    kinds have a surface that moves, and that grips a parcel alike in all directions (mu 0.5):
-
-    | `modules` | its surface moves |
-    | --- | --- |
-    | "belt" | ahead or back |
-    | "popup" | ahead, or to one side |
-    | "steered" | ahead, or 45 or 90 deg aside: a driven roller whose axis turns |
-    | "omni" | in eight directions: three omni-wheels |
-
-    A choice is then a direction and a speed; with speed 0 it is a stop. The rows of
-    `env.unwrapped.config.modes` are the choices. Only the last row is not a choice: it describes a
-    module without a command, which conveys towards +x. Directions take the place of `orientations`,
-    which must not be given. Kinds with other speeds and directions are made with the classes of
-    `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. Driven modules can move
-    a parcel at rest, so no episode ends as "stalled".
+    `modules` is the kind of all modules: "idle" (default), "belt", "popup", "steered", "omni", or
+    one of `surface_gym.modules`, e.g. `modules=SteeredRoller(speeds=(0.0, 1.0))`. The surface of
+    every kind but "idle" moves, and grips a parcel alike in all directions (mu 0.5). See [the
+    kinds](../driven.md#kinds-of-modules). A choice is then a direction and a speed; speed
+    0 stops the surface. `env.unwrapped.config.modes` has one row per choice; one more row, the last,
+    describes a module without a command, which conveys towards +x. `orientations` must
+    not be given. Driven modules can move a parcel at rest, so no episode ends as "stalled".
 
     ## Observation
 
     The task's features (float32) are computed from the sensors' reports; see the task's page. With
     "window", 25 features follow: 1 for an obeying module under the sensed parcel, else 0.
     `observe_axes` adds two features per module of the zone or the window: cosine and sine of twice
-    its axis angle, so that axes that differ by 180 deg are the same. For driven modules the two
+    its axis angle, since a turn by 180 deg changes nothing. For driven modules the two
     features are the velocity of the surface in x and y, divided by 2 m/s. Without `observe_axes`,
     the observation does not show slowly turning axes. `observe` adds groups of features: "parcel"
     (length, width and shape), "rotors" (number and axes of the rotors under each quadrant of the
-    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`).
-
-    `observe="image"`, or a `surface_gym.Image` of another size and in colours, replaces all
-    features by a picture of the true state from above (uint8).
+    parcel), and "load" (friction and load estimated by an `AdaptiveCamera`). `observe="image"`, or
+    a `surface_gym.Image` of another size and in colours, replaces all features by a picture of the
+    true state from above (uint8).
 
     ## Info
 
-    `outcome` is "running" or why the episode ended; `outcomes` of the env lists all. It is a number
-    that prints as its name and equals this text. `info` also has `is_success`, `time` [s], the true
+    `outcome` is "running" or the reason of the end; `env.unwrapped.outcomes` lists all. An outcome
+    is a number that prints as its name, and `info["outcome"] == "success"` works, too. `info` also has `is_success`, `time` [s], the true
     `pose` (x, y, theta) and `velocity` (vx, vy, omega) of the base's centroid, `parcel` (length,
     width [m], mass [kg] and height of the centre of mass [m]), the terms whose sum is the reward,
     with the prefix `reward_`, and the task's own metrics. The argument `info=("axes",
     "normal_forces")` adds two arrays (rows, columns): the axis angle [rad] of every element, and
     the normal force [N] on it. `info=("energy",)` adds three sums since the start [J]: `drive_work`
-    is the work of all drives, `drawn_energy` leaves out braking drives, and `friction_heat` is the
-    heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
+    is the work of all drives, `drawn_energy` counts only drives that push, and `friction_heat` is
+    the heat of friction. It also adds the largest acceleration so far, `peak_acceleration` [m/s^2]. In
     a stream, these values cover all parcels.
 
     ## End
 
-    Success and failure terminate an episode; the time limit truncates it. `gym.make` adds
-    Gymnasium's `TimeLimit`. If an episode terminates in its last control period, `TimeLimit` also
-    sets `truncated`; `outcome` still says why it terminated. The native vector env sets one flag
-    only.
+    Success and failure terminate an episode; the time limit truncates it, which is no failure. A
+    task's page names its failures. Three failures occur in many tasks:
+
+    - "stalled": no point of the base moves faster than 1 mm/s;
+    - "off the line": no rotor is under the base any more;
+    - "off the surface": the centre of mass passes the edge of the surface.
+
+    If an episode terminates in its last control period, the `TimeLimit` of `gym.make` also sets
+    `truncated`; the native vector env sets one flag only.
 
     ## Arguments
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation. A preset with parcels of its own replaces the
-    study's boxes, but not other parcels of a task. `render_mode` is None, "rgb_array" (without a
+    "lab", sets sensors, actuators and randomisation. The parcels of a preset replace the S-box and
+    the B-box, but no other parcels of a task. `render_mode` is None, "rgb_array" (without a
     display) or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running
-    episode is not changed.
-
-    `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
+    episode is not changed. `gym.make_vec` returns the native vector env. With seed s, its environment i equals this
     environment with seed s + i to the bit.
 
     >>> import gymnasium as gym, surface_gym

@@ -1,5 +1,6 @@
 """The pages in docs/ are those the docstrings give."""
 
+import re
 import runpy
 from dataclasses import fields
 from pathlib import Path
@@ -29,20 +30,18 @@ def _arguments(task):
 
 
 def test_a_page_lists_every_feature_term_option_and_argument():
-    tasks = [(pages.page(name), task()) for name, task in pages.TASKS.items()]
-    streams = []
-    for name in pages.STREAMS:  # a page leads to the page of the task that it extends
-        base = pages.base_of(name)
-        page = pages.stream_page(name) + (pages.stream_page(base) if base else "")
-        streams.append((page, registration.TASKS[name]))
-        for name in OF_ONE_PARCEL:
-            assert f"| `{name}` |" not in page
-    for page, features, words in (
-        *((page, task.features, (*task.terms, *task.options)) for page, task in tasks),
-        *((page, task.features, [*task.terms, *_arguments(task)]) for page, task in streams),
-    ):
-        assert all(f"| {feature.name} |" in page for feature in features)
+    for name in (*pages.TASKS, *pages.STREAMS):
+        task, page, base = registration.TASKS[name], WRITTEN[f"{name}.md"], pages.BASES.get(name)
+        assert all(f"`{word}`" in page for word in task().options)
+        while base:  # a page leads to the page of the task that it extends
+            assert f"{base}.md#" in page
+            page += WRITTEN[f"{base}.md"]
+            base = pages.BASES.get(base)
+        words = [*task.terms, *_arguments(task)] if name in pages.STREAMS else task.terms
         assert all(f"`{word}`" in page for word in words)
+        assert all(re.search(rf"[|,] {feature.name}[ ,]", page) for feature in task.features)
+        for each in OF_ONE_PARCEL:
+            assert f"| `{each}` |" not in page
 
 
 def test_every_environment_has_a_page():
@@ -54,8 +53,8 @@ def test_a_page_opens_with_its_film_its_spaces_the_import_and_an_example(task):
     top, _, rest = WRITTEN[f"{task}.md"].partition("\n### ")
     env = gym.make(pages.env_id(task))
     shown = ["webp", "| Action space |", f"{env.action_space.nvec.size} numbers of 0 to 3"]
-    shown += ["| Observation space |", str(env.observation_space.shape), "import gymnasium"]
-    shown += [f'gymnasium.make("{env.spec.id}")', "```pycon\n>>> import gymnasium as gym"]
+    shown += ["| Observation space |", str(env.observation_space.shape)]
+    shown += ["```pycon\n>>> import gymnasium as gym", f'gym.make("{env.spec.id}"']
     places = [top.index(text) for text in shown]
     assert places == sorted(places)
     assert ">>>" not in rest

@@ -52,26 +52,19 @@ class Singulate(TakeAwayTask):
     hold it, turn it or move it aside. Only the slope restores speed lost by braking. Touching
     parcels push each other, and may block each other permanently.
 
-    ### The surface
+    **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
+    `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
 
-    The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x. A rolling parcel
-    accelerates by 1.27 m/s^2, and a braked one decelerates by 3.5 m/s^2; full braking holds up to
-    26 deg. `tilt` and `line` change the surface, e.g. `line=slope_line(4.0, 1.0)` of
-    `surface_gym.flow.take_away`.
-
-    ### Bulk
-
-    `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes of 0.2 to
-    0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the surface and at
-    any angle. A due parcel and all later ones wait until its base has a clearance of `entry_gap` to
-    all others. It then enters, with its rear at the upper edge. At most one parcel enters per
-    physics step. `Schedule` makes clumps with pauses; a `Trace` is a recorded stream.
+    **Bulk.** `stream` sets the arrivals: see `surface_gym.flow.stream`. The default is random boxes
+    of 0.2 to 0.45 m x 0.2 to 0.4 m at 9000 parcels per hour and 0.8 m/s, anywhere across the
+    surface and at any angle. A parcel enters, with its rear at the upper edge, as soon as its base
+    has a clearance of `entry_gap` to all others. Until then, it and all later parcels wait. At most
+    one parcel enters per physics step.
 
     ### The end
 
     A parcel departs when its centre passes the last rotors. The take-away conveyor carries it on at
-    the speed `take_away`. Until it has this speed, it slides on the belt with a friction
-    coefficient of 0.5. A departure is correct if all of these conditions hold:
+    the speed `take_away`. A departure is correct if all of these conditions hold:
 
     - its whole base departed by a mouth: `exits="end"` (default) is a mouth as wide as the surface,
       "mouth" is 0.6 m wide in the middle, and "mouths" are two side by side;
@@ -80,38 +73,9 @@ class Singulate(TakeAwayTask):
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait on the surface until it runs again.
 
-    ### Actions
-
-    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with
-    `orientations="any"` they are angles.
-
-    | `actions` | space | sets |
-    | --- | --- | --- |
-    | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 per row of the table | two choices per parcel: the modules ahead of its centre and behind it |
-
-    Modules at 0 deg brake a parcel, at 90 deg it rolls, at -45 deg they move it to y > 0, and at 45
-    deg to y < 0. 45 deg ahead and -45 deg behind turn it clockwise. With "parcels", a module obeys
-    the parcel on it, or else the first parcel that reaches it within `ahead` seconds. Sensed
-    boxes and velocities decide this. If two parcels are on a module, it obeys the parcel with the
-    nearer centre. A module without a parcel keeps its axis.
-
-    ### Observation
-
-    A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
-    it is on the surface; free rows are 0.
-
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 6 | position, angle and velocity |
-    | 7 to 12 | half length and half width, and extents ahead, back, left and right at its angle |
-    | 13, 14 | required motion in y to the nearest mouth, and required turn to be aligned |
-    | 15 | time until departure if it rolls |
-    | 16 | distance from the nearest mouth to the rear of its last departed parcel, minus `gap` |
-    | 17 | 1 if the take-away runs and is not about to stop |
-    | 18 to 20 | time since its entry; 1 for a parcel, 0 for a free row; 1 for a parcel at the gate |
-    | 21 to 24 | the next parcel ahead along x: gap, speed, lateral offset, extent |
-    | 25 to 28 | the next parcel behind |
+    **Actions.** Modules obey parcels as in `Flow`. At 0 deg they brake a parcel, at 90 deg it
+    rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. 45 deg ahead and -45 deg behind
+    turn it clockwise. The observation is a table as in `Flow`, but no row is mirrored.
 
     ### Reward
 
@@ -125,25 +89,13 @@ class Singulate(TakeAwayTask):
     | `waiting` | 0 | per waiting parcel |
     | `jam` | -10 | once |
 
-    ### End
+    **End.** An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there
+    are parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
 
-    An episode is truncated after `duration` seconds. A jam ends it as `terminated`: there are
-    parcels on the surface, the take-away runs, and no parcel has moved for `patience`.
-
-    ### Info
-
-    `outcome`, `time` [s], `parcels` (max_parcels,) with the arrival number of each row's parcel, -1
-    for free rows; the numbers of `entered`, `correct`, `wrong`, `touches` and `turns` so far, and of
-    `waiting` parcels; the terms of the reward, each as `reward_` and its name. The statistics
-    of the episode (0 until it ends): the fields of
-    `surface_gym.flow.take_away.TakeAwayStatistics`, each as `episode_` and its name. These are
-    parcels per hour, share of correct gaps, gaps, touches, the largest impulse and squeeze, and
-    times.
-
-    `reset(options={"stream": ...})` sets the stream of an episode. Sensor errors and randomisation
-    are drawn for each parcel, but friction and stiffness once for the surface. In PettingZoo, each
-    parcel is an agent in `surface_gym.flow.parallel_env.FlowParallelEnv`, and each module in
-    `surface_gym.flow.parallel_env.ModuleParallelEnv`.
+    **Info.** As in `Flow`, but the prefix `episode_` marks the fields of
+    `surface_gym.flow.take_away.TakeAwayStatistics`: parcels per hour, share of correct gaps, gaps,
+    touches, the largest impulse and force between parcels, and times. In PettingZoo, each module
+    can be an agent, too: `surface_gym.flow.parallel_env.ModuleParallelEnv`.
 
     ### Example
 
@@ -180,30 +132,17 @@ class Merge(TakeAwayTask):
 
     Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
     must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
-    one. No motor drives them: the slope pulls, and the modules brake, hold, turn and move them
-    aside. A parcel without room waits on its line and blocks it, while the other lines continue.
+    one. A parcel without room waits on its line and blocks it, while the other lines continue.
 
-    Surface, end, actions, reward, episode and infos are as in `Singulate`. The table has one more
-    feature.
+    Surface, end, actions, reward, episode and infos are as in `Singulate`.
 
-    ### Lines
-
-    `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets at the
-    upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets the
-    arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
+    **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
+    at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
+    the arrivals and, by `origins`, the share of each line. The default is 6000 parcels per hour at
     equal odds.
 
-    ### Observation
-
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 28 | features of Singulate |
-    | 29 | line of the parcel / 8 |
-
-    ### Info
-
-    In addition to Singulate, at the end of an episode: `episode_unfairness`, the difference between
-    the largest and the smallest mean wait at the lines' entries [s].
+    **Info.** In addition to Singulate, at the end of an episode: `episode_unfairness`, the
+    difference between the largest and the smallest mean wait at the lines' entries [s].
 
     ### Example
 
@@ -258,25 +197,15 @@ class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
     Each parcel has a place in an order, but arrives out of order within a window of parcels.
-    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. No
-    motor drives them: the slope pulls, and the modules brake, hold, turn and move them aside.
-    Parcels must wait for their turn where others can pass them.
+    Parcels must depart by the lower end in order, each at least `gap` behind the previous one.
+    They must wait where others can pass them.
 
-    All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m, and the table has one
-    more feature.
+    All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m.
 
-    ### Order
-
-    `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive parcels at
-    random. A departure is correct only if all parcels with lower numbers have departed. The default
-    stream has 2000 parcels per hour, which arrive one by one in the middle, and a window of 4.
-
-    ### Observation
-
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 28 | features of Singulate |
-    | 29 | number of remaining parcels that must depart before it / 8 |
+    **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
+    parcels at random. A departure is correct only if all parcels with lower numbers have departed.
+    The default stream has 2000 parcels per hour, which arrive one by one in the middle, and a
+    window of 4.
 
     ### Example
 

@@ -117,10 +117,10 @@ FEATURES: tuple[Feature, ...] = (
             ("front", "along x"), ("rear", "against x"), ("left", "along y"), ("right", "against y")
         )
     ),
-    Feature("to the mouth", -20.0, 20.0, "along y until it is within the nearest mouth", "m", 0.3),
+    Feature("to the mouth", -20.0, 20.0, "distance in y to the nearest mouth", "m", 0.3),
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
-    Feature("rolling", 0.0, 20.0, "time until it has left if it rolls", "s", HORIZON),
-    Feature("clear", -20.0, 20.0, "last departed parcel's rear past the end minus `gap`", "m", 0.5),
+    Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
+    Feature("clear", -20.0, 20.0, "from the end to the last departed rear, minus `gap`", "m", 0.5),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip

@@ -127,40 +127,20 @@ class Flow(StreamTask):
 
     ### Actions
 
-    Choices are indices into `orientations`, by default 0, 45, -45 and 90 deg; with "any" they are
-    angles. The lead-in (5 columns by default) stays at 90 deg.
-
-    | `actions` | space | sets |
-    | --- | --- | --- |
-    | "modules" (default) | MultiDiscrete, zone rows x columns | every module's axis, row by row from y < 0 |
-    | "parcels" | MultiDiscrete, 2 per row of the observation | two choices per parcel: the modules ahead of its centre and behind it |
-
-    With "parcels", a module obeys the parcel on it, or else the first parcel that will reach it
-    within `ahead` seconds. Sensed bounding boxes and velocities decide this. If two parcels are on
-    a module, it obeys the parcel with the nearer centre. A module without a parcel keeps its axis.
+    The lead-in (5 columns by default) stays at 90 deg. With `actions="parcels"`, a module obeys the
+    parcel on it, or else the first parcel that will reach it within `ahead` seconds. Sensed
+    bounding boxes and velocities decide this. If two parcels are on a module, it obeys the parcel
+    with the nearer centre. A module without a parcel keeps its axis.
 
     With `gate`, the controller also decides when a parcel enters. The action then has one more
     entry at the end: 0 keeps the gate closed for the control period; k opens it for one parcel from
     the k-th physics step.
 
-    ### Observation
-
-    A table (max_parcels, features), float32, with one row per parcel. A parcel keeps its row while
-    it is on the line; free rows are 0. The row of a parcel with an exit at y < 0 is mirrored in y.
-    Choices are not mirrored: 45 deg always leads to y < 0. Feature 14 shows the side.
-
-    | feature | meaning |
-    | --- | --- |
-    | 0 to 14 | features of Sort; the zone begins where the parcel's exit begins |
-    | 15 | 1 for a parcel, 0 for a free row |
-    | 16 | half width |
-    | 17 | distance to the exit's end |
-    | 18 | 1 for a parcel waiting at the gate |
-    | 19 to 23 | the next parcel ahead: gap, speed, lateral offset, side of its exit, size |
-    | 24 to 28 | the next parcel behind |
-
-    With `gate`, `queue` more rows (one by default) show waiting parcels at their entry poses, in
-    order of entry. Unused rows are 0.
+    **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel
+    keeps its row while it is on the line; free rows are 0. The row of a parcel with an exit at y <
+    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, `queue`
+    more rows (one by default) show waiting parcels at their entry poses, in order of entry. Unused
+    rows are 0.
 
     ### Reward
 
@@ -174,19 +154,16 @@ class Flow(StreamTask):
     | `waiting` | -0.1 per second | per waiting parcel |
     | `jam` | -10 | once |
 
-    ### End
+    **End.** An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it
+    as `terminated`: parcels are on the line, and none has moved for `patience` seconds.
 
-    An episode is truncated after `duration` seconds. Touches do not end it. A jam ends it as
-    `terminated`: parcels are on the line, and none has moved for `patience` seconds.
-
-    ### Info
-
-    `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each row's parcel,
-    -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts so far;
-    `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the reward.
-    The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They are 0
-    until the episode ends. They have parcels per hour, share of missorted parcels, touches and jams
-    per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and hour.
+    **Info.** `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each
+    row's parcel, -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
+    so far; `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the
+    reward. The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They
+    are 0 until the episode ends. They have parcels per hour, share of missorted parcels, touches
+    and jams per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and
+    hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and

@@ -50,30 +50,17 @@ class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
     A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
-    theta, within 2 deg.
+    theta, within 2 deg. Modules that brake only one side of the parcel turn
+    it. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
+    covers other modules.
 
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. The difference between modules left and right of its centre turns the parcel. Turning
-    costs speed and causes lateral drift, which cannot be recovered. A turned parcel covers other
-    modules.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
 
-    ### Start
-
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
-
-    ### Goal and end
-
-    The episode ends when the rearmost point of the base passes the zone's end. "success": theta is
-    then within 2 deg of the goal angle; full turns are not removed. Each failure ends the episode
-    as `terminated`:
-
-    - "missed": left the zone at another angle;
-    - "stalled": no point of the base moves faster than 1 mm/s before that;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    **Goal and end.** The episode ends when the rearmost point of the base passes the zone's end.
+    "success": theta is then within 2 deg of the goal angle; a full turn too much is an error of 360
+    deg. Failures are "stalled", "off the line" and "off the surface", as in other tasks, and
+    "missed": it leaves the zone at another angle.
 
     ### Reward
 
@@ -84,9 +71,7 @@ class Orient(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    ### Info
-
-    - `angle_error` [rad]: current theta - goal angle; signed.
+    `info` has `angle_error` [rad]: current theta - goal angle; signed.
 
     ### Example
 

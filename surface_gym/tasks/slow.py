@@ -49,43 +49,29 @@ COLUMN = columns(FEATURES)
 class Slow(base.Task):
     """Slow the parcel to a ratio of its entry speed before its rear leaves the zone.
 
-    A parcel enters a line of rotors among supports, and the zone's modules brake it.
+    A parcel enters a line of rotors among supports, and the zone's modules brake it. Lost speed
+    cannot be recovered. Uneven braking turns the parcel or moves it off the line. The braking force
+    jumps when an edge of the parcel crosses a module.
 
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. Lost speed cannot be recovered. Uneven braking turns the parcel or moves it off the
-    line. The braking force jumps when the parcel's edges cross modules' centres.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling
+    slows a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
 
-    ### Start
-
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`, but at most 0.98 of
-    the ratio of a parcel that rolls all the way unbraked, since rolling slows it, too.
-
-    ### Goal and end
-
-    The episode ends when the rear passes the zone's end. "success": speed / entry speed is then
-    within 0.01 of the goal ratio. Each failure ends the episode as `terminated`:
-
-    - "missed": left the zone at another ratio;
-    - "stalled": no point of the base moves faster than 1 mm/s;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
+    speed is then within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the
+    surface", as in other tasks, and "missed": it leaves the zone at another ratio.
 
     ### Reward
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `excess` | 1 per ratio | decrease of the excess, divided by the entry speed. The excess is the \
-absolute difference from the speed at which a parcel rolls to the goal speed at the zone's end |
+    | `excess` | 1 | decrease of the speed error, divided by the entry speed. The error is the absolute \
+difference from the right speed. A parcel with the right speed reaches the goal ratio if it rolls on unbraked |
     | `precision` | 1 | once, on leaving: exp(-abs(`ratio_error`) / 0.01) |
     | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure except "missed", so that leaving the zone always pays |
+    | `failure` | -1 | once, at any failure except "missed": it is better to leave the zone at a wrong ratio than not at all |
 
-    ### Info
-
-    - `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
+    `info` has `ratio_error` [-]: current speed / entry speed - goal ratio; signed.
 
     ### Example
 

@@ -65,31 +65,21 @@ class Sort(Task):
     """Sort the parcel off the line to one side, quickly.
 
     A parcel enters a line of rotors among supports. It must leave the line towards y > 0 or y < 0.
-    With side 0, it must roll through the zone and stay on the line.
+    With side 0, it must roll through the zone and stay on the line. Axes at -45 deg turn part of
+    the speed towards y > 0, and at +45 deg towards y < 0. Friction reduces the speed meanwhile, so
+    a slow parcel stalls before it has left the line.
 
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. Axes at -45 deg turn part of the speed towards y > 0, and at +45 deg towards y < 0.
-    Friction reduces the speed meanwhile, so a slow parcel stalls before it has left the line.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in
+    `speeds`. The parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0,
+    straight ahead, is available as an option only.
 
-    ### Start
-
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    with probability `slow_share` uniform in `slow_speeds`, otherwise uniform in `speeds`. The
-    parcel, and the side +1 (y > 0) or -1 (y < 0), are drawn with equal odds. Side 0, straight
-    ahead, is available as an option only.
-
-    ### Goal and end
-
-    "success": no rotor is under the base, and its centre is on the goal side of the line's middle.
-    For side 0: the rear is past the zone's end, with a rotor still under the base. Each failure
-    ends the episode as `terminated`:
+    **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
+    the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
+    base. Failures are "stalled" and "off the surface", as in other tasks, and:
 
     - "wrong side": off the rotors, but not on the goal side (for side 0: off the rotors);
-    - "passed the zone": the rear is past the zone's end (sides +1 and -1);
-    - "stalled": no point of the base moves faster than 1 mm/s;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`, and does not count as a failure.
+    - "passed the zone": the rear is past the zone's end (sides +1 and -1).
 
     ### Reward
 
@@ -102,10 +92,6 @@ the distance along the line, minus the distance from the line's middle |
     | `success` | 1 | once, at success |
     | `haste` | 4 | once, at success, divided by the time in s |
     | `failure` | -1 | once, at any failure |
-
-    ### Info
-
-    The task adds no metrics.
 
     ### Example
 

@@ -56,31 +56,23 @@ GOAL_FEATURES = tuple(each.name for each in FEATURES[len(base.PARCEL_FEATURES) :
 class Stop(base.Task):
     """Stop the parcel with its centre at a goal x.
 
-    A parcel enters a line of rotors among supports. It must stop at a goal position, within 5 mm.
+    A parcel enters a line of rotors among supports. It must stop at a goal position, within 5 mm. A
+    parcel that stops short stays there, and a parcel past the goal cannot return. The last
+    millimetres depend on the modules under the base.
 
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. A parcel that stops short stays there, and a parcel past the goal cannot return. The
-    last millimetres depend on the modules under the base.
+    **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
+    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
+    farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
+    the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
+    that is less. In a short zone the farthest may be before the nearest; then the goal is the
+    farthest.
 
-    ### Start
-
-    The rear is at x = 0, on the line's middle, with theta 0 and speed along x only. Entry speed:
-    uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the farthest stop.
-    The nearest results from full braking (0.5 g) as soon as the parcel is wholly in the zone. The
-    farthest is the last point wholly in the zone, or 0.8 of the rolling distance if that is less.
-    In a short zone the farthest may be before the nearest; then the goal is the farthest.
-
-    ### Goal and end
-
-    The parcel is at rest when no point of the base moves faster than 1 mm/s. "success": it rests
-    with its centre within 5 mm of the goal x. Each failure ends the episode as `terminated`:
+    **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
+    "success": it rests with its centre within 5 mm of the goal x. Failures are "off the line" and
+    "off the surface", as in other tasks, and:
 
     - "missed": it rests elsewhere;
-    - "passed the asked x": its centre is more than 5 mm past it and still moves;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
 
     ### Reward
 
@@ -91,9 +83,7 @@ class Stop(base.Task):
     | `success` | 1 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    ### Info
-
-    - `stop_error` [m]: current x of the centre - goal x; signed.
+    `info` has `stop_error` [m]: current x of the centre - goal x; signed.
 
     ### Example
 

@@ -101,41 +101,32 @@ class Track(Task):
     """Follow a path with the centre of the base, at an asked speed, on a field tilted downhill.
 
     The field has rotors everywhere, and is tilted downhill towards +x. The path is a curve y(x)
-    across it.
-
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. Gravity alone drives the parcel, and only downhill. Motion across the field requires
+    across it. Gravity alone drives the parcel, and only downhill. Motion across the field requires
     turning the velocity, which costs speed.
 
-    ### Start
+    **Start.** The centre starts on the path's first point, at the asked speed along the path, with
+    theta 0. Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path:
+    equal odds. The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline
+    or a cubic spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path,
+    or points (n, 2) [m] of a polyline. A path's slope is at most 3.
 
-    The centre starts on the path's first point, at the asked speed along the path, with theta 0.
-    Asked speed: uniform in `speeds`. Tilt: uniform in `tilts`. Parcel and kind of path: equal odds.
-    The path goes from x = 0.4 m to 5.6 m. It is a sine wave, a lane change, a polyline or a cubic
-    spline: see `surface_gym.tasks.paths.random_path`. The option `path` is a path of that
-    module, or points (n, 2) [m] of a polyline. A path's slope is at most 3.
-
-    ### Goal and end
-
-    "success": the centre is past the path's last x. Each failure ends the episode as `terminated`:
+    **Goal and end.** "success": the centre is past the path's last x. Failures:
 
     - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
     - "stalled": slower than 0.05 m/s;
     - "off the surface": the centre of mass passes the edge of the surface.
 
-    Running out of time is `truncated`.
-
     ### Reward
 
-    All terms except the last two are per metre of x gained, so that time earns nothing.
+    The first four terms are paid per metre of x gained, so a slow parcel does not earn more.
 
     | term | scale | meaning |
     | --- | --- | --- |
     | `distance` | 0.3 per metre | x gained |
-    | `precision` | 1 per metre | times exp(-abs(`cross_error`) / 5 mm) |
-    | `cross_error` | -8 per metre | times abs(`cross_error`) in m |
-    | `speed_error` | -2 per metre | times the absolute difference in m/s between the speed along \
-the path and the asked speed |
+    | `precision` | 1 per metre | x gained, times exp(-abs(`cross_error`) / 5 mm) |
+    | `cross_error` | -8 per metre | x gained, times abs(`cross_error`) in m |
+    | `speed_error` | -2 per metre | x gained, times the absolute difference in m/s between the speed \
+along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
@@ -144,7 +135,7 @@ the path and the asked speed |
     - `rms_error` [m]: root mean square of the error across the path, over the time so far.
     - `speed_error` [m/s]: root mean square of the difference between the speed along the path and
       the asked speed, over the time so far.
-    - `cross_error` [m]: current error across the path, positive to its left.
+    - `cross_error` [m]: current error across the path, positive to the left of the path.
 
     ### Example
 

@@ -53,7 +53,7 @@ def test_the_example_is_the_defaults_with_a_space() -> None:
         "n_epochs": IntDistribution(3, 10),
         "hidden": make_choices([[64, 64], [128, 128]]),
     }
-    assert "--8<--\nexamples/sweep.yml\n--8<--" in (ROOT / "docs" / "search.md").read_text()
+    assert '--8<-- "examples/sweep.yml"' in (ROOT / "docs" / "search.md").read_text()
 
 
 def test_the_configuration_of_drawn_values() -> None:

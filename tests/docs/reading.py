@@ -5,8 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-SNIPPET = re.compile(r"^--8<--\n(.+)\n--8<--\n", re.MULTILINE)  # a file that a block shows
-BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SNIPPET = re.compile(r'^--8<-- "(.+)"\n', re.MULTILINE)  # a file that a block shows
+# Blocks that show a file have their language in braces, since Ruff would format the line.
+BLOCK = re.compile(r"^```(?:\{ \.)?(\w*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = sorted(str(file.relative_to(ROOT)) for file in (ROOT / "README.md", *DOCS.glob("**/*.md")))
 
 

@@ -45,16 +45,14 @@ def test_success_of_agents_is_that_of_their_cards(task):
     assert last == (read_success("sort-dqn-lab", "lab") if task == "sort" else "")
 
 
-def test_agents_for_the_lab_have_the_results_of_their_cards():
-    table = (DOCS / "robustness.md").read_text().partition("## Agents for the lab")[2]
-    rows = re.findall(
-        r"^\| (\w+)[^|]*? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|", table, re.MULTILINE
-    )
-    agents = ["sort-ppo", "sort-dqn", "slow-ppo", "stop-ppo", "track-ppo", "orient-ppo"]
-    assert [name.lower() for name, *_ in rows] == [agent.split("-")[0] for agent in agents]
-    for agent, (_, *shown) in zip(agents, rows, strict=True):
-        presets = ("exact", "camera", "lab")
-        assert shown == [read_success(f"{agent}-lab", preset) for preset in presets], agent
+@pytest.mark.parametrize(
+    "agent", ["sort-ppo", "sort-dqn", *(f"{task}-ppo" for task in [*EXACT][1:])]
+)
+def test_agents_for_the_lab_also_succeed_with_exact_sensors(agent):
+    """docs/robustness.md states the bound of 0.02."""
+    plain = float(read_success(agent, "exact"))
+    for preset in ("exact", "camera"):
+        assert float(read_success(f"{agent}-lab", preset)) >= plain - 0.021
 
 
 def test_the_readme_repeats_numbers_of_the_results():
