@@ -68,7 +68,7 @@ class Recording:
 
     runs: int = 40
     seconds: float = 1.5  # [s] of each run, unless the parcel leaves before
-    kinds: tuple[int, ...] = (0, 1, 2)  # of `excitation.KINDS`, in turn
+    is_excited: bool = True  # by `excitation`; otherwise parcels coast
     acknowledged: bool = True  # whether the log tells when axes began to turn
     dead_time: float = 0.0  # [s] from a command to the start of the turn
 
@@ -115,8 +115,9 @@ def _record_run(
 ) -> LoggedRun:
     """Run one parcel from its start; the batch has it placed."""
     kind = batch.config.action_kind
-    run = recording.kinds[number % len(recording.kinds)] + 3 * number
-    axes = sg.excitation((kind.rows, kind.columns), recording.seconds, run=run, period=PERIOD)
+    axes = sg.excitation((kind.rows, kind.columns), recording.seconds, run=number, period=PERIOD)
+    if not recording.is_excited:
+        axes[:] = ROLLING
     offset = 0.01 + DT * rng.integers(0, 100)  # [s] of the commands
     sent = offset + PERIOD * np.arange(len(axes))
     begins = np.round((sent + recording.dead_time) / DT).astype(int)

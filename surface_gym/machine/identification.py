@@ -155,16 +155,18 @@ def _judge(
     search: LeastSquares, x: Array, entries: Array, dt: float, names: tuple[str, ...]
 ) -> Estimate:
     """Return the estimate: errors by a sandwich over runs, and what the logs cannot tell."""
-    residuals = search.residuals(x, entries, dt)
+    residuals = search.link(search.misses(x, entries, dt))
     shared, own = search.derivatives(x, entries, dt)
-    count, free = int(search.run.max()) + 1, len(names)
-    left, scores, squares = np.empty_like(shared), np.zeros((count, free)), np.zeros((count, 2))
-    for k, r in enumerate(search.run):
-        rows = search.rows(k)
-        basis, _ = np.linalg.qr(own[rows])
-        left[rows] = shared[rows] - basis @ (basis.T @ shared[rows])
+    count, free = int(search.group.max()) + 1, len(names)
+    left, scores, squares = search.link(shared), np.zeros((count, free)), np.zeros((count, 2))
+    is_picture = np.repeat(search.same < 0, 3)
+    for r, (_, rows, block) in zip(search.group, search.groups(own), strict=True):
+        basis, _ = np.linalg.qr(block)
+        left[rows] -= basis @ (basis.T @ left[rows])
         scores[r] += left[rows].T @ residuals[rows]
-        squares[r] += residuals[rows] @ residuals[rows], len(residuals[rows]) - 6
+        # Links have no noise: entries explain as much of the pictures' noise as their part tells.
+        degrees = is_picture[rows].sum() - np.sum(basis[is_picture[rows]] ** 2)
+        squares[r] += residuals[rows] @ residuals[rows], degrees
     unknown, inverse = _invert(left.T @ left, search.high - search.low)
     spread = inverse @ scores.T @ scores @ inverse * count / max(1, count - free)
     variance = np.maximum(np.diag(spread), np.diag(inverse))
@@ -173,7 +175,7 @@ def _judge(
     alike = np.triu(np.abs(correlation) > ALIKE, 1) & ~np.logical_or.outer(unknown, unknown)
     inseparable = [(names[i], names[j]) for i, j in np.argwhere(alike).tolist()]
     lost = {name for pair in inseparable for name in pair}
-    chi2, degrees = float(squares[:, 0].sum()), len(residuals) - x.size - entries.size
+    chi2, degrees = squares.sum(axis=0) - (0.0, free)
     is_explained = bool(stats.chi2.sf(chi2, degrees) > MISFIT)
     wide = (1.0 if is_explained else UNEXPLAINED) * np.sqrt(variance)
     wide *= float(stats.t.ppf(0.975, max(1, count - free)))
@@ -185,10 +187,10 @@ def _judge(
         correlated=names,
         inseparable=tuple(inseparable),
         unknown=tuple(name for each, name in zip(unknown, names, strict=True) if each),
-        misfit=chi2 / degrees,
+        misfit=float(chi2 / degrees),
         is_explained=is_explained,
         misfits=tuple((squares[:, 0] / np.maximum(squares[:, 1], 1.0)).tolist()),
-        frames=len(search.measured),
+        frames=int(np.sum(search.same < 0)),
         noise=(float(search.noise[0]), float(search.noise[2])),
     )
 

@@ -39,8 +39,9 @@ MAX_TURN = 10.0  # [s] maximum time of a quarter turn
 MIN_FRAMES = 8  # minimum pictures of a usable run
 LOOKBACK = 2.0  # [s] before a parcel's entry from which commands still matter to it
 APART = 0.01  # [m] minimum distance of parcels that surely do not touch
-KINDS = ("coast", "brake", "steer")  # of successive runs
-ROLL = 0.2  # [s] at the start, in which every run coasts
+BRAKES = 0.4  # [-] share of the pulses that brake; the others steer
+RESTS = 0.5  # [-] share of the pulses after which the modules roll
+ROLL = 0.2  # [s] at the start, in which the parcel coasts
 HOLD = (0.12, 0.3)  # [s] range of the time for which axes brake or steer
 PAUSE = (0.06, 0.2)  # [s] range of the time for which they roll between
 
@@ -50,9 +51,10 @@ def excitation(
 ) -> Array:
     """Return the axes (periods, rows, columns) [rad] of a run to record.
 
-    Runs of three kinds take turns: the parcel coasts; it is braked in short pulses; it is steered
-    in short pulses of 45 deg to either side. All modules of the zone do the same. A dozen runs
-    suffice for most parameters; runs of one kind do not.
+    After a start without commands, short pulses brake the parcel, or steer it by 45 deg to one
+    side and the next time to the other. Forces across the way are what tells friction and tilt
+    apart, since the tilt only acts along it. All modules of the zone do the same. A dozen runs
+    suffice for most parameters.
 
     Args:
         shape: (rows, columns) of the widest zone.
@@ -63,15 +65,14 @@ def excitation(
     rows, columns = (checks.integer("shape", each, least=1) for each in shape)
     seconds = checks.positive("seconds", seconds, *checks.DURATION)
     period = checks.positive("period", period, *checks.CONTROL_PERIOD)
-    kind = KINDS[checks.integer("run", run, least=0) % len(KINDS)]
-    rng = np.random.default_rng([run, len(KINDS)])
+    rng = np.random.default_rng([checks.integer("run", run, least=0), 3])
     angles = np.full(max(1, round(seconds / period)), ROLLING)
     begin, side = ROLL + rng.uniform(*PAUSE), 1.0 if rng.random() < 0.5 else -1.0
-    while kind != "coast" and begin < seconds:
+    while begin < seconds:
         end = begin + rng.uniform(*HOLD)
-        angle = 0.0 if kind == "brake" else side * 0.25 * math.pi
+        angle = 0.0 if rng.random() < BRAKES else side * 0.25 * math.pi
         angles[math.ceil(begin / period) : math.ceil(end / period)] = angle
-        begin, side = end + (rng.uniform(*PAUSE) if rng.random() < 0.7 else 0.0), -side
+        begin, side = end + (rng.uniform(*PAUSE) if rng.random() < RESTS else 0.0), -side
     return np.broadcast_to(angles[:, np.newaxis, np.newaxis], (len(angles), rows, columns)).copy()
 
 

@@ -1,11 +1,15 @@
 """The search of a surface's parameters: least squares of predictions and pictures.
 
-Each piece of a run has six more unknowns: pose and velocity of the parcel at its first picture.
+Runs are cut into pieces. Each has six more unknowns: pose and velocity of the parcel at its first
+picture. Motion is chaotic over whole runs, so that these have false minima; pieces have none, but
+know less. Hence pieces are linked at last: a piece is predicted some pictures beyond its end, and
+must meet the next one there (multiple shooting).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy import optimize
@@ -24,15 +28,16 @@ ENTRY_APART = np.array([5e-4, 5e-4, 2e-3, 2e-3, 2e-3, 1e-2])  # of the entry's s
 ENTRY_STEP = np.array([2e-3, 2e-3, 1e-2, 0.1, 0.1, 0.5])  # by which a guess of them may be off
 COARSE = 4e-3  # [s] maximum step of the first searches
 WITHIN = 3.0  # [-] standard deviations beyond which the first search trusts a picture less
-# [s] Runs are searched in pieces of at most this length, with an entry each: motion is chaotic over
-# longer times, so that whole runs have false minima and claim more than they know.
-PIECE = 0.8
+PIECE = 0.8  # [s] maximum length of a piece
+BEYOND = 5  # pictures that a piece is predicted beyond its end
+LINK = 0.1  # [-] of the noise, by which it may miss the next one there
 SETTLE = 3  # steps of the entries alone, before a search
 MAX_TRIES = 4  # of a step, each shorter
 FIRST_DAMPING = 1.0
 FEW_RUNS = 12  # runs of the first search
 TURN_FACTORS = (0.5, 1.0, 2.0)  # [-] of the assumed quarter turn, from which searches start
 ENOUGH = 1e-4  # [-] relative change of the squares at which a search ends
+SHORT = 0.1  # [-] longest step of a parameter by its standard deviation, at which a search ends too
 START = 0.2  # [s] of pictures for the first guess of an entry
 
 
@@ -42,9 +47,11 @@ class LeastSquares:
 
     runs: pr.PackedRuns
     memory: pr.Memory
-    run: Integers  # (pieces,) the run of each piece
+    first_piece: Integers  # (groups + 1,) of each group, in which pieces are linked
+    group: Integers  # (groups,) the run of each group
+    same: Integers  # (frames,) the frame of the next piece that is the same picture; -1: none
     measured: Array  # (frames, 3)
-    base: Array  # (runs, VALUES) values that are held
+    base: Array  # (pieces, VALUES) values that are held
     columns: Integers  # (free,) columns to find
     apart: Array  # (free,)
     step: Array  # (free,) largest plausible step of a search
@@ -57,14 +64,14 @@ class LeastSquares:
         return len(self.base)
 
     def values(self, x: Array, entries: Array) -> Array:
-        """Return values (runs, VALUES) from free parameters (free,) and entries (runs, 6)."""
+        """Return values (pieces, VALUES) from free parameters (free,) and entries (pieces, 6)."""
         values = self.base.copy()
         values[:, self.columns] = x
         values[:, pr.ENTRY :] = entries
         return values
 
     def predict(self, values: Array, repeats: int, dt: float) -> Array:
-        """Return poses (repeats, frames, 3) by values (repeats * runs, VALUES)."""
+        """Return poses (repeats, frames, 3) by values (repeats * pieces, VALUES)."""
         which = np.tile(np.arange(self.count), repeats)
         lengths = np.diff(self.runs.first_frame)[which]
         poses = np.empty((int(lengths.sum()), 3))
@@ -72,115 +79,180 @@ class LeastSquares:
         pr.predict_runs(self.runs, which, values, first, self.memory, poses, dt)
         return poses.reshape(repeats, -1, 3)
 
-    def residuals(self, x: Array, entries: Array, dt: float) -> Array:
+    def misses(self, x: Array, entries: Array, dt: float) -> Array:
+        """Return by how much predictions miss the pictures (frames * 3,), in units of the noise."""
         predicted = self.predict(self.values(x, entries), 1, dt)[0]
         return ((predicted - self.measured) / self.noise).ravel()
 
-    def derivatives(self, x: Array, entries: Array, dt: float) -> tuple[Array, Array]:
-        """Return derivatives of the residuals by free parameters and by each run's own entry.
+    def link(self, misses: Array) -> Array:
+        """Return residuals: in place of a picture beyond a piece's end, the next piece counts.
+
+        Args:
+            misses: (frames * 3, ...) of pictures, or their derivatives.
+        """
+        each = misses.reshape(len(self.same), 3, -1)
+        linked, beyond = each.copy(), self.same >= 0
+        linked[beyond] = (each[beyond] - each[self.same[beyond]]) / LINK
+        return linked.reshape(misses.shape)
+
+    def derivatives(
+        self, x: Array, entries: Array, dt: float, misses: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return derivatives of the misses by free parameters and by each piece's own entry.
+
+        Args:
+            x: (free,) parameters.
+            entries: (pieces, 6) entries.
+            dt: [s] maximum step.
+            misses: (frames * 3,) there, for forward differences; None: central ones.
 
         Returns:
-            (residuals, free) and (residuals, 6).
+            (frames * 3, free) and (frames * 3, 6).
         """
-        rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt)
-        return rates, self._rates(x, entries, ENTRIES, ENTRY_APART, dt)
+        rates = self._rates(x, entries, self.columns.tolist(), self.apart, dt, misses)
+        return rates, self._rates(x, entries, ENTRIES, ENTRY_APART, dt, misses)
 
     def _rates(
         self, x: Array, entries: Array, columns: list[int], apart: Array, dt: float,
-        residuals: Array | None = None,
+        misses: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return central differences (residuals, columns).
+        """Return central differences (frames * 3, columns).
 
-        With `residuals`, at `x`, they are forward differences, which take half the time.
+        With `misses`, at `x`, they are forward differences, which take half the time.
         """
         values, count = self.values(x, entries), len(columns)
-        signs = (1.0, -1.0) if residuals is None else (1.0,)
+        signs = (1.0, -1.0) if misses is None else (1.0,)
         changed = np.repeat(values[np.newaxis], len(signs) * count, axis=0)
         for k, sign in enumerate(signs):
             for j, column in enumerate(columns):
                 changed[k * count + j, :, column] += sign * apart[j]
         changed[..., pr.QUARTER_TURN] = np.maximum(changed[..., pr.QUARTER_TURN], 1e-4)
         poses = self.predict(changed.reshape(-1, pr.VALUES), len(changed), dt)
-        if residuals is None:
+        if misses is None:
             moved = 0.5 * (poses[:count] - poses[count:]) / self.noise
         else:
-            moved = (poses - self.measured) / self.noise - residuals.reshape(-1, 3)
+            moved = (poses - self.measured) / self.noise - misses.reshape(-1, 3)
         flat: Array = (moved / apart[:, np.newaxis, np.newaxis]).reshape(count, -1).T
         return flat
 
-    def costs(self, residuals: Array, within: float) -> Array:
-        """Return the squares of each run (runs,), less for residuals beyond `within`."""
-        squares = residuals**2
+    def groups(self, own: Array) -> Iterator[tuple[slice, slice, Array]]:
+        """Yield the pieces, the residuals and the derivatives of each group.
+
+        Args:
+            own: (frames * 3, 6) derivatives of each miss by the entry of its own piece.
+
+        Yields:
+            Slices, and derivatives (residuals, 6 * pieces) by the entries of all its pieces.
+        """
+        starts = 3 * self.runs.first_frame
+        for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
+            begin = starts[first]
+            block = np.zeros((starts[end] - begin, 6 * (end - first)))
+            for j, k in enumerate(range(first, end)):
+                rows = slice(starts[k] - begin, starts[k + 1] - begin)
+                block[rows, 6 * j : 6 * j + 6] = own[starts[k] : starts[k + 1]]
+            yield slice(first, end), slice(begin, starts[end]), self._link_block(block, begin // 3)
+
+    def _link_block(self, block: Array, first: int) -> Array:
+        """Link derivatives of a group whose first frame is `first`."""
+        each = block.reshape(-1, 3, block.shape[1])
+        same = self.same[first : first + len(each)]
+        beyond = same >= 0
+        each[beyond] = (each[beyond] - each[same[beyond] - first]) / LINK
+        return block
+
+    def costs(self, misses: Array, within: float) -> Array:
+        """Return the squares of each group (groups,), less for residuals beyond `within`."""
+        squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
-        sums: Array = np.add.reduceat(squares, 3 * self.runs.first_frame[:-1])
+        firsts = self.runs.first_frame[self.first_piece[:-1]]
+        sums: Array = np.add.reduceat(squares, 3 * firsts)
         return sums
 
     def settle(
-        self, x: Array, entries: Array, residuals: Array, dt: float, within: float, times: int,
+        self, x: Array, entries: Array, misses: Array, dt: float, within: float, times: int,
         own: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Improve each run's entry alone; return entries (runs, 6) and residuals.
+        """Improve the entries of each group alone; return entries (pieces, 6) and misses.
 
         Args:
-            own: derivatives (residuals, 6) by the entries nearby; None: computed here.
+            own: derivatives (frames * 3, 6) by the entries nearby; None: computed here.
         """
-        damping = np.ones(self.count)
+        damping = np.ones(len(self.group))
         for _ in range(times):
+            residuals = self.link(misses)
             weight = _weights(residuals, within)
             rates = own
             if rates is None:
-                rates = self._rates(x, entries, ENTRIES, ENTRY_APART, dt, residuals)
-            rates = rates * weight[:, np.newaxis]
+                rates = self._rates(x, entries, ENTRIES, ENTRY_APART, dt, misses)
             steps = np.empty_like(entries)
-            for r in range(self.count):
-                rows = self.rows(r)
-                normal = rates[rows].T @ rates[rows] + np.diag(damping[r] / ENTRY_STEP**2)
-                steps[r] = np.linalg.solve(normal, -rates[rows].T @ (residuals * weight)[rows])
-            found = self.residuals(x, entries + steps, dt)
-            better = self.costs(found, within) < self.costs(residuals, within)
+            for g, (pieces, rows, block) in enumerate(self.groups(rates)):
+                weighed = block * weight[rows, np.newaxis]
+                scale = np.tile(ENTRY_STEP, pieces.stop - pieces.start)
+                normal = weighed.T @ weighed + np.diag(damping[g] / scale**2)
+                step = np.linalg.solve(normal, -weighed.T @ (residuals * weight)[rows])
+                steps[pieces] = step.reshape(-1, 6)
+            found = self.misses(x, entries + steps, dt)
+            better = self.costs(found, within) < self.costs(misses, within)
             damping *= np.where(better, 0.1, 10.0)
-            entries = np.where(better[:, np.newaxis], entries + steps, entries)
-            used = np.repeat(better, 3 * np.diff(self.runs.first_frame))
-            residuals = np.where(used, found, residuals)
-        return entries, residuals
-
-    def rows(self, r: int) -> slice:
-        """Return the residuals of a run."""
-        return slice(3 * int(self.runs.first_frame[r]), 3 * int(self.runs.first_frame[r + 1]))
+            of_piece = np.repeat(better, np.diff(self.first_piece))
+            entries = np.where(of_piece[:, np.newaxis], entries + steps, entries)
+            used = np.repeat(of_piece, 3 * np.diff(self.runs.first_frame))
+            misses = np.where(used, found, misses)
+        return entries, misses
 
     def solve(
-        self, x: Array, residuals: Array, shared: Array, own: Array, damping: float
-    ) -> tuple[Array, Array]:
-        """Return a step (free,) within the bounds, and steps of the entries (runs, 6).
+        self, x: Array, residuals: Array, shared: Array, own: Array, weight: Array, damping: float
+    ) -> tuple[Array, Array, float]:
+        """Find a step within the bounds.
 
-        A QR decomposition of each run eliminates its entry. What is left of all runs is a least
-        squares problem of the free parameters alone.
+        A QR decomposition of each group eliminates its entries. What is left of all groups is a
+        least squares problem of the free parameters alone.
+
+        Args:
+            x: (free,) parameters.
+            residuals: (frames * 3,) from `link`.
+            shared: (frames * 3, free) derivatives of the misses.
+            own: (frames * 3, 6) by the entries.
+            weight: (frames * 3,) of each residual.
+            damping: [-] of the step.
+
+        Returns:
+            The step (free,), steps of the entries (pieces, 6), and the length of the step in
+            standard deviations of the parameter that moves most.
         """
         free = len(x)
         left: list[Array] = []
         parts: list[Array] = []
-        damped = np.column_stack(
-            [math.sqrt(damping) * np.diag(1.0 / ENTRY_STEP), np.zeros((6, free + 1))]
-        )
-        for r in range(self.count):
-            rows = self.rows(r)
-            block = np.column_stack([own[rows], shared[rows], residuals[rows]])
-            upper: Array = np.linalg.qr(np.vstack([block, damped])).R
-            parts.append(upper[:6])
-            left.append(upper[6:, 6:])
+        rest = np.column_stack([self.link(shared), residuals]) * weight[:, np.newaxis]
+        for _, rows, block in self.groups(own):
+            size = block.shape[1]
+            scale = np.tile(1.0 / ENTRY_STEP, size // 6)
+            damped = np.column_stack(
+                [math.sqrt(damping) * np.diag(scale), np.zeros((size, free + 1))]
+            )
+            whole = np.column_stack([block * weight[rows, np.newaxis], rest[rows]])
+            upper: Array = np.linalg.qr(np.vstack([whole, damped])).R
+            parts.append(upper[:size])
+            left.append(upper[size:, size:])
         stacked = np.vstack(left)
-        scale = np.diag(math.sqrt(damping) / self.step)
         found = optimize.lsq_linear(
-            np.vstack([stacked[:, :free], scale]),
+            np.vstack([stacked[:, :free], math.sqrt(damping) * np.diag(1.0 / self.step)]),
             -np.concatenate([stacked[:, free], np.zeros(free)]),
             (self.low - x - 1e-12, self.high - x + 1e-12),
         )
         step: Array = found.x
-        steps = [
-            np.linalg.solve(part[:, :6], -part[:, -1] - part[:, 6:-1] @ step) for part in parts
-        ]
-        return step, np.array(steps)
+        # The inverse of the information, where the logs tell something.
+        information = stacked[:, :free].T @ stacked[:, :free] + 1e-12 * np.diag(self.step**-2.0)
+        spread = np.sqrt(np.diag(np.linalg.pinv(information)))
+        length = float(np.max(np.abs(step) / np.maximum(spread, 1e-300)))
+        steps = []
+        for part in parts:
+            size = len(part)
+            right_side = -part[:, -1] - part[:, size:-1] @ step
+            steps.append(np.linalg.solve(part[:, :size], right_side).reshape(-1, 6))
+        return step, np.vstack(steps), length
 
 
 def column_of(name: str) -> int:
@@ -191,26 +263,55 @@ def column_of(name: str) -> int:
 
 def make_search(
     log: MachineLog,
-    runs: Sequence[LoggedRun],
+    pieces: Sequence[LoggedRun],
     names: tuple[str, ...],
     known: Mapping[str, float],
     noise: tuple[float, float],
+    beyond: int = 0,
 ) -> LeastSquares:
-    """Make the search of some parameters; `known` holds values of others by name."""
+    """Make the search of some parameters.
+
+    Args:
+        log: of the surface.
+        pieces: of runs; those of a run follow each other.
+        names: of the parameters to find.
+        known: values of others by name.
+        noise: [m, rad] standard deviations.
+        beyond: pictures by which a piece is linked to the next one; 0: each is a group alone.
+    """
     surface = log.surface
-    base = np.zeros((len(runs), pr.VALUES))
+    base = np.zeros((len(pieces), pr.VALUES))
     base[:, : pr.MU_SUPPORT + 1] = surface.friction
-    base[:, pr.TILT] = [run.tilt for run in runs]
+    base[:, pr.TILT] = [piece.tilt for piece in pieces]
     base[:, pr.QUARTER_TURN] = surface.quarter_turn
     for name, value in known.items():
         base[:, column_of(name)] = checks.number(name, value)
     base[:, pr.QUARTER_TURN] = np.maximum(base[:, pr.QUARTER_TURN], 1e-4)
     chosen = [PARAMETERS[name] for name in names]
+    run = [id(piece.sent) for piece in pieces]
+    linked = [beyond > 0 and each == after for each, after in pairwise([*run, None])]
+    longer, same, start = [], [], 0
+    for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
+        count = len(piece.taken)
+        same += [-1] * count
+        if is_linked and after is not None:
+            more = min(beyond, len(after.taken))
+            piece = replace(
+                piece,
+                taken=np.append(piece.taken, after.taken[:more]),
+                poses=np.vstack([piece.poses, after.poses[:more]]),
+            )
+            same += range(start + count + more, start + count + 2 * more)
+        longer.append(piece)
+        start = len(same)
+    begins = [k for k in range(len(pieces)) if k == 0 or not linked[k - 1]]
     return LeastSquares(
-        runs=pr.pack_runs(surface, runs),
+        runs=pr.pack_runs(surface, longer),
         memory=pr.make_memory(surface),
-        run=np.unique([id(run.sent) for run in runs], return_inverse=True)[1],
-        measured=np.concatenate([run.poses for run in runs]),
+        first_piece=np.array([*begins, len(pieces)]),
+        group=np.unique(run, return_inverse=True)[1][begins],
+        same=np.array(same),
+        measured=np.concatenate([piece.poses for piece in longer]),
         base=base,
         columns=np.array([column_of(name) for name in names]),
         apart=np.array([each.apart for each in chosen]),
@@ -225,7 +326,7 @@ def search_pieces(
     log: MachineLog, runs: Sequence[LoggedRun], names: tuple[str, ...], known: Mapping[str, float],
     noise: tuple[float, float], dt: float, on_progress: OnProgress,
 ) -> tuple[LeastSquares, Array, Array]:  # fmt: skip
-    """Find the least squares: first of short pieces in longer steps, then of pieces."""
+    """Find the least squares: first of short pieces in longer steps, then of linked pieces."""
     pieces = [
         piece
         for run in runs
@@ -244,10 +345,10 @@ def search_pieces(
     on_progress(f"search in short pieces, steps of {1e3 * coarse:g} ms")
     search = make_search(log, short, names, known, noise)
     x, entries, _ = _fit(search, x, _entries(short), coarse, WITHIN, 3)
-    on_progress(f"search in pieces of {PIECE:g} s, steps of {1e3 * dt:g} ms")
-    search = make_search(log, pieces, names, known, noise)
+    on_progress(f"search in linked pieces, steps of {1e3 * dt:g} ms")
+    search = make_search(log, pieces, names, known, noise, BEYOND)
     firsts = np.cumsum([0, *map(len, halves)])[:-1]
-    x, entries, _ = _fit(search, x, entries[firsts], dt, math.inf, 6)
+    x, entries, _ = _fit(search, x, entries[firsts], dt, math.inf, 8)
     return search, x, entries
 
 
@@ -295,31 +396,32 @@ def _fit(
 
     Args:
         x: (free,) first guess of the parameters.
-        entries: (runs, 6) first guess of the entries.
+        entries: (pieces, 6) first guess of the entries.
         dt: [s] maximum step.
         within: [-] pictures beyond count less, by the loss "soft L1"; infinite: all count alike.
         most: maximum number of steps.
     """
     damping = FIRST_DAMPING
-    residuals = search.residuals(x, entries, dt)
-    entries, residuals = search.settle(x, entries, residuals, dt, within, SETTLE)
-    cost = float(search.costs(residuals, within).sum())
+    misses = search.misses(x, entries, dt)
+    entries, misses = search.settle(x, entries, misses, dt, within, SETTLE)
+    cost, length = float(search.costs(misses, within).sum()), math.inf
     for _ in range(most):
+        residuals = search.link(misses)
         weight = _weights(residuals, within)
-        shared, own = search.derivatives(x, entries, dt)
-        weighed = shared * weight[:, np.newaxis], own * weight[:, np.newaxis]
+        is_rough = within < math.inf or length == math.inf
+        shared, own = search.derivatives(x, entries, dt, misses if is_rough else None)
         before = cost
         for _ in range(MAX_TRIES):
-            step, steps = search.solve(x, residuals * weight, *weighed, damping)
-            moved, found = entries + steps, search.residuals(x + step, entries + steps, dt)
+            step, steps, length = search.solve(x, residuals, shared, own, weight, damping)
+            moved, found = entries + steps, search.misses(x + step, entries + steps, dt)
             if search.costs(found, within).sum() >= cost:
                 moved, found = search.settle(x + step, moved, found, dt, within, 2, own)
             if (new := float(search.costs(found, within).sum())) < cost:
-                x, entries, residuals, cost = x + step, moved, found, new
+                x, entries, misses, cost = x + step, moved, found, new
                 damping /= 10.0
                 break
             damping *= 10.0
-        if before - cost < ENOUGH * before:
+        if before - cost < ENOUGH * before or length < SHORT:
             break
     return x, entries, cost
 

@@ -37,7 +37,7 @@ def test_a_surface_is_found_within_the_intervals() -> None:
 
 def test_runs_that_coast_do_not_tell_friction_along_axes_nor_tilt() -> None:
     free = ("mu_max", "mu_min", "tilt", "quarter_turn")
-    log = recorded(kinds=(0,))
+    log = recorded(is_excited=False)
     found = sg.identify([log], free=free, known=known(*free))
     assert "quarter_turn" in found.unknown
     assert not found.is_determined("quarter_turn")
