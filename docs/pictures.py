@@ -374,6 +374,10 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "flow-capacity.png": FromCommand(("evaluate.py", "--tasks", "flow"), "flow-capacity.png"),
     "design-flow.png": _design("flow", *LINE),
     "modules.png": FromCommand(("evaluate.py", "--modules"), "modules.png"),
+    "board-orient.png": FromCommand(
+        ("-c", "from surface_gym.cli import main; main()", "benchmark", "plot"),
+        "orient-scores.png",
+    ),
 }
 
 

@@ -118,6 +118,11 @@ NIGHTLY = (
         for task in ("slow", "orient", "track")
     ),
     "tests/agents/evaluation/test_drives.py::test_a_stream_is_carried_by_driven_modules",
+    # With libraries that only the night has.
+    "tests/agents/benchmark/test_plots.py::test_each_task_with_entries_has_two_figures",
+    "tests/agents/benchmark/test_plots.py::test_rliable_finds_the_board_s_scores_and_intervals",
+    "tests/agents/benchmark/test_plots.py::test_its_interquartile_mean_is_rliable_s",
+    "tests/test_course.py::TestRuns",
     "tests/benchmarks/test_actuators.py",
     "tests/test_actuators.py::TestWaiting::test_under_streams_too",
     # Kernels of their own: other cases of the same test hold the rest by day.

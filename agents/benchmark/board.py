@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -61,15 +62,26 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
     Args:
         cells: of each cell, the normalised results (seeds, episodes).
     """
-    means = np.concatenate([each.mean(axis=1) for each in cells])
-    generator, drawn = np.random.default_rng(SEED), np.empty(resamples)
-    for k in range(resamples):
-        drawn[k] = compute_iqm(
+    iqm = compute_iqm(np.concatenate([each.mean(axis=1) for each in cells]))
+    low, high = find_interval([compute_iqm(each) for each in resample_scores(cells, resamples)])
+    return Score(iqm, float(low), float(high))
+
+
+def resample_scores(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Numbers:
+    """Draw scores (resamples, cells x seeds), stratified by cell, as often as the board does."""
+    generator = np.random.default_rng(SEED)
+    return np.array(
+        [
             np.concatenate([_resample(each, generator).mean(axis=1) for each in cells])
-        )
+            for _ in range(resamples)
+        ]
+    )
+
+
+def find_interval(drawn: Any) -> Numbers:
+    """Return the low and the high end (2, ...) of values (resamples, ...) that were drawn."""
     tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(drawn, (tail, 100.0 - tail))
-    return Score(compute_iqm(means), float(low), float(high))
+    return np.asarray(np.percentile(drawn, (tail, 100.0 - tail), axis=0))
 
 
 def _resample(results: Numbers, generator: np.random.Generator) -> Numbers:
@@ -117,13 +129,16 @@ class Board:
             return None
         return np.asarray((results - limits[0]) / (limits[1] - limits[0]))
 
-    def score(self, entry: BenchmarkEntry, task: str) -> Score:
-        """Return the score over all cells of a task; NaN if one is missing."""
+    def whole(self, entry: BenchmarkEntry, task: str) -> list[Numbers]:
+        """Return normalised results of all cells, each (seeds, episodes); [] if one is missing."""
         cells = [self.normalised(entry, task, cell) for cell in CELLS]
         whole = [each for each in cells if each is not None]
-        if len(whole) < len(cells):
-            return Score(math.nan, math.nan, math.nan)
-        return score_cells(whole)
+        return whole if len(whole) == len(cells) else []
+
+    def score(self, entry: BenchmarkEntry, task: str) -> Score:
+        """Return the score over all cells of a task; NaN if one is missing."""
+        cells = self.whole(entry, task)
+        return score_cells(cells) if cells else Score(math.nan, math.nan, math.nan)
 
     def table(self, task: str) -> Table | None:
         """Return the table of a task, best entry first; None without entries."""

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,9 @@ from . import TASKS
 if TYPE_CHECKING:
     from rich.console import Console
 
-TABLE = "table"  # first argument of the second form
+    from .board import Board
+
+TABLE, PLOT = "table", "plot"  # first argument of the other forms
 RESULTS = Path("benchmarks/results")
 SINGLES = tuple(name for name in TASKS if PERIODS[name] is not None)
 INTERRUPTED = 130  # exit code after Ctrl-C
@@ -27,7 +30,7 @@ class BenchmarkConfig:
     """Run a policy on the test episodes of the benchmark, and write an entry.
 
     Policies run in processes of their own with bounded time and memory. `surface-gym benchmark
-    table` makes the board of all entries.
+    table` makes the board of all entries, `surface-gym benchmark plot` its plots.
     """
 
     policy: str
@@ -86,6 +89,16 @@ class TableConfig:
     """Markdown file to write; the default prints the board."""
 
 
+@dataclass(frozen=True)
+class PlotConfig:
+    """Draw the scores of all entries by rliable: intervals and performance profiles."""
+
+    out: Path
+    """Folder to write; it is made if there is none."""
+    results: Path = RESULTS
+    """Folder of entries."""
+
+
 def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     """Run a policy, and write its entry."""
     from ..evaluation.results import show_progress
@@ -120,20 +133,40 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
         raise ValueError(f"policy must run, got {config.policy}: {failed[0].failure}")
 
 
-def show_board(config: TableConfig, console: "Console") -> None:
-    """Print or write the board."""
-    from .board import Board, make_page
+def read_board(results: Path) -> "Board":
+    """Read the board of a folder of entries."""
+    from .board import Board
     from .entry import read_entries
 
-    entries = read_entries(config.results)
+    entries = read_entries(results)
     if not entries:
-        raise ValueError(f"results must be a folder with entries, got {config.results}")
-    page = make_page(Board(entries))
+        raise ValueError(f"results must be a folder with entries, got {results}")
+    return Board(entries)
+
+
+def show_board(config: TableConfig, console: "Console") -> None:
+    """Print or write the board."""
+    from .board import make_page
+
+    board = read_board(config.results)
+    page = make_page(board)
     if config.out is None:
         print(page)
         return
     config.out.write_text(page)
-    console.print(f"the board of {len(entries)} entries is in {config.out}")
+    console.print(f"the board of {len(board.entries)} entries is in {config.out}")
+
+
+def draw_board(config: PlotConfig) -> None:
+    """Write the plots of the board."""
+    from .plots import plot_board
+
+    board = read_board(config.results)
+    if find_spec("rliable") is None:
+        raise ValueError("plot needs rliable: pip install 'surface_gym[plots]'")
+    config.out.mkdir(parents=True, exist_ok=True)
+    for file in plot_board(board, config.out):
+        print(file)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -144,6 +177,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if given[:1] == [TABLE]:
             show_board(parse_options(TableConfig, "benchmark", given[1:]), Console())
+        elif given[:1] == [PLOT]:
+            draw_board(parse_options(PlotConfig, "benchmark", given[1:]))
         else:
             benchmark(parse_options(BenchmarkConfig, "benchmark", given), Console())
     except (ValueError, WorkError) as error:
