@@ -20,7 +20,7 @@ from rich.console import Console
 from surface_gym.config import PRESETS, QUARTER_TURN, EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
-from surface_gym.modules import ModuleKind, find_module, surface_velocities
+from surface_gym.modules import ModuleKind, find_module
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.benchmark import Offer
 
@@ -30,7 +30,7 @@ from ..rollout import Episodes
 from ..rules.patterns import Patterns
 from ..rules.steering import AIMS, AimRule
 from ..rules.velocities import COLUMNS, MODULES, VelocityRule
-from ..scheduling.driven import COLUMN_BELTS, STREAM_KINDS, TAKE_AWAY_KINDS
+from ..scheduling.driven import AHEAD_ONLY, COLUMN_BELTS, STREAM_KINDS, TAKE_AWAY_KINDS
 from ..scheduling.scheduler import make_scheduler
 from .method import (
     Method,
@@ -156,11 +156,8 @@ class DriveScenario(StreamScenario):
         return LEAST_CORRECT["exact"]
 
     def accepts(self, method: Method) -> bool:
-        task, make = self.offer.task, method.arguments.get("modules")
-        if not task.takes_away or make is None or task.exits == "end":
-            return True
-        modes = make(speed=task.take_away, acceleration=math.inf).modes(())
-        return bool((np.abs(surface_velocities(modes)[:, 1]) > 1e-6).any())  # leads aside
+        narrow = self.offer.task.takes_away and self.offer.task.exits != "end"
+        return not (narrow and method.name in AHEAD_ONLY)
 
     def play(self, method: Method, seed: int) -> list[Row]:
         config = self.config(method)
@@ -334,11 +331,7 @@ def write_tables(
     tasks: Sequence[str], table: pd.DataFrame, folder: Path, console: Console, note: str = "",
     turn_energy: float = 0.0,
 ) -> None:  # fmt: skip
-    """Write the tables of kinds of modules to a folder, and print them.
-
-    Args:
-        turn_energy: [J] of a turn of an axis.
-    """
+    """Write the tables of kinds of modules to a folder, and print them; see `drive_tables`."""
     results = Results(table)
     tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]
     if any(_is_sorter(key) for key in results.samples):

@@ -213,6 +213,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
         each.append(HOUR * correct / counted)
     departed = streams.tally[:, [CORRECT, WRONG]].sum()
+    drawn = float(batch.infos()["drawn_energy"].sum()) if config.meters else 0.0
     return LineMeasurement(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
@@ -222,9 +223,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, departed)),
         turns_per_hour=float(np.nanmean(turns)),
         share_at=tuple((at / at.sum()).tolist()),
-        energy=float(batch.infos()["drawn_energy"].sum() / max(1, departed))
-        if config.meters
-        else 0.0,
+        energy=drawn / max(1, departed),
     )
 
 

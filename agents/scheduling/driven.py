@@ -36,30 +36,25 @@ STREAM_KINDS: dict[str, Callable[..., DrivenModule]] = {
     "omni-wheels, 10 deg": partial(_for_stream, OmniModule, GENTLE),
 }
 
-FINE = tuple(round(0.1 * k, 1) for k in range(21))  # [m/s] up to a take-away's 2 m/s
+FINE = tuple(round(0.1 * k, 1) for k in range(1, 100))  # [m/s] speeds of a drive with many
 AROUND = tuple(math.radians(15.0 * k) for k in range(-6, 7))  # [rad] ahead and aside
 
 
 def _to_take_away(
-    kind: Callable[..., DrivenModule], headings: tuple[float, ...] | None, speed: float,
+    kind: Callable[..., DrivenModule], headings: tuple[float, ...], speed: float,
     acceleration: float,
 ) -> DrivenModule:  # fmt: skip
-    """Return driven modules for a take-away with a speed [m/s]; without headings, a kind's own.
-
-    Drives of modules with headings have speeds in steps of 0.1 m/s. Others run or stand.
-    """
-    if headings is None:
-        return kind(acceleration, (0.0, speed), conveyor=speed)
-    speeds = (*(each for each in FINE if each < speed), speed)
-    return kind(acceleration, speeds, headings, conveyor=speed)
+    """Return driven modules that stand, or run by up to a take-away's speed [m/s]."""
+    between = () if kind is PopUp else tuple(each for each in FINE if each < speed)
+    return kind(acceleration, (0.0, *between, speed), headings, conveyor=speed)
 
 
-BELTS, COLUMN_BELTS = "belts, one a module", "belts, one a column"
+AHEAD_ONLY = COLUMN_BELTS, BELTS = "belts, one a column", "belts, one a module"
 # The same, for surfaces before a take-away with that speed.
 TAKE_AWAY_KINDS: dict[str, Callable[..., DrivenModule]] = {
     COLUMN_BELTS: partial(_to_take_away, Belt, (0.0,)),
     BELTS: partial(_to_take_away, Belt, (0.0,)),
-    "pop-up": partial(_to_take_away, PopUp, None),
+    "pop-up": partial(_to_take_away, PopUp, PopUp.headings),
     "steered rollers": partial(_to_take_away, SteeredRoller, AROUND),
     "omni-wheels": partial(_to_take_away, OmniModule, AROUND),
 }

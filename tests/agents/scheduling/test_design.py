@@ -115,6 +115,25 @@ def test_an_answer_in_words_tables_and_json(found):
     assert none.startswith("No line of up to 1.3 m carries 12000 parcels an hour: most, ")
 
 
+def test_a_driven_line_stands_beside_idle_ones(found):
+    row = found[2]
+    turns = row.run.turns_per_parcel / 4  # four rows turn together
+    driven = replace(
+        row, hardware="steered rollers, 10 deg", motors=(1, 1), actuators=9, stuck=(),
+        run=replace(row.run, energy=3.0),
+    )  # fmt: skip
+    said = FlowAnswer(replace(CASE, driven=True, turn_energy=0.5), (row,), (driven,))
+    assert driven.energy(0.5) == pytest.approx(3.0 + row.energy(0.5))
+    assert row.energy(0.5) == pytest.approx(0.5 * turns)
+    saved = f"saves {18 - row.actuators} motors and 3.0 J a parcel, which is 6.7 W"
+    assert said.sentence.endswith(saved)
+    table = next(each for each in said.tables() if each.name == "flow-driven")
+    assert [each[3] for each in table.rows] == [row.actuators, 18]
+    assert [each["hardware"] for each in said.as_json()["lines"]] == [COLUMNS, driven.hardware]
+    short = replace(CASE, driven=True).config(9, by_parcel=False, module=CASE.make_module("pop-up"))
+    assert short.module_kind.motors == (2, 0)
+
+
 def test_a_data_sheet_tells_energy_and_life(found):
     row = found[2]
     case = replace(CASE, turn_energy=0.5, turn_life=1e6)
