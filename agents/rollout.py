@@ -22,7 +22,7 @@ class Episodes:
     success: Booleans  # (starts,)
     outcome: tuple[str, ...]  # (starts,) outcome of the episode
     time: Numbers  # (starts,) [s] duration of the episode
-    # metrics of the task, and energies if asked for, each (starts,)
+    # metrics of the task; energies and turns of all axes if asked for; each (starts,)
     metrics: dict[str, Numbers]
     pose: Numbers  # (periods + 1, starts, 3) [m, m, rad] true poses; NaN after the end
     velocity: Numbers  # (starts, 3) [m/s, m/s, rad/s] at the end
@@ -59,6 +59,7 @@ def run_episodes(
     )
     observation, info = env.reset(seed=seed, options=list(starts))
     metrics = (*config.task.metrics, *(ENERGIES if config.meters else ()))
+    metrics += ("axis_turns",) if "turns" in config.info else ()
     kept: dict[str, Any] = {
         key: np.zeros_like(info[key])
         for key in ("is_success", "outcome", "time", "velocity", *metrics)
@@ -89,7 +90,10 @@ def run_episodes(
         success=kept["is_success"],
         outcome=tuple(map(str, kept["outcome"])),
         time=kept["time"],
-        metrics={name: kept[name] for name in metrics},
+        metrics={
+            name: kept[name] if kept[name].ndim == 1 else kept[name].sum(axis=(1, 2))
+            for name in metrics
+        },
         pose=np.array(poses),
         velocity=kept["velocity"],
         decision_times=np.array(seconds) / count,

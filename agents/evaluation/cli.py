@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from surface_gym import checks, parallel
 from surface_gym.cli import parse_options
 from surface_gym.executors import WorkError, describe_error
+from surface_gym.randomisation import Actuators
 from surface_gym.registration import SHIPPED, TASKS
 
 if TYPE_CHECKING:
@@ -71,11 +72,14 @@ class EvaluateConfig:
     """
     modules: bool = False
     """Compare kinds of modules instead: idle rotors beside driven modules."""
+    turn_energy: float = 0.0
+    """Kinds of modules: energy of a turn of an axis [J], by its data sheet."""
     starts: int = 240
     """Robustness study: starts at each level of each factor."""
 
     def __post_init__(self) -> None:
         checks.integer("starts", self.starts, least=1)
+        Actuators(turn_energy=self.turn_energy)
         if self.robustness and self.modules:
             raise ValueError("modules must not be given beside robustness, got both")
         if self.robustness and self.run is not None:
@@ -121,7 +125,7 @@ def evaluate(config: EvaluateConfig, console: "Console") -> None:
         table = compute(jobs, workers, config.folder / FILE, advance)
         show = partial(advance, len(jobs), len(jobs))
         if config.modules:
-            write_tables(config.tasks, table, config.folder, console, note)
+            write_tables(config.tasks, table, config.folder, console, note, config.turn_energy)
         elif config.robustness:
             write_sweep(selection, table, config.folder, console, note)
         else:

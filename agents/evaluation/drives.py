@@ -1,7 +1,8 @@
 """The comparison of kinds of modules: idle rotors beside driven modules, each with its best method.
 
 Idle rotors act with the shipped agents and rules of a task, and the best of them is shown. Driven
-modules act with `AimRule` for one parcel, and with the scheduler for streams.
+modules act with `AimRule` for one parcel, with the scheduler for streams to be sorted, and with
+`VelocityRule` before a take-away. There idle rotors need the slope, and driven modules are level.
 """
 
 import math
@@ -19,13 +20,17 @@ from rich.console import Console
 from surface_gym.config import PRESETS, QUARTER_TURN, EnvConfig, Preset
 from surface_gym.flow.arrivals import HOUR
 from surface_gym.flow.benchmarks import GROUPS, SIX
-from surface_gym.modules import ModuleKind, OmniModule, PopUp, SteeredRoller, find_module
+from surface_gym.modules import ModuleKind, find_module
 from surface_gym.randomisation import Actuators
 from surface_gym.tasks.benchmark import Offer
 
+from ..base import Controller
 from ..library import QUEUE, task_label
 from ..rollout import Episodes
-from ..rules.steering import AIMS, AimRule, Make
+from ..rules.patterns import Patterns
+from ..rules.steering import AIMS, AimRule
+from ..rules.velocities import COLUMNS, MODULES, VelocityRule
+from ..scheduling.driven import AHEAD_ONLY, COLUMN_BELTS, STREAM_KINDS, TAKE_AWAY_KINDS
 from ..scheduling.scheduler import make_scheduler
 from .method import (
     Method,
@@ -39,8 +44,15 @@ from .method import (
 from .pictures import Bar, draw_bars, save_figure
 from .report import show_tables
 from .results import Results, Sample
-from .scenario import STARTS, WHOLE, Extent, Scenario, ScenarioJob, StartScenario, make_jobs
-from .streams import LEAST_CORRECT, UNSEEN, StreamScenario
+from .scenario import STARTS, WHOLE, Extent, Row, Scenario, ScenarioJob, StartScenario, make_jobs
+from .streams import (
+    LEAST_CORRECT,
+    STREAM_PRESETS,
+    UNSEEN,
+    StreamScenario,
+    measure_stream,
+    play_stream,
+)
 from .tables import Table, number, tabulate, write_markdown
 from .views import column_value, format_value
 
@@ -54,33 +66,14 @@ DELAYED = Preset(
     actuators=Actuators(axis_speed=0.5 * math.pi / QUARTER_TURN),
 )
 DRIVE_PRESETS = {"exact": PRESETS["exact"], DELAYED.name: DELAYED}
-ACCELERATION = {"exact": math.inf, DELAYED.name: 10.0}  # [m/s^2] of driven surfaces
+LAB = STREAM_PRESETS["lab"]
+# [m/s^2] of driven surfaces
+ACCELERATION = {"exact": math.inf, DELAYED.name: 10.0, LAB.name: 10.0}
 REPLICATIONS = 12  # streams at each rate
-DIAGONAL = math.sqrt(2.0)  # speed aside of a pop-up, over the stream's
-GENTLE, STEEP = math.radians(10.0), math.radians(30.0)  # [rad] headings aside
-RISE = QUARTER_TURN  # [s] until the belts of a pop-up have risen
-
-
-def _for_stream(kind: Make, heading: float, speed: float, acceleration: float) -> ModuleKind:
-    """Return driven modules that keep a stream's speed [m/s] along the line, also aside."""
-    speeds, headings = (speed, speed / math.cos(heading)), (0.0, heading, -heading)
-    return kind(acceleration, speeds, headings, conveyor=speed)
-
-
-def _pop_up(speed: float, acceleration: float) -> ModuleKind:
-    """Return pop-ups for a stream; their belts run already as they rise."""
-    fast = DIAGONAL * speed
-    if acceleration != math.inf:
-        acceleration = math.hypot(speed, fast) / RISE
-    return PopUp(acceleration, (speed, fast), conveyor=speed)
-
-
-STREAM_KINDS: dict[str, Callable[..., ModuleKind]] = {
-    "pop-up": _pop_up,
-    "steered rollers, 10 deg": partial(_for_stream, SteeredRoller, GENTLE),
-    "steered rollers, 30 deg": partial(_for_stream, SteeredRoller, STEEP),
-    "omni-wheels, 10 deg": partial(_for_stream, OmniModule, GENTLE),
-}
+# Offered streams with a take-away, by name; their number, duration [s], warm-up [s] that does not
+# count, and rate [parcels/h].
+BEFORE_TAKE_AWAY = ("anywhere across", "mouth of 0.6 m, 10 deg", "three lines")
+STREAMS, SECONDS, WARM_UP, OFFERED = 6, 60.0, 10.0, 14_000.0
 
 
 def kind_methods(task: str) -> list[Method]:
@@ -88,9 +81,17 @@ def kind_methods(task: str) -> list[Method]:
 
     An argument `modules` is a function that makes the modules; see `_suited`.
     """
-    given: dict[str, Any] = {"info": ("energy",)}
+    given: dict[str, Any] = {"info": ("energy", "turns")}
     make: Callable[..., Any]
     kinds: Mapping[str, Callable[..., ModuleKind]]
+    if _is_before_take_away(task):
+        given |= {"actions": "modules"}
+        rest: list[Method] = []
+        for kind, each in TAKE_AWAY_KINDS.items():
+            rule = partial(VelocityRule, drives=COLUMNS if kind == COLUMN_BELTS else MODULES)
+            own = given | {"modules": each, "tilt": 0.0}
+            rest.append(Method(kind, task, partial(seedless, rule), own))
+        return [Method(IDLE, task, partial(seedless, Patterns), given), *rest]
     if is_on_streams(task):
         given |= {"actions": "parcels", "gate": True, "queue": QUEUE}
         make, kinds = make_scheduler, STREAM_KINDS
@@ -111,6 +112,11 @@ def kind_methods(task: str) -> list[Method]:
             for kind, each in kinds.items()
         ),
     ]
+
+
+def _is_before_take_away(task: str) -> bool:
+    """Return whether a task is on streams with a take-away."""
+    return is_on_streams(task) and bool(stream_benchmark(task).task.takes_away)
 
 
 def _suited(method: Method, **given: Any) -> Method:
@@ -135,21 +141,58 @@ class DriveStarts(StartScenario):
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
-    """A stream at its highest sustained rate, whose driven modules suit its speed."""
+    """A stream at its highest sustained rate, whose driven modules suit its speed.
+
+    Before a take-away, more is offered than the surface takes. Modules suit the take-away.
+    """
+
+    @property
+    def offer(self) -> Offer:
+        found = super().offer
+        return replace(found, rates=(OFFERED,)) if found.task.takes_away else found
 
     @property
     def least_correct(self) -> float:
         return LEAST_CORRECT["exact"]
 
+    def accepts(self, method: Method) -> bool:
+        narrow = self.offer.task.takes_away and self.offer.task.exits != "end"
+        return not (narrow and method.name in AHEAD_ONLY)
+
+    def play(self, method: Method, seed: int) -> list[Row]:
+        config = self.config(method)
+        count = config.site.rotor.any(axis=0) if method.name == COLUMN_BELTS else config.site.rotor
+        motors = int(count.sum()) * sum(config.module_kind.motors)
+        return [{**row, "motors": motors} for row in super().play(method, seed)]
+
     def config(self, method: Method, rate: float | None = None) -> EnvConfig:
-        acceleration, speed = ACCELERATION[self.preset], self.offer.task.stream.speeds
+        task, acceleration = self.offer.task, ACCELERATION[self.preset]
+        speed = task.take_away if task.takes_away else task.stream.speeds
         method = _suited(method, acceleration=acceleration, speed=speed)
+        if self.preset == LAB.name:
+            return StreamScenario.config(self, method, rate)
         given = method.arguments | {"actuators": DRIVE_PRESETS[self.preset].actuators}
         alone = replace(self, preset=UNSEEN)  # without a preset of its own
         return StreamScenario.config(alone, replace(method, arguments=given), rate)
 
+    def _measure(
+        self, method: Method, config: EnvConfig, controller: Controller, least_correct: float = 0.0
+    ) -> list[Row]:
+        if not self.offer.task.takes_away:
+            return super()._measure(method, config, controller, least_correct)
+        batch = play_stream(config, controller, self.episodes(method))
+        assert batch is not None  # no share of correct deliveries is required
+        streams, counted = batch.streams, config.stream_task.duration - WARM_UP
+        late = streams.departed > WARM_UP
+        correct, delivered = (late & streams.correct).sum(axis=1), late.sum(axis=1)
+        return [
+            {**row, "counted": counted, "correct": int(correct[k]), "delivered": int(delivered[k])}
+            for k, row in enumerate(measure_stream(batch))
+        ]
+
     def episodes(self, method: Method) -> int:
-        return min(REPLICATIONS, super().episodes(method))
+        count = STREAMS if self.offer.task.takes_away else REPLICATIONS
+        return min(count, super().episodes(method))
 
 
 def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob]:
@@ -159,10 +202,14 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
         scenarios: list[Scenario] = []
         if is_on_streams(task):
             offers = [each for each in stream_benchmark(task).offers if _is_compared(each)]
+            presets: Sequence[str] = tuple(DRIVE_PRESETS)
+            if _is_before_take_away(task):
+                presets = ("exact", LAB.name)
+                extent = replace(extent, duration=min(SECONDS, extent.duration))
             scenarios = [
                 DriveScenario(task, preset, extent, each.scenario)
                 for each in offers[: extent.offers]
-                for preset in DRIVE_PRESETS
+                for preset in presets
             ]
         elif task in AIMS:
             scenarios = [DriveStarts(task, preset, extent) for preset in DRIVE_PRESETS]
@@ -172,25 +219,35 @@ def drive_jobs(tasks: Sequence[str], extent: Extent = WHOLE) -> list[ScenarioJob
 
 
 def _is_compared(offer: Offer) -> bool:
-    """Return whether an offer is a search for the capacity with a mix of parcels."""
+    """Return whether an offer is a search for the capacity with a mix, or before a take-away."""
     task = offer.task
+    if task.takes_away:
+        return offer.name in BEFORE_TAKE_AWAY
     return not offer.rates and offer.group == GROUPS[0] and len(task.stream.kinds) > 1
 
 
-def drive_tables(task: str, results: Results) -> list[Table]:
-    """Make the table of kinds of modules for a task; none without results."""
-    rows = _stream_rows(task, results) if is_on_streams(task) else _start_rows(task, results)
+def drive_tables(task: str, results: Results, turn_energy: float = 0.0) -> list[Table]:
+    """Make the table of kinds of modules for a task; none without results.
+
+    Args:
+        turn_energy: [J] of a turn of an axis.
+    """
+    make_rows = _stream_rows if is_on_streams(task) else _start_rows
+    rows = make_rows(task, results, turn_energy)
     caption = (
         "Each kind with its best method here. With delays, " + DELAYED.meaning[0].lower()
         + DELAYED.meaning[1:] + " Energy is what drives draw; a braking "
-        "drive gives nothing back. Acceleration: the largest of a parcel, mean."
+        f"drive gives nothing back. A turn of an axis takes {turn_energy:g} J. Acceleration: "
+        "the largest of a parcel, mean."
     )  # fmt: skip
-    if is_on_streams(task):
+    if _is_before_take_away(task):
+        caption += " Idle rotors are on the slope, driven modules are level. Lab: " + LAB.meaning
+    elif is_on_streams(task):
         caption += " Rates are the highest sustained ones with 99.9 % right deliveries."
     return tabulate(f"{task_label(task)}, kinds of modules", caption, rows, keys=2)
 
 
-def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
+def _start_rows(task: str, results: Results, turn_energy: float) -> list[dict[str, str]]:
     methods = {each.name: each for each in kind_methods(task)}
     rows = []
     for preset in DRIVE_PRESETS:
@@ -209,7 +266,7 @@ def _start_rows(task: str, results: Results) -> list[dict[str, str]]:
                 if not column.every_start:
                     value = column_value(column, sample, ran[idle[0]])
                     row[column.label] = format_value(column, value)
-            rows.append(row | _energies(sample, sample.success.size))
+            rows.append(row | _energies(sample, turn_energy, sample.success.size))
     return rows
 
 
@@ -229,16 +286,18 @@ def _rate(sample: Sample) -> float:
     return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
 
 
-def _energy_per_parcel(sample: Sample, parcels: float | None = None) -> float:
-    """Return the energy [J] that drives draw per parcel; None: per sorted one. NaN: none."""
+def _per_parcel(sample: Sample, name: str = "drawn_energy", parcels: float | None = None) -> float:
+    """Return a number per parcel, by default the energy [J]; None: per sorted one. NaN: none."""
     count = float(sample.values("sorted").sum()) if parcels is None else parcels
-    return float(sample.values("drawn_energy").sum()) / count if count else math.nan
+    return float(sample.values(name).sum()) / count if count else math.nan
 
 
-def _energies(sample: Sample, parcels: float | None = None) -> dict[str, str]:
+def _energies(sample: Sample, turn_energy: float, parcels: float | None = None) -> dict[str, str]:
     peak = float(sample.values("peak_acceleration").mean())
+    turns = _per_parcel(sample, "axis_turns", parcels)
     return {
-        "energy [J]": number(_energy_per_parcel(sample, parcels), ".1f"),
+        "turns of axes": number(turns, ".1f"),
+        "energy [J]": number(_per_parcel(sample, parcels=parcels) + turn_energy * turns, ".1f"),
         "acceleration [m/s^2]": number(peak, ".1f"),
     }
 
@@ -249,31 +308,41 @@ def _worth(sample: Sample, metric: str) -> tuple[float, float]:
     return round(sample.rate, 2), -float(np.median(values)) if values.size else -math.inf
 
 
-def _stream_rows(task: str, results: Results) -> list[dict[str, str]]:
+def _stream_rows(task: str, results: Results, turn_energy: float) -> list[dict[str, str]]:
     rows = []
+    takes_away = _is_before_take_away(task)
     for (_, scenario, preset, name), sample in results.among(task):
         rate = _rate(sample)
-        rows.append(
-            {
-                "stream": scenario, "modules": name, "delays": _delays(preset),
-                "right [1/h]": number(rate, ".0f"),
-                "of the entry's limit": number(rate / sample.constant("bound"), ".0%"),
-                **_energies(sample),
-            }
-        )  # fmt: skip
-    return sorted(rows, key=lambda row: (row["stream"], row["delays"]))
+        row = {"stream": scenario, "modules": name}
+        row |= {"sensors": preset} if takes_away else {"delays": _delays(preset)}
+        row["right [1/h]"] = number(rate, ".0f")
+        if takes_away:
+            row["right [1/h]"] += f" ±{sample.margin:.0f}"
+            row |= {"correct": number(sample.share_correct, ".1%"), "jams": f"{sample.jams:.0f}"}
+            row["touches/1000"] = number(sample.mean("touches_per_1000"), ".0f")
+            row["motors"] = number(sample.constant("motors"), ".0f")
+        else:
+            row["of the entry's limit"] = number(rate / sample.constant("bound"), ".0%")
+        rows.append(row | _energies(sample, turn_energy))
+    return sorted(rows, key=lambda row: (row["stream"], row["sensors" if takes_away else "delays"]))
 
 
 def write_tables(
-    tasks: Sequence[str], table: pd.DataFrame, folder: Path, console: Console, note: str = ""
-) -> None:
-    """Write the tables of kinds of modules to a folder, and print them."""
+    tasks: Sequence[str], table: pd.DataFrame, folder: Path, console: Console, note: str = "",
+    turn_energy: float = 0.0,
+) -> None:  # fmt: skip
+    """Write the tables of kinds of modules to a folder, and print them; see `drive_tables`."""
     results = Results(table)
-    tables = [each for task in tasks for each in drive_tables(task, results)]
-    if any(is_on_streams(key[0]) for key in results.samples):
+    tables = [each for task in tasks for each in drive_tables(task, results, turn_energy)]
+    if any(_is_sorter(key) for key in results.samples):
         _draw_streams(results, folder / "modules.png")
     write_markdown(tables, folder / "modules.md", TITLE + (f"{note}\n\n" if note else ""))
     show_tables(tables, console, note)
+
+
+def _is_sorter(key: tuple[str, ...]) -> bool:
+    """Return whether the results at a key are of a stream that is sorted."""
+    return is_on_streams(key[0]) and not _is_before_take_away(key[0])
 
 
 def _draw_streams(results: Results, file: Path) -> None:
@@ -284,10 +353,10 @@ def _draw_streams(results: Results, file: Path) -> None:
         samples = {
             (key[1], key[3]): sample
             for key, sample in results.samples.items()
-            if key[2] == preset and is_on_streams(key[0])
+            if key[2] == preset and _is_sorter(key)
         }
         offers, names = (list(dict.fromkeys(each)) for each in zip(*samples, strict=True))
-        for panel, value in zip(column, (_rate, _energy_per_parcel), strict=True):
+        for panel, value in zip(column, (_rate, _per_parcel), strict=True):
             draw_bars(
                 panel, offers, names,
                 lambda *key, value=value, samples=samples: (

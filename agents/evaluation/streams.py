@@ -280,6 +280,8 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
     offered = getattr(task.stream.arrivals, "rate", math.nan)
     jams, rows = find_jams(batch), []
     infos = batch.infos() if config.meters else {}
+    if "axis_turns" in infos:
+        infos["axis_turns"] = infos["axis_turns"].sum(axis=(1, 2))
     for k in range(batch.num_envs):
         jam = bool(jams[k])
         found = asdict(
@@ -294,7 +296,8 @@ def measure_stream(batch: StreamBatch, warm_up: float = 0.0) -> list[Row]:
             {
                 "offered": offered, "counted": counted, "correct": correct, "jam": jam,
                 "sorted": int(streams.tally[k, CORRECT]), "turns": int(streams.tally[k, TURNS]),
-                **found, **{name: infos[name][k] for name in ENERGIES if infos},
+                **found,
+                **{name: infos[name][k] for name in (*ENERGIES, "axis_turns") if name in infos},
             }
         )  # fmt: skip
     return rows

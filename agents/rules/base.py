@@ -192,8 +192,12 @@ class BaseStreamRule(BatchController):
     def __init__(self, config: EnvConfig) -> None:
         checks.one_of("actions", config.actions, (self.acts_by,))
         _check_choices(config)
+        self.choices = self._list_choices(config)  # by the number that the rule chooses
+
+    def _list_choices(self, config: EnvConfig) -> Commands:
+        """List the choices of a half or of a module among which the rule chooses."""
         axes = find_axes(config)
-        self.choices = np.array([axes.roll, axes.brake, axes.left, axes.right])  # by half
+        return np.array([axes.roll, axes.brake, axes.left, axes.right])
 
 
 class UniformLayout(BaseRule):

@@ -350,6 +350,28 @@ def want_sideways(
     return math.copysign(lateral, shift), math.copysign(turning, parcels.turn[k])
 
 
+@inlined
+def want_motion(
+    slope: Slope, tuning: Tuning, aim: PatternTuning, parcels: SlopeParcels, slots: Slots,
+    order: Integers, count: int, place: int, goes: bool,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
+
+    The parcel at a place of the order gets the next time slot. One that `goes` moves in any case.
+    """
+    k = order[place]
+    speed = plan_by_slot(slope, tuning, parcels, slots, k)
+    if parcels.x[k] < aim.slot_from:
+        speed = slope.take_away
+    gap = tuning.clear * min(1.0, parcels.x[k] / aim.loosening)
+    speed = min(speed, limit_speed(slope, tuning, parcels, order, count, place, gap))
+    if goes:
+        speed = max(speed, CREEP)
+    clear = is_way_clear(tuning, parcels, order, count, place, HELD)
+    lateral, turning = want_sideways(slope, tuning, aim, parcels, k, clear)
+    return speed, lateral, turning
+
+
 @compiled
 def choose_patterns(
     tables: Singles, slope: Slope, tuning: Tuning, aim: PatternTuning, grid: ModuleGrid,
@@ -370,15 +392,10 @@ def choose_patterns(
             nearest[m], commands[i, m] = math.inf, ROLL
         for place in range(count):
             k = order[i, place]
-            speed = plan_by_slot(slope, tuning, parcels, slots, k)
-            if parcels.x[k] < aim.slot_from:
-                speed = slope.take_away
-            gap = tuning.clear * min(1.0, parcels.x[k] / aim.loosening)
-            speed = min(speed, limit_speed(slope, tuning, parcels, order[i], count, place, gap))
-            if stuck and stood[i, k] > LONG:
-                speed = max(speed, CREEP)
-            clear = is_way_clear(tuning, parcels, order[i], count, place, HELD)
-            lateral, turning = want_sideways(slope, tuning, aim, parcels, k, clear)
+            goes = stuck and stood[i, k] > LONG
+            speed, lateral, turning = want_motion(
+                slope, tuning, aim, parcels, slots, order[i], count, place, goes
+            )
             pattern = choose_pattern(
                 slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
             )
@@ -435,20 +452,30 @@ class Patterns(SlopeRule):
         )  # fmt: skip
 
 
+def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:
+    """Return x (columns,) and y (rows,) [m] of a surface's modules, and which are rotors."""
+    line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
+    place = np.arange(max(rows, columns), dtype=np.float64)
+    zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
+    return (
+        line.column_edge(first + 0.5) - config.entry_x + line.pitch_x * place[:columns],
+        line.origin[1] - line.line_y + line.pitch_y * (first_row + place[:rows]),
+        np.ascontiguousarray(zone),
+    )
+
+
 def read_grid(config: EnvConfig, aim: PatternTuning) -> ModuleGrid:
     """Read the modules of a surface from a configuration."""
-    axes = find_axes(config)
-    line, (first_row, rows, first, columns) = config.chosen_line, config.site.zone
+    axes, (x, y, rotor) = find_axes(config), read_places(config)
     speed, period = config.actuators.axis_speed, config.control_period
     # Axes that take time are predicted until their effect shows.
     part = (period + aim.lag / speed) / PARTS
-    place = np.arange(max(rows, columns), dtype=np.float64)
-    zone = config.site.rotor[first_row : first_row + rows, first : first + columns]
+    grip = float(np.max(config.chosen_line.mu_max))
     return ModuleGrid(
-        x=line.column_edge(first + 0.5) - config.entry_x + line.pitch_x * place[:columns],
-        y=line.origin[1] - line.line_y + line.pitch_y * (first_row + place[:rows]),
-        rotor=np.ascontiguousarray(zone),
-        along=GRAVITY * math.cos(config.stream_task.tilt) * float(np.max(line.mu_max)),
+        x=x,
+        y=y,
+        rotor=rotor,
+        along=GRAVITY * math.cos(config.stream_task.tilt) * grip,
         angles=np.array(
             [config.chosen_orientations[k] for k in (axes.roll, axes.brake, axes.left, axes.right)]
         ),

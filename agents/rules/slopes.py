@@ -400,6 +400,8 @@ def read_slope(config: EnvConfig) -> Slope:
     along, across = float(np.max(line.mu_max)), float(np.max(line.mu_min))
     speed = config.actuators.axis_speed
     rolls, brakes = GRAVITY * (sine - across * cosine), GRAVITY * cosine * (along - across)
+    if config.module_kind.drives:  # their friction pulls as well as it brakes
+        rolls, brakes = GRAVITY * (sine + along * cosine), 2.0 * GRAVITY * along * cosine
     if rolls <= 0.0 or rolls >= brakes:
         raise ValueError(
             f"tilt must let parcels roll, and brakes hold them, got {math.degrees(task.tilt):g} deg"

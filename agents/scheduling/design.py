@@ -1,5 +1,7 @@
 """Design of a line for a given throughput: its length, its number of actuators, and the report.
 
+Lines of driven modules may stand beside it, with their motors and energy.
+
 The throughput of a line is predicted from its maneuvers. The shortest sufficient line is then
 simulated with a parcel always at the gate, as in the comparison.
 """
@@ -20,12 +22,14 @@ from surface_gym.flow.arrivals import HOUR, Steady
 from surface_gym.flow.exits import PITCH, Exits, flow_line
 from surface_gym.flow.state import CORRECT, JAM, TURNS, WRONG, compute_statistics
 from surface_gym.flow.stream import Stream
+from surface_gym.modules import DrivenModule
 from surface_gym.parallel import Workers, map_jobs, without_report
 from surface_gym.randomisation import Actuators
 from surface_gym.registration import DEFAULT_STREAM
 from surface_gym.state import RUNNING
 
 from ..base import Numbers
+from .driven import STREAM_KINDS
 from .maneuvers import ColumnGroups, Library, make_library
 from .scheduler import (
     CLEARANCES,
@@ -78,6 +82,7 @@ class FlowCase:
     longest: float = LONGEST  # [m] longest line to try
     turn_energy: float = 0.0  # [J] energy of a turn of an actuator, by its data sheet
     turn_life: float = math.inf  # turns of an actuator until it fails, by its data sheet
+    driven: bool = False  # whether lines of driven modules are found, too
 
     def __post_init__(self) -> None:
         checks.positive("rate", self.rate, *checks.RATE)
@@ -114,10 +119,22 @@ class FlowCase:
             least = max(least, *(math.floor(x.first / PITCH) + 1 for x in self.exits if x.side))
         return range(least, max(least, round(self.longest / PITCH)) + 1)
 
+    def make_module(self, kind: str) -> DrivenModule:
+        """Make driven modules for the stream's highest speed, which change their speed at once."""
+        return STREAM_KINDS[kind](speed=float(np.max(self.speed)), acceleration=math.inf)
+
     def config(
-        self, columns: int, orientations: Sequence[float] = FOUR, by_parcel: bool = True
-    ) -> EnvConfig:
-        """Configure a line of `columns` columns, with a parcel always at its gate."""
+        self, columns: int, orientations: Sequence[float] = FOUR, by_parcel: bool = True,
+        module: DrivenModule | None = None,
+    ) -> EnvConfig:  # fmt: skip
+        """Configure a line of `columns` columns, with a parcel always at its gate.
+
+        Args:
+            module: driven modules; None: idle rotors with the orientations.
+        """
+        given: dict[str, Any] = {"orientations": tuple(np.radians(orientations))}
+        if module is not None:
+            given = {"modules": module, "info": ("energy",)}
         low, length = np.min(self.speed), PITCH * columns
         shortest = min(np.ptp(parcel.base.outline[:, 0]) for parcel in self.stream.kinds)
         config = EnvConfig(
@@ -126,11 +143,11 @@ class FlowCase:
             exits=self.exits,
             line=flow_line(length, ROTOR_ROWS, self.lead_in),
             actions="parcels" if by_parcel else "modules",
-            orientations=tuple(np.radians(orientations)),
             gate=True,
             queue=QUEUE,
             max_parcels=max(24, math.ceil(length / shortest)),
             duration=SECONDS - WARM_UP + max(WARM_UP, 1.2 * length / float(low)),
+            **given,
         )
         bound = entrance_bound(config, self.odds(config))
         return config.replace(stream=self.stream.with_rate(bound))
@@ -164,6 +181,7 @@ class LineMeasurement:
     turns_per_parcel: float  # turns of all axes per parcel
     turns_per_hour: float  # [1/h] turns per axis
     share_at: tuple[float, ...]  # [-] share of time at each orientation
+    energy: float = 0.0  # [J] that drives draw per parcel
 
 
 def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> LineMeasurement:
@@ -195,6 +213,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         touches += found.touches_per_1000 * found.delivered / 1000.0 if found.delivered else 0.0
         each.append(HOUR * correct / counted)
     departed = streams.tally[:, [CORRECT, WRONG]].sum()
+    drawn = float(batch.infos()["drawn_energy"].sum()) if config.meters else 0.0
     return LineMeasurement(
         rate=float(np.mean(each)),
         margin=float(2.05 * np.std(each, ddof=1) / math.sqrt(REPLICATIONS)),
@@ -204,6 +223,7 @@ def measure(config: EnvConfig, scheduler: Scheduler, stuck: float = 0.0) -> Line
         turns_per_parcel=float(streams.tally[:, TURNS].sum() / max(1, departed)),
         turns_per_hour=float(np.nanmean(turns)),
         share_at=tuple((at / at.sum()).tolist()),
+        energy=drawn / max(1, departed),
     )
 
 
@@ -221,11 +241,21 @@ class LineDesign:
     run: LineMeasurement
     curve: tuple[tuple[float, float], ...]  # length [m] and throughput [parcels/h] of lines
     stuck: tuple[LineMeasurement, ...] = ()  # one measurement for each share in STUCK, or empty
+    motors: tuple[int, int] = (0, 1)  # of an actuator: drives, and axes
 
     @property
     def left(self) -> tuple[float, ...]:
         """[-] remaining share of the rate for each share in STUCK."""
         return tuple(run.rate / self.run.rate for run in self.stuck)
+
+    @property
+    def motor_count(self) -> int:
+        return self.actuators * sum(self.motors)
+
+    def energy(self, turn_energy: float) -> float:
+        """Return the energy [J] per parcel of drives, and of axes by the energy of a turn [J]."""
+        turns = self.run.turns_per_parcel / (ROTOR_ROWS * self.zone or 1)
+        return self.run.energy + self.motors[1] * turn_energy * turns
 
 
 class Search:
@@ -237,10 +267,12 @@ class Search:
         self._rates: dict[tuple[LineLayout, Clearance, int], float] = {}
         self._schedulers: dict[tuple[LineLayout, int], Scheduler | None] = {}
         self._runs: dict[tuple[LineLayout, int], LineMeasurement] = {}
+        self.module = case.make_module(hardware) if hardware in STREAM_KINDS else None
         self._ratio = 1.0  # rate without touches divided by the rate with the smallest clearance
 
     def config(self, layout: LineLayout, choices: int = len(SIX)) -> EnvConfig:
-        return self.case.config(layout.columns, SIX[:choices], layout.groups is None)
+        by_parcel = layout.groups is None
+        return self.case.config(layout.columns, SIX[:choices], by_parcel, self.module)
 
     def library(self, layout: LineLayout, clearance: Clearance, choices: int) -> Library | None:
         """Make the library of the first orientations; None if it misroutes some parcel."""
@@ -283,8 +315,8 @@ class Search:
     def families(self) -> list[list[LineLayout]]:
         """Return families of layouts; within a family, longer lines carry roughly more."""
         lines, lead_in = self.case.columns, self.case.lead_in
-        if self.hardware in (COLUMNS, MODULES):
-            groups = ColumnGroups() if self.hardware == COLUMNS else None
+        if self.hardware in (COLUMNS, MODULES, *STREAM_KINDS):
+            groups = None if self.hardware == MODULES else ColumnGroups()
             return [[LineLayout(columns, groups) for columns in lines]]
 
         def zones(width: int, count: int, exclusive: bool = False) -> LineLayout:
@@ -359,6 +391,8 @@ class Search:
 
     def _used(self, layout: LineLayout, choices: int) -> int:
         """Count the orientations (among the first ones) that affect a line."""
+        if self.module is not None:
+            return choices
         few, all_ = (self.library(layout, CLEARANCES[0], count) for count in (len(FOUR), choices))
         same = few is not None and all_ is not None and len(few.gaps) == len(all_.gaps)
         return len(FOUR) if same else choices
@@ -381,12 +415,14 @@ class Search:
             return None
         groups, own = layout.groups, layout.columns - self.case.lead_in
         predicted = self.predict(layout, scheduler.library)
+        headings = SIX[:choices] if self.module is None else self.module.headings
         return layout, LineDesign(
-            self.hardware, SIX[:choices], predicted >= self.case.rate,
+            self.hardware, tuple(headings), predicted >= self.case.rate,
             round(PITCH * layout.columns, 9), 0 if groups is None else groups.columns,
             own * ROTOR_ROWS if groups is None else groups.count or own, predicted,
             self.run(layout, choices),
             self._curve(tried, choices, (scheduler.library.slack, scheduler.library.margin)),
+            motors=(0, 1) if self.module is None else self.module.motors,
         )  # fmt: skip
 
     def _curve(
@@ -416,8 +452,14 @@ class Search:
 
 
 def find_lines(case: FlowCase, hardware: str) -> tuple[LineDesign, ...]:
-    """Find lines with four and six orientations; run the shorter one with stuck modules too."""
+    """Find lines with four and six orientations; run the shorter one with stuck modules too.
+
+    A line of driven modules has one design, which is run as it is.
+    """
     search = Search(case, hardware)
+    if search.module is not None:
+        best = search.find(search.config(LineLayout(case.columns[-1], None)).choices)
+        return () if best is None else (best[1],)
     found = [best for each in (FOUR, SIX) if (best := search.find(len(each))) is not None]
     rows = [row for _, row in found]
     able = [k for k, row in enumerate(rows) if row.carries]
@@ -434,6 +476,7 @@ class FlowAnswer(Answer):
 
     case: FlowCase
     rows: tuple[LineDesign, ...]
+    driven: tuple[LineDesign, ...] = ()  # of driven modules, with one set of motors a column
 
     name = "flow"
 
@@ -458,7 +501,21 @@ class FlowAnswer(Answer):
         unable = [row for row in self.rows if not row.carries and row.actuators < fewest.actuators]
         best = max(unable, key=lambda row: row.predicted, default=None)
         more = "" if best is None else f". Fewer actuators carry at most {best.predicted:.0f}"
-        return text + more
+        return text + more + self._saving(fewest)
+
+    def _saving(self, idle: LineDesign) -> str:
+        """Say what an idle line saves beside the driven line with the fewest motors."""
+        able = [row for row in self.driven if row.carries]
+        if not able:
+            return ""
+        each = self.case.turn_energy
+        row = min(able, key=lambda row: (row.motor_count, row.energy(each)))
+        saved = row.energy(each) - idle.energy(each)
+        return (
+            f". Of driven modules, {row.hardware} need the fewest motors: {row.motor_count} on "
+            f"{row.length:.1f} m. The idle line saves {row.motor_count - idle.motor_count} motors "
+            f"and {saved:.1f} J a parcel, which is {saved * self.case.rate / HOUR:.1f} W"
+        )
 
     def tables(self) -> tuple[ReportTable, ...]:
         lines, runs, times, stuck = (list[tuple[Any, ...]]() for _ in range(4))
@@ -519,8 +576,32 @@ class FlowAnswer(Answer):
                     for name, each in self._distinct()
                 ],
             ),
+            *self._driven_tables(),
             ReportTable(
                 "flow-curves", "", (*who, "line [m]", "predicted [1/h]"), tuple(curves), shown=False
+            ),
+        )
+
+    def _driven_tables(self) -> tuple[ReportTable, ...]:
+        """Return the lines of driven modules beside idle lines; none if they were not asked for."""
+        if not self.driven:
+            return ()
+        each = self.case.turn_energy
+        rows = tuple(
+            (
+                row.hardware, row.carries, f"{row.length:.1f} m", row.motor_count,
+                f"{row.run.rate:.0f} ±{row.run.margin:.0f}", f"{row.energy(each):.1f}",
+                f"{row.energy(each) * self.case.rate / HOUR:.1f}",
+            )
+            for row in (*(line for _, line in self._distinct()), *self.driven)
+        )  # fmt: skip
+        return (
+            ReportTable(
+                "flow-driven",
+                "Idle rotors beside driven modules with one set of motors a column; axes that turn "
+                f"take {each:g} J",
+                ("modules", "carries", "line", "motors", "measured", "J/parcel", "W"),
+                rows,
             ),
         )
 
@@ -570,7 +651,11 @@ class FlowAnswer(Answer):
     def as_json(self) -> dict[str, Any]:
         """Return the answer as JSON data."""
         case = {"rate": self.case.rate, "speed": self.case.speed, "longest": self.case.longest}
-        return {**case, "stuck_shares": STUCK, "lines": [asdict(row) for row in self.rows]}
+        return {
+            **case,
+            "stuck_shares": STUCK,
+            "lines": [asdict(row) for row in (*self.rows, *self.driven)],
+        }
 
 
 def _describe(row: LineDesign) -> str:
@@ -590,11 +675,15 @@ def _describe(row: LineDesign) -> str:
 def answer_flow(
     case: FlowCase, workers: Workers = 1, on_progress: OnProgress = lambda *_: None
 ) -> FlowAnswer:
-    """Find the shortest line of each hardware."""
-    order = (MODULES, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first
+    """Find the shortest line of each hardware, and of each kind of driven modules if asked for."""
+    kinds = tuple(STREAM_KINDS) if case.driven else ()
+    order = (MODULES, *kinds, COLUMNS, SERIES, FOLLOWED, ARRANGED)  # the slowest first
     jobs = [partial(without_report, partial(find_lines, case, hardware)) for hardware in order]
     found: dict[str, tuple[LineDesign, ...]] = {}
     for index, rows in map_jobs(jobs, workers):
         found[order[index]] = rows
         on_progress(len(found), len(order))
-    return FlowAnswer(case, tuple(row for hardware in HARDWARE for row in found[hardware]))
+    rows, driven = (
+        tuple(row for each in names for row in found[each]) for names in (HARDWARE, kinds)
+    )
+    return FlowAnswer(case, rows, driven)

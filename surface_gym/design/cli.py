@@ -389,6 +389,8 @@ class AskFlow(Question):
     """Energy of a turn of an actuator [J], by its data sheet: adds a table of energy and life."""
     turn_life: float = math.inf
     """Turns of an actuator until it fails, by its data sheet: adds the same table."""
+    driven: bool = False
+    """Find lines of driven modules, too, and what an idle line saves beside them."""
 
     workers: int = field(default_factory=parallel.usable_cores)
     """Number of processes; results do not depend on it."""
@@ -408,7 +410,7 @@ class AskFlow(Question):
         speed = self.speed[0] if len(self.speed) == 1 else self.speed
         return import_module("surface_gym.agents.scheduling.design").FlowCase(
             self.rate, parse_mix(self.mix), parse_exits(self.exits), speed, self.longest,
-            self.turn_energy, self.turn_life,
+            self.turn_energy, self.turn_life, self.driven,
         )  # fmt: skip
 
     def answer(self, on_progress: "OnProgress") -> "Answer":

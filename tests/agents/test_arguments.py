@@ -17,6 +17,7 @@ from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, Tim
 from surface_gym.agents.rules.patterns import Patterns
 from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.agents.rules.sorting import GradedLayout, SortEach, StreamEventRule
+from surface_gym.agents.rules.velocities import VelocityRule
 from surface_gym.config import EnvConfig
 from surface_gym.tasks import TASKS
 
@@ -49,6 +50,7 @@ MAKERS: dict[str, Callable[[], tuple[Any, EnvConfig]]] = {
         f"{task}, {make.__name__}": partial(_ruled, make, task, actions=make.acts_by)
         for task, make in ON_SLOPES
     },
+    "driven": partial(_ruled, VelocityRule, "singulate", actions="modules", modules="belt"),
     **{
         f"flow, {make.__name__}": partial(_ruled, make, "flow", actions="parcels")
         for make in (StreamEventRule, SortEach)

@@ -17,6 +17,7 @@ from surface_gym.agents.scheduling.design import (
     FlowCase,
     LineDesign,
     LineLayout,
+    LineMeasurement,
     Search,
 )
 from surface_gym.agents.scheduling.maneuvers import ColumnGroups
@@ -113,6 +114,24 @@ def test_an_answer_in_words_tables_and_json(found):
     assert able.get_xlabel() == "line [m]"
     none = answer(replace(row, carries=False), 12_000.0).sentence
     assert none.startswith("No line of up to 1.3 m carries 12000 parcels an hour: most, ")
+
+
+def test_a_driven_line_stands_beside_idle_ones():
+    run = LineMeasurement(8100.0, 50.0, 1.0, 0.0, 0, 40.0, 900.0, (1.0, 0.0, 0.0, 0.0))
+    row = LineDesign(COLUMNS, FOUR, True, 1.2, 1, 7, 8200.0, run, ((1.2, 8200.0),))
+    driven = replace(
+        row, hardware="steered rollers, 10 deg", motors=(1, 1), actuators=9,
+        run=replace(run, energy=3.0),
+    )  # fmt: skip
+    said = FlowAnswer(replace(CASE, driven=True, turn_energy=0.5), (row,), (driven,))
+    assert (row.energy(0.5), driven.energy(0.5)) == (5.0, 8.0)  # four rows turn together
+    saved = "saves 11 motors and 3.0 J a parcel, which is 6.7 W"
+    assert said.sentence.endswith(saved)
+    table = next(each for each in said.tables() if each.name == "flow-driven")
+    assert [each[3] for each in table.rows] == [7, 18]
+    assert [each["hardware"] for each in said.as_json()["lines"]] == [COLUMNS, driven.hardware]
+    short = replace(CASE, driven=True).config(9, by_parcel=False, module=CASE.make_module("pop-up"))
+    assert short.module_kind.motors == (2, 0)
 
 
 def test_a_data_sheet_tells_energy_and_life(found):
