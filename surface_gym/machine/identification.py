@@ -25,7 +25,7 @@ CLEAR = 0.25  # [-] share of the searched range: a direction with a larger error
 UNEXPLAINED = 2.0  # by which intervals are wider then: what the model lacks shifts all values
 ALIKE = 0.99  # [-] correlation from which two parameters are inseparable
 MISFIT = 1e-3  # [-] probability of chi^2 below which the model does not explain the logs
-MAX_RUNS = 200  # maximum runs of a search
+MAX_RUNS = 200  # maximum runs of a search, evenly chosen among all
 LEAST_NOISE = (1e-5, 1e-5)  # [m, rad]
 
 
@@ -120,11 +120,14 @@ def _collect(
         unused[reason] = len(runs) - len(timed)
         runs = timed
     least = len(names) + 1
-    if not least <= len(runs) <= MAX_RUNS:
+    if len(runs) < least:
         raise ValueError(
-            f"logs must have {least} to {MAX_RUNS} usable runs for {len(names)} parameters, "
+            f"logs must have at least {least} usable runs for {len(names)} parameters, "
             f"got {len(runs)}"
         )
+    if len(runs) > MAX_RUNS:
+        unused[f"{MAX_RUNS} parcels suffice"] = len(runs) - MAX_RUNS
+        runs = tuple(runs[k] for k in np.linspace(0, len(runs) - 1, MAX_RUNS).astype(int))
     if "tilt" in names and np.ptp([run.tilt for run in runs]) > 0.0:
         raise ValueError("tilt must be the same in all runs to be free, got several")
     return runs, dict(unused)

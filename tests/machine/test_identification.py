@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import surface_gym as sg
+from surface_gym.machine import identification
 from surface_gym.machine.estimate import PARAMETERS
 from surface_gym.machine.identification import measure_noise
 from surface_gym.machine.log import MachineLog
@@ -130,6 +131,13 @@ def test_runs_without_acknowledgement_are_left_out_among_others() -> None:
     found = sg.identify([mixed], free=["mu_max"], known=known("mu_max"))
     assert len(found.misfits) == 4
     assert sum(found.unused.values()) == 1
+
+
+def test_of_more_runs_than_suffice_some_are_left_out(monkeypatch) -> None:
+    monkeypatch.setattr(identification, "MAX_RUNS", 4)
+    found = sg.identify([recorded(runs=5, seconds=0.6)], free=["mu_max"], known=known("mu_max"))
+    assert len(found.misfits) == 4
+    assert found.unused == {"4 parcels suffice": 1}
 
 
 def test_the_same_log_gives_the_same_estimate_and_progress_is_determined() -> None:
