@@ -140,7 +140,7 @@ absolute difference from the speed at which a parcel rolls to the goal speed at 
 
     def cost(self) -> planning.PlanCost:
         return planning.PlanCost(
-            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods
+            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods, caution=1.0
         )
 
     def benchmark(self) -> Benchmark:
