@@ -138,7 +138,7 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List planners, which are slow, so with fewer episodes.
+    """List planners: they are slow, so they have fewer episodes.
 
     For one parcel, the belief planner plans from observations in the lab, and the planner is
     near-optimal with exact sensors; custom tasks have neither. On streams, the planner varies the
