@@ -22,6 +22,7 @@ from .. import library
 from ..base import BatchController, Controller, find_axes
 from ..learning.config import NOMINAL
 from ..learning.runs import CONFIG, ESTIMATE, preset_name, task_name
+from ..planning.belief import BeliefPlanner
 from ..planning.planner import Planner, RecedingHorizon
 from ..rules import RULES, Rule, find_apart, find_rules
 
@@ -30,6 +31,7 @@ IDENTIFIED = "identified"  # ends the names of agents trained on an identified s
 BEST_FIXED = "best fixed layout"
 ANY_ANGLE = "fixed layout, any angle"
 ROLL_ON = "roll on"
+BELIEF = "belief planner"
 BASELINE, RULE, AGENT, PLANNER = "baseline", "rule", "agent", "planner"  # kinds of methods
 PERIOD = 0.04  # [s] default time between decisions
 SEARCH_STARTS = 40  # number of starts for methods that search
@@ -136,10 +138,11 @@ def rules(task: str) -> list[Method]:
 
 
 def planner(task: str) -> list[Method]:
-    """List the planner: near-optimal but slow, so with fewer episodes and exact sensors only.
+    """List planners: they are slow, so they have fewer episodes.
 
-    On streams, it varies the last rule of a task; without rules, there is no planner. Custom tasks
-    of one parcel have no planner.
+    For one parcel, the belief planner plans from observations in the lab, and the planner is
+    near-optimal with exact sensors; custom tasks have neither. On streams, the planner varies the
+    last rule of a task; without rules, there is none.
     """
     planned = Method(
         PLANNER,
@@ -151,7 +154,11 @@ def planner(task: str) -> list[Method]:
     )
     if not is_on_streams(task):
         known = library.task_kind(task) in TASKS
-        return [planned.under("exact")] if known else []
+        belief = replace(
+            planned, name=BELIEF, make=partial(seedless, BeliefPlanner), kind=RULE,
+            arguments={"actions": "halves", "observe": ("parcel", "load")}, presets=("lab",),
+        )  # fmt: skip
+        return [belief, planned.under("exact")] if known else []
     varied = [each for each in rules(task) if each.kind == RULE and len(each.arguments) == 1]
     return [
         replace(
@@ -225,7 +232,7 @@ def rivals(methods: Iterable[Method]) -> list[Method]:
 
     The baseline is the fixed layout, or the last rule on streams.
     """
-    several = [each for each in methods if each.kind != PLANNER]
+    several = [each for each in methods if each.kind != PLANNER and each.name != BELIEF]
     first = [each for each in several if each.name == FIXED]
     if several and is_on_streams(several[0].task):
         first = [each for each in several if each.kind != AGENT][-1:]

@@ -21,7 +21,7 @@ from surface_gym.tasks.benchmark import Benchmark
 from ..base import time_for, with_zone
 from ..planning.planner import run_oracle
 from ..rollout import Episodes, run_episodes, run_sequentially
-from .method import ANY_ANGLE, BEST_FIXED, PLANNER, Method, find_benchmark, start_benchmark
+from .method import ANY_ANGLE, BELIEF, BEST_FIXED, PLANNER, Method, find_benchmark, start_benchmark
 
 KEY = ("task", "scenario", "preset", "method", "seed")  # key of a job
 SEED = 20_261_121  # seed of every episode
@@ -240,7 +240,7 @@ def _path_metrics(
 
 
 # Methods for one parcel or zone, or with a search per start.
-LEFT_OUT = (BEST_FIXED, ANY_ANGLE)
+LEFT_OUT = (BEST_FIXED, ANY_ANGLE, BELIEF)
 EXACT = PRESETS["exact"]
 TRAINED, LAB = "trained", "lab"
 # The planner sees the true state of a start, so it shows the reachable success. It runs on these

@@ -39,17 +39,20 @@ def task_tables(task: str, results: Results) -> list[Table]:
     labels = {each.name: each.label for each in PRESETS.values() if each.name != "exact"}
     others = {name: results.at(task, STARTS, name) for name in labels}
     fixed, rows = exact[FIXED], []
-    for name, sample in exact.items():
+    for name in results.methods(task, STARTS):
+        ran = {preset: samples.get(name) for preset, samples in others.items()}
+        sample = exact.get(name) or next(each for each in ran.values() if each)
         starts = sample.success.shape[1]
         fewer = starts != fixed.success.shape[1]
-        values = {each: column_value(each, sample, fixed) for each in benchmark.columns}
         row = {
             NAME: f"{name} ({starts} starts)" if fewer else name,
             "seeds": f"{len(sample.seeds)}",
         }
-        row[SUCCESS] = _with_interval(sample)
-        row |= {labels[k]: number(_rate(ran.get(name)), ".3f") for k, ran in others.items() if ran}
-        row |= {each.label: format_value(each, value) for each, value in values.items()}
+        row[SUCCESS] = _with_interval(sample) if name in exact else "-"
+        row |= {labels[k]: number(_rate(ran[k]), ".3f") for k, any_ran in others.items() if any_ran}
+        for column in benchmark.columns:
+            value = column_value(column, sample, fixed) if name in exact else math.nan
+            row[column.label] = format_value(column, value)
         rows.append(row)
     return tabulate(task_label(task), benchmark.description, rows)
 

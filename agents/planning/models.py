@@ -274,7 +274,11 @@ class TrueModel(SearchModel):
         batch.seed(0, np_random(seed)[0])
         batch.reset(FIRST, [options] if options else ())
         self.spread()
-        nodes = super().nodes(1)
+        self._find_profile()
+
+    def _find_profile(self) -> None:
+        """Compute the braking profile of the parcel that begins."""
+        batch, nodes = self._batch, super().nodes(1)
         self._profile = braking_profile(
             batch.bodies, int(batch.parcels.body[0]), nodes.line, nodes.braking, nodes.rolling_loss
         )

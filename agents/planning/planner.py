@@ -48,6 +48,7 @@ class Plan:
 
     actions: Integers  # (periods,)
     seen: Singles  # (periods, features)
+    cost: float  # of its end
 
 
 class Planner(BatchController):
@@ -184,7 +185,7 @@ def _trace(periods: list[_Period], end: _End, first_seen: Singles) -> Plan:
         actions.append(int(period.actions[node]))
         seen.append(period.seen[node])
         node = int(period.parents[node])
-    return Plan(np.array(actions[::-1]), np.array([first_seen, *seen[:0:-1]]))
+    return Plan(np.array(actions[::-1]), np.array([first_seen, *seen[:0:-1]]), end.cost)
 
 
 ORACLE_BUDGET = 256  # maximum width of the beam

@@ -116,7 +116,7 @@ class Orient(base.Task):
 
     def cost(self) -> planning.PlanCost:
         return planning.PlanCost(
-            _angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods
+            _angle_to_turn, planning.error_cost, 1e-3, self.periods, self.periods, caution=-1.0
         )
 
     def benchmark(self) -> Benchmark:

@@ -195,7 +195,9 @@ class Park(base.Task):
         return np.asarray(near & (np.abs(theta) <= SUCCESS_ANGLE) & (speed < base.STALL_SPEED))
 
     def cost(self) -> planning.PlanCost:
-        return planning.PlanCost(_running_cost, _final_cost, 0.5, self.periods, self.periods)
+        return planning.PlanCost(
+            _running_cost, _final_cost, 0.5, self.periods, self.periods, caution=-1.0
+        )
 
     def benchmark(self) -> Benchmark:
         """Benchmark: random starts; errors of the pose."""

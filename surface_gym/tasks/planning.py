@@ -30,6 +30,7 @@ class ObservationTable:
     columns: Mapping[str, Column]  # by the features' names
     line: BaseLine
     zone: tuple[int, int] | None  # first and last column that obey; None: the line's
+    parcel: Parcel | None = None  # if its outline is known; None: a square of the observed size
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -52,6 +53,15 @@ class ObservationTable:
         """(num_envs,) [m] position within a pitch, from -pitch / 2 to pitch / 2."""
         phase = np.arctan2(self[f"sine of phase {axis}"], self[f"cosine of phase {axis}"])
         return pitch * phase / (2.0 * math.pi)
+
+    def reach(self, half_length: Numbers, theta: Numbers, ahead: float) -> Numbers:
+        """(num_envs,) [m] extent of the base from its centre along x: ahead (1) or behind (-1)."""
+        if self.parcel is None:
+            return square_reach(half_length, theta)
+        x, y = (self.parcel.base.outline - self.parcel.base.centroid).T
+        turned = np.cos(theta)[:, np.newaxis] * x - np.sin(theta)[:, np.newaxis] * y
+        farthest: Numbers = (ahead * turned).max(axis=1)
+        return farthest
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +106,10 @@ def decode_line(seen: ObservationTable) -> LineObservation:
     mirror = np.where(side < 0.0, -1.0, 1.0)
     theta = mirror * seen.theta
     half_length = seen["size"]
-    reach = square_reach(half_length, theta)
     if "distance into zone" in seen:
-        into_zone = seen["distance into zone"] + reach
+        into_zone = seen["distance into zone"] + seen.reach(half_length, theta, -1.0)
     else:
-        into_zone = seen["front in zone"] - reach
+        into_zone = seen["front in zone"] - seen.reach(half_length, theta, 1.0)
     ratio = seen.get("asked ratio")
     return LineObservation(
         into_zone=into_zone,
@@ -131,9 +140,9 @@ def line_start(
     parcels: tuple[Parcel, ...],
     goal: tuple[float, ...],
 ) -> Start:
-    """Build the start from the first observation, with the closest of some parcels."""
+    """Build the start from the first observation, with its parcel or the closest of some."""
     base_line = seen.line
-    parcel = nearest_parcel(parcels, float(line.half_length[0]))
+    parcel = seen.parcel or nearest_parcel(parcels, float(line.half_length[0]))
     first_column = base_line.site(parcel.base, seen.zone).zone[2]
     return Start(
         parcel,
@@ -209,6 +218,9 @@ class PlanCost:
     # from the first to the second.
     event: Callable[[ParcelState], tuple[float, float] | None] = lambda _: None
     zone: tuple[int, int] | None = None  # columns required by a search; None: the environment's
+    # [-] which error of friction cannot be undone: 1 if a plan assumes too little and loses speed,
+    # -1 if it assumes too much and brakes too late, 0 if neither is worse
+    caution: float = 0.0
 
 
 def way_to_leave(nodes: Nodes) -> Numbers:

@@ -126,7 +126,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
 
     def cost(self) -> planning.PlanCost:
         return planning.PlanCost(
-            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods
+            _excess_of_speed, planning.error_cost, 2e-4, self.periods, self.periods, caution=1.0
         )
 
     def benchmark(self) -> Benchmark:

@@ -144,7 +144,7 @@ class Stop(base.Task):
 
     def cost(self) -> planning.PlanCost:
         return planning.PlanCost(
-            _short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods
+            _short_of_goal, planning.error_cost, 2e-5, self.periods, self.periods, caution=-1.0
         )
 
     def benchmark(self) -> Benchmark:

@@ -21,7 +21,9 @@ LAB = PRESETS["lab"]
 
 def test_methods_of_a_task_without_agents() -> None:
     several = all_methods("park")
-    assert [each.name for each in several] == ["fixed layout", "parking rule", "planner"]
+    assert [each.name for each in several] == [
+        "fixed layout", "parking rule", "belief planner", "planner",
+    ]  # fmt: skip
     assert [each.name for each in rivals(several)] == ["fixed layout", "parking rule"]
 
 
@@ -33,7 +35,8 @@ def test_methods_of_a_task_of_one_parcel(task) -> None:
     assert {"PPO", "DQN"} < set(names)
     assert ("fixed layout, any angle" in names, len(set(names))) == (task == "sort", len(names))
     assert all(len(each.seeds) >= 3 for each in several if each.name in ("PPO", "DQN"))
-    assert [each.presets for each in several if each.name == "planner"] == [("exact",)]
+    assert [each.presets for each in several[-2:]] == [("lab",), ("exact",)]
+    assert several[-2].name == "belief planner"
     assert [each.name for each in rivals(several)] == ["fixed layout", "PPO"]
 
 
