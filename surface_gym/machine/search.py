@@ -273,7 +273,7 @@ def make_search(
 
     Args:
         log: of the surface.
-        pieces: of runs; those of a run follow each other.
+        pieces: of runs; pieces of one run follow each other.
         names: of the parameters to find.
         known: values of others by name.
         noise: [m, rad] standard deviations.
