@@ -71,7 +71,6 @@ def learn(steps: int, seed: int) -> PPO:
     network: Any = {"features_extractor_class": SmallCnn, "net_arch": [64]}
     network["share_features_extractor"] = False  # else errors of the value disturb the actions
     rollout: Any = {"n_steps": 16, "batch_size": 1024, "n_epochs": 2, "gae_lambda": 0.95}
-    # At half this rate it stays where all axes lead aside at once, like the fixed layout.
     rollout |= {"learning_rate": lambda left: 2e-3 * left, "ent_coef": 0.005, "device": "cpu"}
     model = PPO("CnnPolicy", make(NUM_ENVS), policy_kwargs=network, seed=seed, **rollout)
     return model.learn(steps, show)

@@ -15,6 +15,7 @@ TO_A_REPOSITORY = re.compile(r"https://(?:[\w-]+\.)?github\.(?:com|io)/[^\s\"')\
 OTHERS = (
     "https://github.com/citation-file-format",
     "https://github.com/Farama-Foundation",
+    "https://github.com/google-research/rliable",
     "https://github.com/OWNER/NAME",  # the form of an address
 )
 

@@ -91,9 +91,9 @@ def test_more_than_a_zone_takes_wait_there_and_modules_deliver_what_the_docs_say
     run_until(page, 40.0, 13_000)
     zone, modules = page.evaluate("home.lines.map(({ rate }) => rate)")
     assert zone == pytest.approx(
-        int(said["one zone, as in [the study](docs/citing.md#the-study)"]), rel=0.1
+        int(said["the whole zone, as in [the study](docs/citing.md#the-study)"]), rel=0.1
     )
-    assert modules == pytest.approx(int(said["one module"]), rel=0.1)
+    assert modules == pytest.approx(int(said["each module by itself"]), rel=0.1)
     assert int(reading(page, 0, "waiting")) > 50
     run_until(page, 40.0, 4000)
     assert page.evaluate("home.lines.map(({ rate }) => rate)") == pytest.approx([4000] * 2, rel=0.1)
