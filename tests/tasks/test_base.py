@@ -190,4 +190,4 @@ class TestEpisodes:
         for term in TASKS[name].terms:
             assert f"| `{term}` |" in page
         for metric in TASKS[name].metrics:
-            assert f"- `{metric}` [" in page
+            assert f"`{metric}` [" in page

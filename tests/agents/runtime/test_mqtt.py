@@ -65,9 +65,16 @@ def broker(options: BrokerOptions) -> Iterator[None]:
         await broker.start()
         return broker
 
+    async def stop(broker: Broker) -> None:
+        await broker.shutdown()
+        # It does not wait for the connections of clients that have just left.
+        if others := asyncio.all_tasks() - {asyncio.current_task()}:
+            await asyncio.wait(others, timeout=10.0)
+        await asyncio.sleep(0.1)  # transports close in the loop's next rounds
+
     broker = asyncio.run_coroutine_threadsafe(start(), loop).result(60.0)
     yield
-    asyncio.run_coroutine_threadsafe(broker.shutdown(), loop).result(60.0)
+    asyncio.run_coroutine_threadsafe(stop(broker), loop).result(60.0)
     loop.call_soon_threadsafe(loop.stop)
     thread.join()
     loop.close()
