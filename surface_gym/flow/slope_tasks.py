@@ -46,11 +46,11 @@ _observe, _deliver = TakeAwayTask.observe, TakeAwayTask.deliver
 class Singulate(TakeAwayTask):
     """Turn a bulk of parcels into a row of single parcels with gaps.
 
-    Every sorter needs this step before it. Parcels arrive on a slope side by side, touching, and at
-    any angle. They must depart by its lower end one at a time, each at least `gap` behind the
-    previous one. No motor drives them. The slope pulls, and the modules under a parcel brake it,
-    hold it, turn it or move it aside. Only the slope restores speed lost by braking. Touching
-    parcels push each other, and may block each other permanently.
+    Parcels arrive on a slope side by side, touching, and at any angle. They must depart by its
+    lower end one at a time, each at least `gap` behind the previous one. No motor drives them. The
+    slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
+    the slope restores speed lost by braking. Touching parcels push each other, and may block each
+    other permanently.
 
     **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
     `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
@@ -71,7 +71,7 @@ class Singulate(TakeAwayTask):
     - there is at least `gap` to the base of the previous parcel on the take-away;
     - its sides are within `alignment` of the line's direction; 45 deg (default) allows any angle;
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
-      parcels must wait on the surface until it runs again.
+      parcels must wait.
 
     **Actions.** Modules obey parcels as in `Flow`. At 0 deg they brake a parcel, at 90 deg it
     rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. 45 deg ahead and -45 deg behind

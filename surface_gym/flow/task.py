@@ -160,14 +160,13 @@ class Flow(StreamTask):
     **Info.** `outcome` and `time` [s]. `parcels` (max_parcels,) has the arrival number of each
     row's parcel, -1 for free rows. `entered`, `correct`, `wrong`, `touches` and `turns` are counts
     so far; `waiting` counts the parcels that wait now. The prefix `reward_` marks the terms of the
-    reward. The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`. They
-    are 0 until the episode ends. They have parcels per hour, share of missorted parcels, touches
-    and jams per 1000 parcels, gaps, times on the surface and at the entry, and turns per module and
-    hour.
+    reward. The prefix `episode_` marks the fields of `surface_gym.flow.state.FlowStatistics`, 0
+    until the episode ends: parcels per hour, share of missorted parcels, touches and jams per 1000
+    parcels, gaps, times on the surface and at the entry, and turns per module and hour.
 
     `reset(options={"stream": ...})` sets the stream of an episode. In
     `surface_gym.flow.parallel_env.FlowParallelEnv`, each parcel is an agent. Sensors and
-    randomisation apply to each parcel; random friction and stiffness are the same for all parcels.
+    randomisation apply to each parcel; random friction and stiffness are the same for all.
 
     ### Example
 

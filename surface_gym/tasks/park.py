@@ -64,37 +64,23 @@ GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :]
 class Park(base.Task):
     """Come to rest at a goal pose: x, y and theta.
 
-    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose.
+    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. The
+    entry speed is all the energy that there is. Moving aside, turning and braking use it, so a
+    parcel that stops short stays there. A parcel rolls freely at 0, 45, -45 and 90 deg only; at all
+    other headings the axes brake it.
 
-    The surface is under-actuated: a module brakes along its axis and rolls across it, but never
-    pushes. The entry speed is all the energy that there is. Moving aside, turning and braking use
-    it, so a parcel that stops short stays there. A parcel rolls freely at 0, 45, -45 and 90 deg
-    only; at all other headings the axes brake it.
+    **Start.** The centre is 0.4 m past the field's first edge, on the field's middle, with theta 0
+    and speed along x only. Entry speed: uniform in `speeds`. Goal: uniform in `ahead` and `aside`
+    from the entry, and in `angles`. Parcel: equal odds. A planner with the true model reached the
+    goals of all 40 drawn starts (`python -m benchmarks.park`). Slow parcels, and goals far ahead or
+    far aside, may have no solution.
 
-    ### Start
-
-    The centre is 0.4 m behind the field's first edge, on the field's middle, with theta 0 and speed
-    along x only. Entry speed: uniform in `speeds`. Goal: uniform in `ahead` and `aside` from the
-    entry, and in `angles`. Parcel: equal odds.
-
-    The goals are drawn where a planner with the true model reaches them: all of 40 drawn starts
-    (`python -m benchmarks.park`). Slow parcels, and goals far ahead or far aside, may have none.
-
-    ### Goal and end
-
-    The parcel is at rest when no point of the base moves faster than 1 mm/s. "success": it rests
-    with its centre within 5 mm and its theta within 2 deg of the goal; full turns are not removed.
-    Each failure ends the episode as `terminated`:
-
-    - "missed": it rests elsewhere;
-    - "off the line": no rotor is under the base any more;
-    - "off the surface": the centre of mass passes the edge of the surface.
-
-    Running out of time is `truncated`.
+    **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
+    "success": it rests with its centre within 5 mm and its theta within 2 deg of the goal; a full
+    turn too much is an error of 360 deg. Failures are "off the line" and "off the surface", as in
+    other tasks, and "missed": it rests elsewhere.
 
     ### Reward
-
-    The remaining way is the distance to the goal. An angle error of 2 deg counts as 5 mm.
 
     | term | scale | meaning |
     | --- | --- | --- |
@@ -103,12 +89,10 @@ class Park(base.Task):
     | `success` | 2 | once, at success |
     | `failure` | -1 | once, at any failure |
 
-    `surface_gym.goal_env.GoalEnv` makes it a goal environment with a sparse reward, for HER.
-
-    ### Info
-
-    - `distance` [m]: from the centre to the goal.
-    - `angle_error` [rad]: current theta - goal theta; signed.
+    The remaining way is the distance to the goal; an angle error of 2 deg counts as 5 mm. `info`
+    has `distance` [m] from the centre to the goal, and `angle_error` [rad]: current theta - goal
+    theta; signed. `surface_gym.goal_env.GoalEnv` makes a goal environment with a sparse reward, for
+    HER.
 
     ### Example
 

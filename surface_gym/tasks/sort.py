@@ -78,15 +78,16 @@ class Sort(Task):
     the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
     base. Failures are "stalled" and "off the surface", as in other tasks, and:
 
-    - "wrong side": off the rotors, but not on the goal side (for side 0: off the rotors);
+    - "wrong side": no rotor is under the base, and its centre is not on the goal side (side 0:
+      anywhere);
     - "passed the zone": the rear is past the zone's end (sides +1 and -1).
 
     ### Reward
 
     | term | scale | meaning |
     | --- | --- | --- |
-    | `reach` | 2 per metre | gain of lateral reach, which counts up to 0.6 m. It is the offset to the goal \
-side plus the distance that the parcel would still coast at 45 deg. For side 0, it is 0.3 of \
+    | `reach` | 2 per metre | gain of lateral reach: the offset to the goal side, plus the distance that the \
+parcel would still coast at 45 deg; at most 0.6 m count. For side 0, the reach is 0.3 of \
 the distance along the line, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
     | `success` | 1 | once, at success |

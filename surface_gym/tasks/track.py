@@ -130,12 +130,9 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    ### Info
-
-    - `rms_error` [m]: root mean square of the error across the path, over the time so far.
-    - `speed_error` [m/s]: root mean square of the difference between the speed along the path and
-      the asked speed, over the time so far.
-    - `cross_error` [m]: current error across the path, positive to the left of the path.
+    `info` has root mean squares over the time so far: `rms_error` [m] of the error across the path,
+    `speed_error` [m/s] of the speed along the path minus the asked speed. `cross_error` [m] is the
+    current error across the path, positive to the left of the path.
 
     ### Example
 
