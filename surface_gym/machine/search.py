@@ -90,10 +90,7 @@ class LeastSquares:
         Args:
             misses: (frames * 3, ...) of pictures, or their derivatives.
         """
-        each = misses.reshape(len(self.same), 3, -1)
-        linked, beyond = each.copy(), self.same >= 0
-        linked[beyond] = (each[beyond] - each[self.same[beyond]]) / LINK
-        return linked.reshape(misses.shape)
+        return _linked(misses, self.same)
 
     def derivatives(
         self, x: Array, entries: Array, dt: float, misses: Array | None = None
@@ -146,20 +143,14 @@ class LeastSquares:
         """
         starts = 3 * self.runs.first_frame
         for first, end in zip(self.first_piece[:-1], self.first_piece[1:], strict=True):
-            begin = starts[first]
+            begin, frame = starts[first], self.runs.first_frame[first]
             block = np.zeros((starts[end] - begin, 6 * (end - first)))
             for j, k in enumerate(range(first, end)):
                 rows = slice(starts[k] - begin, starts[k + 1] - begin)
                 block[rows, 6 * j : 6 * j + 6] = own[starts[k] : starts[k + 1]]
-            yield slice(first, end), slice(begin, starts[end]), self._link_block(block, begin // 3)
-
-    def _link_block(self, block: Array, first: int) -> Array:
-        """Link derivatives of a group whose first frame is `first`."""
-        each = block.reshape(-1, 3, block.shape[1])
-        same = self.same[first : first + len(each)]
-        beyond = same >= 0
-        each[beyond] = (each[beyond] - each[same[beyond] - first]) / LINK
-        return block
+            same = self.same[frame : self.runs.first_frame[end]]
+            linked = _linked(block, np.where(same < 0, -1, same - frame))
+            yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
         """Return the squares of each group (groups,), less for residuals beyond `within`."""
@@ -290,27 +281,14 @@ def make_search(
     chosen = [PARAMETERS[name] for name in names]
     run = [id(piece.sent) for piece in pieces]
     linked = [beyond > 0 and each == after for each, after in pairwise([*run, None])]
-    longer, same, start = [], [], 0
-    for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
-        count = len(piece.taken)
-        same += [-1] * count
-        if is_linked and after is not None:
-            more = min(beyond, len(after.taken))
-            piece = replace(
-                piece,
-                taken=np.append(piece.taken, after.taken[:more]),
-                poses=np.vstack([piece.poses, after.poses[:more]]),
-            )
-            same += range(start + count + more, start + count + 2 * more)
-        longer.append(piece)
-        start = len(same)
     begins = [k for k in range(len(pieces)) if k == 0 or not linked[k - 1]]
+    longer, same = _lengthen(pieces, linked, beyond)
     return LeastSquares(
         runs=pr.pack_runs(surface, longer),
         memory=pr.make_memory(surface),
         first_piece=np.array([*begins, len(pieces)]),
         group=np.unique(run, return_inverse=True)[1][begins],
-        same=np.array(same),
+        same=same,
         measured=np.concatenate([piece.poses for piece in longer]),
         base=base,
         columns=np.array([column_of(name) for name in names]),
@@ -320,6 +298,25 @@ def make_search(
         high=np.array([each.high for each in chosen]),
         noise=np.array([noise[0], noise[0], noise[1]]),
     )
+
+
+def _lengthen(
+    pieces: Sequence[LoggedRun], linked: Sequence[bool], beyond: int
+) -> tuple[list[LoggedRun], Integers]:
+    """Append the next piece's first pictures to linked pieces; return `LeastSquares.same` too."""
+    longer, same = [], list[int]()
+    for piece, after, is_linked in zip(pieces, [*pieces[1:], None], linked, strict=True):
+        same += [-1] * len(piece.taken)
+        if is_linked and after is not None:
+            more = min(beyond, len(after.taken))
+            piece = replace(
+                piece,
+                taken=np.append(piece.taken, after.taken[:more]),
+                poses=np.vstack([piece.poses, after.poses[:more]]),
+            )
+            same += range(len(same) + more, len(same) + 2 * more)
+        longer.append(piece)
+    return longer, np.array(same)
 
 
 def search_pieces(
@@ -424,6 +421,14 @@ def _fit(
         if before - cost < ENOUGH * before or length < SHORT:
             break
     return x, entries, cost
+
+
+def _linked(misses: Array, same: Integers) -> Array:
+    """Return `misses` (frames * 3, ...), less what each frame's `same` frame misses, if any."""
+    each = misses.reshape(len(same), 3, -1)
+    linked, beyond = each.copy(), same >= 0
+    linked[beyond] = (each[beyond] - each[same[beyond]]) / LINK
+    return linked.reshape(misses.shape)
 
 
 def _weights(residuals: Array, within: float) -> Array:
