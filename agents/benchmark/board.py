@@ -108,7 +108,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of the two reference policies by task and cell, where they differ."""
+        """Mean results of both reference policies by task and cell, if the second is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:

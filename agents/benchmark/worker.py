@@ -113,7 +113,7 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
     """Refuse writing outside a folder, processes, connections and signals from now on.
 
     A refused call raises a PermissionError. Refused writing to a cache of compiled code is not
-    reported, since libraries go on without.
+    reported, since libraries also work without a cache.
 
     Args:
         folder: absolute path without links.

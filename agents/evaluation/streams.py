@@ -105,8 +105,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: offered rate; None: the stream's rate, the first of several, or the entry limit in
-                a search.
+            rate: offered rate; None: the first rate of the offer, or the entry limit if the offer
+                has none. An offered rate of None is the stream's own.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))

@@ -443,7 +443,7 @@ class Search:
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
-        """Run the scheduler of a line with each share in STUCK."""
+        """Run a line's scheduler for each share of stuck modules in STUCK."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))

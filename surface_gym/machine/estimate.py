@@ -34,7 +34,7 @@ MOST = 4.0  # [-] misfit at its top
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of the surface or the load that logs may tell."""
+    """A parameter of the surface or the load that can be estimated from logs."""
 
     unit: str
     meaning: str
