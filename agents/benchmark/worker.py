@@ -117,7 +117,7 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
 
     Args:
         folder: absolute path without links.
-        caches: other folders of compiled code, likewise.
+        caches: other folders of compiled code, as absolute paths without links.
         report: called with what the policy did, e.g. "wrote to /home/x".
     """
     # Names of the module could be replaced by the policy by mistake.

@@ -377,7 +377,7 @@ class OpcUaDevice:
         task: required task of the machine.
         shape: required (rows, columns) of its widest zone.
         security: user, password and certificates.
-        prefix: of the variables' node ids, e.g. "ns=4;s=Surface."; None: by the namespace.
+        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface."; None: by the namespace.
         now: clock [s].
     """
 

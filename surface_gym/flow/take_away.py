@@ -358,7 +358,7 @@ class TakeAwayTask(StreamTask):
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
         Every parcel has its smallest extent along the take-away. No controller delivers more
-        parcels, if all depart correctly and each kind in its share of the stream. A controller that
+        parcels, if all depart correctly, and all kinds as often as they arrive. A controller that
         keeps large parcels back, or wastes some, could deliver more correctly.
         """
         arrivals = self.stream.arrivals
@@ -510,7 +510,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth, and the position of its last departed parcel, to the goal."""
+        """Write the nearest mouth and the position of its last departed parcel into the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)

@@ -146,7 +146,7 @@ class Park(base.Task):
         return seen
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start, some columns into the field.
+        """Decode the first observation into a start that is some columns into the field.
 
         The field is the same every pitch, so only the position within a pitch matters.
         """
