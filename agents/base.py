@@ -40,7 +40,7 @@ class Controller(Protocol):
 
         Args:
             observation: observation of one environment or several.
-            state: state returned by the last call; None at first, and always without memory.
+            state: state of the last call; None at first, and for controllers without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
         """
 
