@@ -40,7 +40,7 @@ class Controller(Protocol):
 
         Args:
             observation: observation of one environment or several.
-            state: state returned by the last call; None at first, and always without memory.
+            state: state of the last call; None at first, and for controllers without memory.
             episode_start: (num_envs,) whether an episode has just begun; None only if `state` is.
         """
 
@@ -90,7 +90,7 @@ def axes_apart(one: ArrayLike, other: ArrayLike) -> Numbers:
 
 
 def with_zone(line: sg.lines.Line, columns: int) -> sg.lines.Line:
-    """Return a line with a number of zone columns, and the same lengths before and after it."""
+    """Return the line with a zone of `columns` columns; its other parts keep their lengths."""
     longer = columns - line.zone_columns
     return replace(line, columns=line.columns + longer, zone_columns=columns)
 
@@ -118,7 +118,7 @@ def find_rest(config: EnvConfig) -> int:
 
 
 def find_conveyor(config: EnvConfig) -> int:
-    """Return the choice by which a module does what it does without a command."""
+    """Return the choice with the same effect as no command."""
     if not config.module_kind.drives:
         return find_orientation(config, 0.5 * math.pi)
     *choices, conveyor = config.modes.tolist()

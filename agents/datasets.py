@@ -88,12 +88,12 @@ class DataRecipe:
 
 
 def find_recipe(task: str, policy: str, preset: str | None = None) -> DataRecipe:
-    """Return who acts by a name.
+    """Return the recipe with a name.
 
     Args:
         task: a task of the package.
         policy: one of `RECIPES`, a method of the task, a shipped agent, or the folder of a run.
-        preset: replaces the recipe's.
+        preset: replaces the recipe's preset.
 
     Raises:
         ValueError: the task has no such policy or there is no such preset.

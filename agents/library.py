@@ -117,7 +117,7 @@ def find_task(name: str) -> Task:
 
 
 def task_kind(name: str) -> str:
-    """Return the name of the package's task that a task is or inherits from, else its own name."""
+    """Return the name of the package's task from which a task inherits, else its own name."""
     return name if name in TASKS else EnvConfig(task=find_task(name)).task_name
 
 
@@ -331,7 +331,7 @@ class TrainedPolicy(BatchController, ABC):
     """A trained policy, with the environment that it was trained in.
 
     Args:
-        card: of the policy.
+        card: card of the policy.
         config: configuration of its environment.
     """
 

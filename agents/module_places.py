@@ -65,7 +65,7 @@ class Outline(NamedTuple):
 
 @linked
 def count_rows(pairs: float, shown: Shown) -> float:
-    """Infer the line's rows from the base width in `pairs` of rows; the default is the layout's."""
+    """Infer the line's rows from a base as wide as `pairs` pairs of rows, within the layout's."""
     return min(shown.most, max(shown.least, 2.0 * np.floor(pairs)))
 
 

@@ -162,7 +162,7 @@ class GridPlaces:
 
 
 class GridNetwork(SharedNetwork):
-    """Actor of all modules, and critic; in the place of Stable-Baselines3's two networks."""
+    """Actor of all modules, and critic; replaces Stable-Baselines3's two networks."""
 
     _shown: torch.Tensor  # columns of the features that the networks get
     _image: torch.Tensor  # (choices,) mirror image of each choice

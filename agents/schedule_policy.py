@@ -28,7 +28,7 @@ FIRST, FALL = -2.0, -1.0  # initial value at the tightest level, and decrease by
 
 
 class ScheduleNetwork(nn.Module):
-    """Network of candidates' risk, which decreases with the level of clearance."""
+    """Network that predicts the touches of each candidate; more clearance gives fewer touches."""
 
     def __init__(self, hidden: tuple[int, ...]) -> None:
         super().__init__()

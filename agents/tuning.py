@@ -122,7 +122,7 @@ class SearchConfig:
         }
 
     def pruner(self) -> MedianPruner:
-        """Make the pruner, as rl-baselines3-zoo has it."""
+        """Make the same pruner as rl-baselines3-zoo."""
         return MedianPruner(self.startup_trials, n_warmup_steps=self.evaluations // 3)
 
     def _try(self, where: str, params: Mapping[str, Any]) -> None:

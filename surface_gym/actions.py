@@ -52,8 +52,8 @@ class Corner(NamedTuple):
 def window_corner(state: EnvState, mirror: float) -> Corner:
     """Return the window's first module; its middle module is at the sensed parcel.
 
-    Midway between two rows, the left row counts, in the mirror if there is one, since a mirrored
-    environment must have the mirrored window.
+    If the parcel is midway between two rows, the left row counts (if mirrored, the right row), so
+    that a mirrored environment has the mirrored window.
     """
     rows, columns = state.rotor.shape
     up = (state.sensed[Y] - state.elements.y0) / state.elements.pitch_y
@@ -174,9 +174,10 @@ def angle_after(came: float, target: float, turned: float) -> float:
 
 @inlined
 def played_angle(came: float, target: float, step: float, play: float) -> float:
-    """Return where an axis [rad] comes to rest that turns to the position nearest its target.
+    """Return the angle [rad] at which an axis comes to rest when it turns to its target.
 
-    Its motor moves in steps from 90 deg. Within the play of its gear the axis stays.
+    The motor moves to the nearest multiple of a step from 90 deg. The axis does not move if the
+    motor moves within the gear's play.
     """
     if step > 0.0:
         nearest = ROLLING + step * math.floor((target - ROLLING) / step + 0.5)
@@ -277,7 +278,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set all axes to the direction after the available ones."""
+    """Set all axes to the direction after the last available one."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):

@@ -314,7 +314,7 @@ class EnvConfig:
 
     @property
     def task_name(self) -> str:
-        """Name of the registered task that it is or inherits from; else its own name."""
+        """Name of the registered task from which the task inherits, else its own name."""
         kinds = ((kind.__name__.lower(), kind) for kind in type(self.task).__mro__)
         return next((name for name, kind in kinds if TASKS.get(name) is kind), self.task.name)
 

@@ -177,7 +177,7 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
         arguments: arguments of `SmartSurfaceVectorEnv`.
 
     Raises:
-        ValueError: an argument is not allowed, or not on this device.
+        ValueError: an argument has a forbidden value, or this device does not support it.
         DeviceMissing: there is no GPU, or a library to use it is missing.
     """
     if checks.one_of("device", device, DEVICES) == "cpu":
@@ -189,10 +189,10 @@ def make_vector_env(num_envs: int = 1, device: str = "cpu", **arguments: Any) ->
 
 
 def make_device_env(num_envs: int, device: str, **arguments: Any) -> Any:
-    """Make the vector environment of tensors on a device of torch.
+    """Make a vector environment of tensors on a torch device.
 
     Raises:
-        ValueError: an argument is not allowed, or not on this device.
+        ValueError: an argument has a forbidden value, or this device does not support it.
     """
     import torch
 

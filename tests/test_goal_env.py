@@ -58,7 +58,7 @@ def test_the_goal_that_was_reached_is_a_success_of_the_same_episode(env_id, miss
     assert [reward for _, reward, _ in again[:-1]] == [0.0] * (len(again) - 1)
     assert (again[-1][1], again[-1][2]["outcome"]) == (1.0, "success")
     np.testing.assert_allclose(again[-1][0]["desired_goal"], asked, atol=1e-9)
-    # The observation is the same for another goal. Rewards of many goals are those of the steps.
+    # Another goal does not change the observation; `compute_reward` returns the steps' rewards.
     for (seen, _, _), (other, _, _) in zip(steps, again, strict=True):
         np.testing.assert_array_equal(seen["observation"], other["observation"])
     achieved = np.array([seen["achieved_goal"] for seen, _, _ in steps])

@@ -60,7 +60,7 @@ def score_cells(cells: Sequence[Numbers], resamples: int = RESAMPLES) -> Score:
     """Compute the IQM over seeds and cells, and its interval.
 
     Args:
-        cells: of each cell, the normalised results (seeds, episodes).
+        cells: normalised results (seeds, episodes) of each cell.
     """
     iqm = compute_iqm(np.concatenate([each.mean(axis=1) for each in cells]))
     low, high = find_interval([compute_iqm(each) for each in resample_scores(cells, resamples)])
@@ -108,7 +108,7 @@ class Board:
 
     @cached_property
     def references(self) -> dict[tuple[str, str], tuple[float, float]]:
-        """Mean results of the two reference policies by task and cell, where they differ."""
+        """Mean results of both reference policies by task and cell, if the second is better."""
         found = {}
         for task, names in read_protocol()["references"].items():
             for cell in CELLS:

@@ -88,7 +88,7 @@ class TestCell:
             chosen: arguments that the policy chooses; see `ENV_KWARGS`.
 
         Raises:
-            ValueError: the policy must not choose such an argument, or not this value.
+            ValueError: the policy must not choose an argument, or must not choose its value.
         """
         for name in chosen:
             checks.one_of("env_kwargs", name, ENV_KWARGS)
@@ -287,7 +287,7 @@ def run_entry(
     workers: Workers,
     advance: Callable[[int, int, str], None],
 ) -> BenchmarkEntry:
-    """Run jobs, and return the entry with their rows after its own.
+    """Run jobs, and return the entry with their rows added at its end.
 
     Args:
         advance: called with finished jobs, all jobs, and the latest job.

@@ -33,7 +33,7 @@ class ProcessWatch(threading.Thread):
         output: descriptor of its output, which the thread closes.
         folder: folder of its files.
         memory: [bytes] of the process with its children.
-        marker: part of the process's environment variables, and of no other's.
+        marker: text in the environment variables of this process and of no other process.
     """
 
     def __init__(

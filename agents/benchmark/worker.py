@@ -113,11 +113,11 @@ def confine(folder: str, caches: tuple[str, ...], report: Callable[[str], None])
     """Refuse writing outside a folder, processes, connections and signals from now on.
 
     A refused call raises a PermissionError. Refused writing to a cache of compiled code is not
-    reported, since libraries go on without.
+    reported, since libraries also work without a cache.
 
     Args:
         folder: absolute path without links.
-        caches: other folders of compiled code, likewise.
+        caches: other folders of compiled code, as absolute paths without links.
         report: called with what the policy did, e.g. "wrote to /home/x".
     """
     # Names of the module could be replaced by the policy by mistake.

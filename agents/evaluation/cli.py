@@ -32,7 +32,7 @@ QUICK_NOTE = "Quick: few starts, streams, levels and seeds, which say little of 
 class EvaluateConfig:
     """Compare fixed layouts, rules, planners and shipped agents on every task.
 
-    On streams, zones, columns and modules are compared, each with its scheduler.
+    The tasks with streams compare zones, columns and modules, each with its own scheduler.
     """
 
     out: Path = OUT

@@ -141,9 +141,9 @@ class DriveStarts(StartScenario):
 
 @dataclass(frozen=True)
 class DriveScenario(StreamScenario):
-    """A stream at its highest sustained rate, whose driven modules suit its speed.
+    """A stream at its highest sustained rate, with driven modules that suit its speed.
 
-    Before a take-away, more is offered than the surface takes. Modules suit the take-away.
+    With a take-away, the offered rate exceeds the capacity, and modules suit the take-away's speed.
     """
 
     @property

@@ -71,7 +71,7 @@ UNSEEN = "unseen"  # preset of offers with their own sensors
 
 @dataclass(frozen=True)
 class StreamScenario(Scenario):
-    """A stream at one offered rate, or at the highest sustained rate of several or of all."""
+    """A stream at one offered rate, or at the highest sustained one of several or all rates."""
 
     offered: str  # name of the offered stream
 
@@ -105,8 +105,8 @@ class StreamScenario(Scenario):
         """Return the configuration of a method's environment at an offered rate [parcels/h].
 
         Args:
-            rate: offered rate; None: the stream's rate, the first of several, or the entry limit in
-                a search.
+            rate: offered rate; None: the first rate of the offer, or the entry limit if the offer
+                has none. An offered rate of None is the stream's own.
         """
         offer = self.offer
         task = replace(offer.task, duration=min(offer.task.duration, self.extent.duration))
@@ -202,7 +202,7 @@ def unseen_jobs(task: str, extent: Extent = WHOLE) -> list[ScenarioJob]:
 
 
 def counted_time(duration: float, rate: float, warm_up: float) -> float:
-    """Return the duration [s] of an episode's counted end after a warm-up [s].
+    """Return the duration [s] of the part of an episode that counts, after a warm-up [s].
 
     It is a whole number (at least one) of gaps between parcels, so the arrival of the first parcel
     has no effect.

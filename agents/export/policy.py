@@ -194,7 +194,7 @@ def are_close(scores: Numbers, tie: float) -> Booleans:
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """Mirror of choices made for y > 0, if the asked side is y < 0."""
+    """Mirror of choices: a policy always chooses for y > 0, also if the asked side is y < 0."""
 
     side: int  # index of the side in the observation
     images: Integers  # (choices,) the mirror image of each orientation

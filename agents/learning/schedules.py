@@ -150,7 +150,7 @@ class DecisionSamples(NamedTuple):
 
 
 class ScheduleLearner:
-    """Training of the network of candidates' risk, from its own decisions."""
+    """Training of the network that predicts touches, from the network's own decisions."""
 
     terms = TERMS
 

@@ -160,8 +160,8 @@ class BeliefPlanner(BatchController):
 
     It sees nothing but observations: pose and velocity, the outline, and the estimates of friction
     and load, if the sensor has them. Stuck modules and stiffness are nominal in its model. Axes are
-    where its own commands turned them. Friction is off the estimate to the side on which an error
-    can be undone (`PlanCost.caution`).
+    where its own commands turned them. The assumed friction differs from the estimate in the
+    direction in which an error can be corrected (`PlanCost.caution`).
 
     In every control period it runs its plan anew from the new belief, and random variations of the
     plan if it is not good enough. If none succeeds, a beam search looks for another plan, with a
@@ -243,7 +243,7 @@ class BeliefPlanner(BatchController):
 def vary(plans: Integers, choices: int, rng: np.random.Generator) -> Integers:
     """Change each plan (count, periods) from a random period on.
 
-    Another action replaces a few, or the rest comes a period sooner or later, or both.
+    Another action replaces a few actions, or the rest moves by a period, or both.
     """
     count, periods = plans.shape
     period, first = np.arange(periods), rng.integers(periods, size=(count, 1))

@@ -63,7 +63,7 @@ class Model(NamedTuple):
 
 
 def make_model(config: EnvConfig, then: float) -> Model:
-    """Make the model of an environment whose axes turn to `then` [rad] off 90 deg in the end."""
+    """Make the model of an environment; its axes finally turn to `then` [rad] from 90 deg."""
     rows, columns = config.action_kind.shape
     turn = config.actuators.axis_speed * config.timing.dt
     exact = isinstance(config.sensors, sg.sensors.Exact)
@@ -281,7 +281,7 @@ def predict(
     """Predict the state after a control period; elements under the parcel share its weight.
 
     Args:
-        lean: (columns,) [rad] current axes off 90 deg; they turn to `scratch.target`.
+        lean: (columns,) [rad] current angles from 90 deg; they turn to `scratch.target`.
     """
     dt, steps = model.dt, model.steps
     longest = 2.0 * span.half_length + max(0.0, speed) * dt * (steps + model.tail)

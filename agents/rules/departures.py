@@ -59,8 +59,8 @@ def sort_by_progress(
     """Update the order of departure (rows,); return the number of parcels in it.
 
     Departed parcels are removed, and new ones are added at the end. A parcel sufficiently far ahead
-    of its predecessor overtakes it in the order. A parcel with a remaining way aside that has stood
-    for long lets the next parcel pass, if that parcel is near and has no way aside.
+    of its predecessor overtakes it in the order. A parcel that must still move aside and has stood
+    for long lets the next parcel pass, if the next parcel is near and need not move aside.
 
     Args:
         came: (rows,) last observed time since entry.
@@ -154,7 +154,7 @@ def limit_speed(
 def is_way_clear(
     tuning: Tuning, parcels: SlopeParcels, order: Integers, count: int, place: int, yields: float
 ) -> bool:
-    """Return whether no other parcel is beside a parcel, or where it would be led to.
+    """Return whether no other parcel is beside a parcel, or at the place to which it is led.
 
     Later parcels behind it that are faster by less than `yields` [m/s] give way.
     """

@@ -175,7 +175,7 @@ def angle_at_exit(
 
     Args:
         shape: rows and columns of the widest zone.
-        turning: number of first columns whose left half is at 45 deg.
+        turning: number of columns, from the zone's start, with the left half at 45 deg.
     """
     rows, columns = shape
     axis = np.full(shape, sg.layouts.ROLLING)

@@ -91,7 +91,7 @@ class ParkingMemory(NamedTuple):
 
 
 class ParkingBody(NamedTuple):
-    """The parcel as the model has it."""
+    """The parcel in the model."""
 
     power: float  # [-] exponent of the oval that stands for the base; 0: a rectangle
     gyration: float  # [m^2] inertia / mass
@@ -127,7 +127,7 @@ def find_body(seen: ParkReading) -> ParkingBody:
 
 @inlined
 def is_under(seen: ParkReading, body: ParkingBody, along: float, across: float) -> bool:
-    """Return whether a module is under the base; [m] from its centre, in its frame."""
+    """Return whether a module is under the base, from its position [m] in the base's frame."""
     along = abs(along) / (seen.half_length + ON_EDGE)
     across = abs(across) / (seen.half_width + ON_EDGE)
     if max(along, across) > 1.0:
@@ -367,7 +367,7 @@ def park(
 
 @rule("fixed layout", "park", actions="modules")
 class ParkingLayout(FixedRule):
-    """Columns at 90 deg, and at 0 deg from where they stop a box at the goal's x."""
+    """Columns at 90 deg, then columns at 0 deg that stop a box at the goal x."""
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config, ("park",), ("modules",))

@@ -112,7 +112,7 @@ class Below(NamedTuple):
 
 @inlined
 def find_place(x: float, y: float, number: int) -> int:
-    """Return bits for a module that is left of a centre, ahead of it, and at an odd number."""
+    """Return three bits of a module: left of a centre, ahead of it, odd number."""
     return (1 if y > 0.0 else 0) + (2 if x > 0.0 else 0) + 4 * (number % 2)
 
 
@@ -325,7 +325,7 @@ def sort_parcels(
 def find_stuck(parcels: SlopeParcels, order: Integers, count: int, stood: Integers) -> bool:
     """Count the periods (rows,) in which parcels stand; return whether the first is stuck.
 
-    If it is, all that have stood for long are let go for some periods.
+    If it is, all parcels that have stood for long are released for some periods.
     """
     for place in range(count):
         k = order[place]
@@ -357,7 +357,7 @@ def want_motion(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Return the wanted speeds [m/s] along and across the slope, and the turning speed [rad/s].
 
-    The parcel at a place of the order gets the next time slot. One that `goes` moves in any case.
+    The parcel at a place of the order gets the next time slot; if it `goes`, it moves in any case.
     """
     k = order[place]
     speed = plan_by_slot(slope, tuning, parcels, slots, k)

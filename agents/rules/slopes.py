@@ -163,7 +163,7 @@ def find_distance(slope: Slope, parcels: SlopeParcels, k: int) -> float:
 
 @inlined
 def find_slot(slope: Slope, tuning: Tuning, parcels: SlopeParcels, slots: Slots, k: int) -> float:
-    """Return the earliest time [s] at which a parcel's centre may pass the end, after others."""
+    """Return the earliest time [s] at which a parcel's centre may pass the end after others."""
     mouth = parcels.mouth[k]
     front = parcels.front[k] - find_lag(slope, parcels, k) + tuning.spare_gap
     if slots.ready[mouth] == -math.inf:

@@ -134,9 +134,10 @@ def turn_narrow(slope: Slope, row: Singles, parcels: SlopeParcels, k: int) -> No
 def choose_modes(
     grid: DriveGrid, parcels: SlopeParcels, table: Singles, scratch: DriveScratch, chosen: Integers
 ) -> None:
-    """Choose the mode (drives,) of each drive: its least sum of errors below its first parcel.
+    """Choose each drive's mode (drives,) with the least cost, for the first parcel on the drive.
 
-    A surface that slips on a parcel, and an axis that turns, cost a little.
+    The cost is the sum of squared velocity errors over the drive's modules below the parcel. Slip
+    and turning an axis add a little.
     """
     modes, columns, cost = grid.velocity.shape[0], grid.x.shape[0], scratch.cost
     cost[:] = 0.0

@@ -397,7 +397,7 @@ class StreamLoop(ControlLoop):
 
     @property
     def has_parcel(self) -> bool:
-        """Return False: a stream has no pauses, so that others wait for the end of a period."""
+        """Return False: a stream has no pauses, so other work waits for the end of a period."""
         return False
 
     def _correct(self, frame: ms.Frame | ms.Detections) -> None:
@@ -436,7 +436,7 @@ class StreamLoop(ControlLoop):
 
 @contextmanager
 def faults_of_device() -> Iterator[None]:
-    """Make a driver's error, or a value that it must not give, the loss of the device."""
+    """Turn a driver's error, or a forbidden value from it, into the loss of the device."""
     try:
         yield
     except (ValueError, OSError) as error:

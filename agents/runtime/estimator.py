@@ -170,7 +170,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def depart(self, number: int) -> bool:
-        """Forget the parcel if only it has this number; return whether it has."""
+        """Forget the only parcel if it has this number; return whether it has."""
 
     @abstractmethod
     def correct(self, picture: Any) -> bool:
@@ -355,7 +355,7 @@ class StateEstimator(Estimator):
 
 
 def make_looks(numbers: Array) -> tuple[Array, Array]:
-    """Return a camera's parameters without frames, and with an immediate frame at each step."""
+    """Return a camera's parameters twice: without frames, and with a frame at every step."""
     coasting, looking = np.array(numbers), np.array(numbers)
     coasting[EVERY], coasting[LAG] = NEVER, 0.0
     looking[EVERY], looking[LAG] = 1.0, 0.0

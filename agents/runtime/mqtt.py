@@ -29,7 +29,7 @@ STATES = ("frame", "detections")  # messages with poses; the latest is shown
 
 @dataclass(frozen=True)
 class BrokerOptions:
-    """Address of the broker, and what proves both sides."""
+    """Address of the broker, and the credentials of both sides."""
 
     host: str
     port: int

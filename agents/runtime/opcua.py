@@ -52,7 +52,7 @@ OFFSETS = 32  # heartbeats from which the clocks' difference is taken
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """Fields of a kind of message in an array of numbers, after its sequence number."""
+    """Fields of one kind of message in an array: the sequence number, then these fields."""
 
     node: str  # name of the variable
     fields: tuple[str, ...]  # in order; a pose has three numbers, others have one, and -1 is none
@@ -377,7 +377,7 @@ class OpcUaDevice:
         task: required task of the machine.
         shape: required (rows, columns) of its widest zone.
         security: user, password and certificates.
-        prefix: of the variables' node ids, e.g. "ns=4;s=Surface."; None: by the namespace.
+        prefix: start of the variables' node ids, e.g. "ns=4;s=Surface."; None: by the namespace.
         now: clock [s].
     """
 

@@ -279,7 +279,7 @@ class SteeredBatch(StreamBatch):
         target[:] = np.where(obeys, angles, target)
 
     def take(self, parcel: Parcel) -> int:
-        """Return the body table's row of a parcel, used once more."""
+        """Return the body table's row of a parcel, and count one more use of the row."""
         return self._pool.take(parcel)
 
     def give_back(self, rows: list[int]) -> None:
@@ -300,7 +300,7 @@ def steered_config(config: EnvConfig, **changed: Any) -> EnvConfig:
     """Return the configuration of a `SteeredBatch` for a machine of a policy's stream.
 
     Raises:
-        ValueError: modules are driven, or the take-away stops at times that no message tells.
+        ValueError: modules are driven, or the take-away has stops, which no message announces.
     """
     speed = machine_axis_speed(config)
     demand = getattr(config.stream_task, "demand", None)

@@ -253,7 +253,7 @@ class LineDesign:
         return self.actuators * sum(self.motors)
 
     def energy(self, turn_energy: float) -> float:
-        """Return the energy [J] per parcel of drives, and of axes by the energy of a turn [J]."""
+        """Return the energy [J] per parcel: of drives, plus axes at `turn_energy` [J per turn]."""
         turns = self.run.turns_per_parcel / (ROTOR_ROWS * self.zone or 1)
         return self.run.energy + self.motors[1] * turn_energy * turns
 
@@ -443,7 +443,7 @@ class Search:
         return tuple(found if found[-1][0] == end else [*found, (end, best)])
 
     def run_stuck(self, layout: LineLayout, choices: int) -> tuple[LineMeasurement, ...]:
-        """Run the scheduler of a line with each share in STUCK."""
+        """Run a line's scheduler for each share of stuck modules in STUCK."""
         scheduler = self.scheduler(layout, choices)
         assert scheduler is not None
         config = self.config(layout, self._used(layout, choices))

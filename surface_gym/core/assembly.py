@@ -112,9 +112,10 @@ def changes_slowly(config: EnvConfig) -> bool:
 
 
 def choose_actuation(config: EnvConfig) -> Actuation:
-    """Return the functions of the modules.
+    """Return the functions that set the modules.
 
-    There are some for any angle, given orientations and drives, at once or in time.
+    They depend on the choices (any angle, orientations or drives), and on whether modules obey at
+    once.
     """
     any_angle, slow = config.action_kind.continuous, changes_slowly(config)
     if slow and config.module_kind.drives:
@@ -134,7 +135,7 @@ def choose_actuation(config: EnvConfig) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Return compiled functions of a task or a sensor by name, with a common ending."""
+    """Return compiled functions of a task or a sensor by name; all names get an ending."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not is_compiled(function):

@@ -16,7 +16,7 @@ from surface_gym.state import SurfaceState
 class WearMeter:
     """Counts the turns of each axis since a start, and reports wear, energy and loads.
 
-    A turn begins when an axis that stands, or that turns to another angle, starts to turn.
+    A turn begins when a standing axis starts to turn, or a turning axis gets a new target.
     """
 
     def __init__(self, config: EnvConfig, surfaces: SurfaceState) -> None:
@@ -33,7 +33,7 @@ class WearMeter:
         return st.axis_angles(surfaces), surfaces.target.copy(), outcome == st.STARTING
 
     def count(self, surfaces: SurfaceState, before: tuple[Any, ...] | None) -> None:
-        """Count the turns of a period; environments that have begun in it have none."""
+        """Count the turns of a period; environments that began in it have no turns."""
         if before is None:
             return
         angle, target, begun = before

@@ -189,7 +189,7 @@ class SlowPurpose(_Braking):
         return np.where((ends.reason == running.PAST) & (ends.runs.speed > 0.0), ratio, math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the ratio; at rest on the zone, 0.5 plus half the remaining share."""
+        """Return the error of the ratio; at rest on the zone, 0.5 + half of the share to go."""
         error = self.measure(ends) - self.ratio
         error = np.maximum(0.0, error) if self.tolerance is None else np.abs(error)
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(1.0, error))
@@ -284,7 +284,7 @@ class TurnPurpose(Purpose):
         return np.where(ends.reason == running.PAST, ends.pose[:, 2], math.nan)
 
     def shortfall(self, ends: Ends) -> Array:
-        """Return the error of the angle / 180 deg; at rest, 0.5 plus half the remaining share."""
+        """Return the error of the angle / 180 deg; at rest, 0.5 + half of the share to go."""
         error = np.abs(self.measure(ends) - self.angle) / np.pi
         return np.where(np.isnan(error), _way_to_go(ends), np.minimum(0.5, error))
 

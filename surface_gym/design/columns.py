@@ -28,7 +28,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class Columns:
-    """The smallest number of columns of a line with a number of rows."""
+    """Smallest sufficient number of columns of a line with given rows."""
 
     rows: int  # rows of rotors
     columns: int | None  # columns of the zone; None: no number suffices
@@ -169,22 +169,22 @@ class ColumnsReport(cases.Answer):
     def sentence(self) -> str:
         case, own = self.case, self.own
         purpose = f"to {case.purpose.action}"
-        parcel = f"a {case.parcel_text} that comes {case.entry_text}"
+        parcel = f"a {case.parcel_text} {case.entry_text}"
         if own.columns is None:
             return (
-                f"No number of columns up to {MOST} is enough {purpose}, {parcel}, by the study's "
+                f"No number of columns up to {MOST} suffices {purpose}, {parcel}, by the study's "
                 "layouts"
             )
         needs = (
             f"{cases.plural(own.columns, 'column')} of {own.rows} rows ({own.modules} modules at "
-            f"{own.layout}) are what it takes {purpose}, {parcel}"
+            f"{own.layout}) suffice {purpose}, {parcel}"
         )
         if own.together is None:
             return needs
         if own.together.columns is None:
             success = f"{own.together.success:.0%}"
-            return f"{needs}; no number does it in {SURE} of the draws ({success} do it here)"
-        return f"{needs}; for {SURE} of the draws, {own.together.columns}"
+            return f"{needs}; no number suffices for {SURE} of the draws (these: {success})"
+        return f"{needs}; {own.together.columns} suffice for {SURE} of the draws"
 
     def tables(self) -> tuple[cases.ReportTable, ...]:
         purpose, own = self.case.purpose, self.own

@@ -86,7 +86,7 @@ class Limits(cases.Answer):
             f"be {self.describe(known)} for a {case.parcel_text} to {case.purpose.passive}"
         )
         if worst.group != NOMINAL:
-            text += f"; {self.describe(worst)} for {SURE} of the draws of what is unknown"
+            text += f"; {self.describe(worst)} for {SURE} of the draws of unknown quantities"
         first, last = (f"{self.quantity.scale * known.values[k]:.3g}" for k in (0, -1))
         return f"{text}. Tried: {first} to {last} {self.quantity.unit}"
 
@@ -174,7 +174,7 @@ class FrictionRange(cases.Answer):
         )
         if self.along.spans[-1].group != NOMINAL:
             worst = (f"{name} {limits.describe(limits.spans[-1])}" for limits, name, _ in both)
-            text += f"; for {SURE} of the draws of what else is unknown, {' and '.join(worst)}"
+            text += f"; for {SURE} of the draws of other unknown quantities, {' and '.join(worst)}"
         return f"{text}. Tried: 1/{FACTOR_RANGE:g} to {FACTOR_RANGE:g} times"
 
     def tables(self) -> tuple[cases.ReportTable, ...]:

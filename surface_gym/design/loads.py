@@ -32,7 +32,7 @@ class ModuleLoads(cases.Answer):
         return float(loads[math.ceil((1.0 - WORST) * len(loads) - 1e-9) - 1])
 
     def heaviest(self, group: str = NOMINAL) -> float:
-        """Return the largest mass [kg] of the parcel for which they are within the limit."""
+        """Return the largest mass [kg] of the parcel with loads within the limit."""
         return self.limit * self.arrangement.case.parcel.mass / self.load(group)
 
     @property

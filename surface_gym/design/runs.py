@@ -94,7 +94,7 @@ class DesignLine(ElementGrid):
         return rotor
 
     def axes(self, zone_axis: Array) -> Array:
-        """Return the surface's axes (..., rows, columns) [rad] for zone axes of that form."""
+        """Return the surface's axes (..., rows, columns) [rad] with the zone's axes filled in."""
         axis = np.full((*zone_axis.shape[:-2], *self.shape), ROLLING)
         axis[(..., *self.zone)] = zone_axis
         return axis

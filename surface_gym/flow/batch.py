@@ -29,7 +29,7 @@ _FIRST_ROOM = 16
 
 
 class BodyPool:
-    """A table of bodies on one surface; each exists while an episode uses it."""
+    """A table of bodies on one surface; a body exists while an episode uses it."""
 
     def __init__(self, place: Callable[[Parcel], Placement], any_parcel: Parcel) -> None:
         self._place = place

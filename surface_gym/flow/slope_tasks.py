@@ -31,7 +31,7 @@ from surface_gym.state import EnvState
 from surface_gym.tasks.features import Feature, columns, show, show_within
 
 MOUTH_ALIGNMENT = math.radians(10.0)  # [rad] required alignment in a mouth, for the comparison
-MERGE_FEATURES = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "that it came by", "", 8.0))
+MERGE_FEATURES = (*FEATURES, Feature("line", 0.0, MOST_INLETS / 8.0, "index of its line", "", 8.0))
 LINE = columns(MERGE_FEATURES).line
 SEQUENCE_FEATURES = (
     *FEATURES,
@@ -73,9 +73,10 @@ class Singulate(TakeAwayTask):
     - the take-away runs. With `demand=Stops()`, it stops at times, with a notice of 1 s, and
       parcels must wait.
 
-    **Actions.** Modules obey parcels as in `Flow`. At 0 deg they brake a parcel, at 90 deg it
-    rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. 45 deg ahead and -45 deg behind
-    turn it clockwise. The observation is a table as in `Flow`, but no row is mirrored.
+    **Actions.** As in `Flow`, modules turn for the parcel on them. At 0 deg they brake it, at 90 deg
+    it rolls, at -45 deg they move it to y > 0, and at 45 deg to y < 0. Modules at 45 deg ahead of
+    its centre and at -45 deg behind it turn it clockwise. The observation is a table as in `Flow`,
+    but no row is mirrored.
 
     ### Reward
 
@@ -130,7 +131,7 @@ def lines(rate: float = 6000.0) -> Stream:
 class Merge(TakeAwayTask):
     """Merge several lines of parcels into one line with gaps, fairly.
 
-    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each. They
+    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line. They
     must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
     one. A parcel without room waits on its line and blocks it, while the other lines continue.
 
@@ -196,7 +197,7 @@ def shuffled(rate: float = 2000.0, window: int = 4) -> Stream:
 class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
-    Each parcel has a place in an order, but arrives out of order within a window of parcels.
+    Each parcel has a place in an order, but every few successive parcels arrive in random order.
     Parcels must depart by the lower end in order, each at least `gap` behind the previous one.
     They must wait where others can pass them.
 

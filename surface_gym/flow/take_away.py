@@ -112,15 +112,13 @@ FEATURES: tuple[Feature, ...] = (
     *base.DIRECTION, base.FORWARD_SPEED, base.LATERAL_SPEED, base.TURNING_SPEED, base.LENGTH,
     base.WIDTH,
     *(
-        Feature(name, -10.0, 100.0, f"reach of its base {way}, at its angle", "m", 0.1, 0.2)
-        for name, way in (
-            ("front", "along x"), ("rear", "against x"), ("left", "along y"), ("right", "against y")
-        )
+        Feature(name, -10.0, 100.0, f"reach of its base towards {way}, at its angle", "m", 0.1, 0.2)
+        for name, way in (("front", "+x"), ("rear", "-x"), ("left", "+y"), ("right", "-y"))
     ),
     Feature("to the mouth", -20.0, 20.0, "distance in y to the nearest mouth", "m", 0.3),
     Feature("to turn", -1.0, 1.0, "until its sides lie along the line", "rad", EIGHTH),
     Feature("rolling", 0.0, 20.0, "time until its departure if it only rolls", "s", HORIZON),
-    Feature("clear", -20.0, 20.0, "from the end to the last departed rear, minus `gap`", "m", 0.5),
+    Feature("clear", -20.0, 20.0, "from the end to the previous rear, minus `gap`", "m", 0.5),
     Feature("takes away", 0.0, 1.0, "1: the take-away runs; 0: it stands, or is about to"),
     flow.TIME, flow.PRESENT, flow.WAITS, *both_ways(NEIGHBOUR_FEATURES),
 )  # fmt: skip
@@ -206,7 +204,7 @@ def is_clear_of(one: EnvState, other: EnvState, gap: float) -> bool:
 
 @inlined
 def runs(surface: fs.SurfaceView) -> bool:
-    """Return whether the take-away runs; its changes are stops and starts in turn."""
+    """Return whether the take-away runs; odd changes stop it, even changes start it."""
     return surface.memory[CHANGES] % 2.0 == 0.0
 
 
@@ -219,7 +217,7 @@ def changes_within(surface: fs.SurfaceView, time: float) -> bool:
 
 @inlined
 def rolling_time(distance: float, speed: float, acceleration: float) -> float:
-    """Return the time [s] of a rolling parcel for a distance [m] from a speed [m/s]."""
+    """Return the time [s] in which a parcel rolls a distance [m] from a start at `speed` [m/s]."""
     start = max(0.0, speed)
     if acceleration <= 1e-6:
         return distance / max(start, 1e-3)
@@ -360,7 +358,7 @@ class TakeAwayTask(StreamTask):
         """Return the rate [parcels/h] of parcels packed on the take-away at the minimum gap.
 
         Every parcel has its smallest extent along the take-away. No controller delivers more
-        parcels, if all depart correctly and each kind in its share of the stream. A controller that
+        parcels, if all depart correctly, and all kinds as often as they arrive. A controller that
         keeps large parcels back, or wastes some, could deliver more correctly.
         """
         arrivals = self.stream.arrivals
@@ -512,7 +510,7 @@ class TakeAwayTask(StreamTask):
     @staticmethod
     @inlined
     def inform(surface: fs.SurfaceView, state: EnvState) -> None:
-        """Write the nearest mouth, and the position of its last departed parcel, to the goal."""
+        """Write the nearest mouth and the position of its last departed parcel into the goal."""
         params, memory, goal = surface.params, surface.memory, state.goal
         offset = state.sensed[Y] - state.elements.line_y
         nearest = nearest_mouth(params.exits, 1, offset)

@@ -36,7 +36,7 @@ FEATURES: tuple[Feature, ...] = (
     *SIDE_FEATURES,
     TIME,
     Feature(
-        "past the exit's start", -20.0, 20.0, "by its rear; if straight on: the zone's", "m", 0.5
+        "past the exit's start", -20.0, 20.0, "by its rear; straight on: the zone's start", "m", 0.5
     ),
     Feature("side", -1.0, 1.0, "of its exit: 1 for y > 0, -1 for y < 0, 0 for straight on"),
     PRESENT,

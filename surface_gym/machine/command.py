@@ -16,8 +16,8 @@ from surface_gym.cli import parse_options
 class IdentifyOptions:
     """Identify a surface from logs of `surface-gym runtime --log`.
 
-    Prints each parameter with its 95 % interval, and writes estimate.json and report.html. What the
-    logs cannot tell has no interval, and the report says why.
+    Prints each parameter with its 95 % interval, and writes estimate.json and report.html. A
+    parameter that the logs do not determine has no interval, and the report says why.
     """
 
     logs: tyro.conf.Positional[tuple[Path, ...]]

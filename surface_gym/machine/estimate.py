@@ -34,7 +34,7 @@ MOST = 4.0  # [-] misfit at its top
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of the surface or the load that logs may tell."""
+    """A parameter of the surface or the load that can be estimated from logs."""
 
     unit: str
     meaning: str
@@ -80,7 +80,7 @@ class Estimate:
     unused: dict[str, int] = field(default_factory=dict)  # number of other runs by reason
 
     def is_determined(self, name: str) -> bool:
-        """Return whether the logs tell a parameter."""
+        """Return whether the logs determine a parameter."""
         return name in self.intervals and math.isfinite(self.intervals[name][0])
 
     @property
@@ -95,7 +95,7 @@ class Estimate:
         return replace(line, **found)
 
     def preset(self, name: str = "identified") -> Preset:
-        """Return a preset for environments: noise, delay, turning axes, and doubt about friction.
+        """Return a preset for environments: noise, delay, turning axes, and uncertain friction.
 
         Give it beside `line`, and the tilt to the task.
         """
@@ -121,8 +121,8 @@ class Estimate:
     def adapt(self, config: EnvConfig) -> EnvConfig:
         """Return an environment's configuration on the identified surface.
 
-        It has friction as `line`, and as `preset` the spreads of friction, the speed of the axes
-        and a camera's noise and latency. What the logs do not tell stays.
+        Friction is as in `line`. Spreads of friction, axis speed, and a camera's noise and latency
+        are as in `preset`. Values that the logs do not determine stay.
         """
         found, sensors = self.preset(), config.sensors
         if isinstance(sensors, Camera):
@@ -153,7 +153,7 @@ class Estimate:
         return min(MOST_SPREAD, 0.5 * (high - low) / value) if value > 0.0 else MOST_SPREAD
 
     def warnings(self) -> Iterator[str]:
-        """Yield what the logs do not tell, in sentences."""
+        """Yield sentences about what the logs do not determine."""
         if not self.is_explained:
             yield (
                 f"The model does not explain the pictures: misfit {self.misfit:.2f}. Something "

@@ -43,7 +43,7 @@ def identify(
     Args:
         logs: files of `surface-gym runtime --log`, or logs that were read before; of one surface.
         free: names of the parameters to find, of `PARAMETERS`.
-        known: values of others. Without a value, friction and quarter turn are as the logs
+        known: other parameters. Without a value, friction and quarter turn are as the logs
             assume, the tilt is as stated for each parcel, and the rest is 0.
         noise: standard deviations of the pictures [m, rad]; None: found from the pictures alone.
         dt: [s] maximum step of the predictions.

@@ -51,10 +51,9 @@ def excitation(
 ) -> Array:
     """Return the axes (periods, rows, columns) [rad] of a run to record.
 
-    After a start without commands, short pulses brake the parcel, or steer it by 45 deg to one
-    side and the next time to the other. Forces across the way are what tells friction and tilt
-    apart, since the tilt only acts along it. All modules of the zone do the same. A dozen runs
-    suffice for most parameters.
+    After a start without commands, short pulses brake the parcel, or steer it by 45 deg to
+    alternating sides. Only lateral forces distinguish friction from tilt, since the tilt acts along
+    the line. All modules of the zone do the same. A dozen runs suffice for most parameters.
 
     Args:
         shape: (rows, columns) of the widest zone.

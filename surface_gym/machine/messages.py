@@ -251,7 +251,7 @@ def gate_to_fields(begin: float, end: float) -> dict[str, Any]:
 
 
 def gate_from_fields(fields: dict[str, Any]) -> tuple[float, float]:
-    """Return the times [s] from when to when the gate lets one parcel in."""
+    """Return the times [s] between which the gate lets one parcel in."""
     checks.one_of("kind", fields["kind"], ("gate",))
     return checks.number("begin", fields.get("begin")), checks.number("end", fields.get("end"))
 

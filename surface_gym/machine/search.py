@@ -85,7 +85,7 @@ class LeastSquares:
         return ((predicted - self.measured) / self.noise).ravel()
 
     def link(self, misses: Array) -> Array:
-        """Return residuals: in place of a picture beyond a piece's end, the next piece counts.
+        """Return residuals: the next piece replaces pictures beyond a piece's end.
 
         Args:
             misses: (frames * 3, ...) of pictures, or their derivatives.
@@ -153,7 +153,7 @@ class LeastSquares:
             yield slice(first, end), slice(begin, starts[end]), linked
 
     def costs(self, misses: Array, within: float) -> Array:
-        """Return the squares of each group (groups,), less for residuals beyond `within`."""
+        """Return the sums of squares (groups,); residuals beyond `within` count less."""
         squares = self.link(misses) ** 2
         if within < math.inf:
             squares = 2.0 * within**2 * (np.sqrt(1.0 + squares / within**2) - 1.0)
@@ -198,8 +198,8 @@ class LeastSquares:
     ) -> tuple[Array, Array, float]:
         """Find a step within the bounds.
 
-        A QR decomposition of each group eliminates its entries. What is left of all groups is a
-        least squares problem of the free parameters alone.
+        A QR decomposition of each group eliminates its entries. The remaining least
+        squares problem has only the free parameters.
 
         Args:
             x: (free,) parameters.

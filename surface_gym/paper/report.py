@@ -437,7 +437,7 @@ def _velocity(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_alignment() -> Figure:
-    """Draw boxes with an offset or a turn from above, for rows that push inwards and outwards."""
+    """Draw the paths of offset and of turned boxes, over rows that push inwards or outwards."""
     figure = Figure(figsize=(11.0, 8.4), layout="constrained")
     panels = figure.subplots(
         3, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": (1.25, 1.0, 1.0)}

@@ -163,9 +163,9 @@ def age(state: EnvState, place: int, dt: float) -> float:
 
 @kernel_function
 def weigh(numbers: Array, state: EnvState, place: int, k: int, lead: float) -> tuple[float, float]:
-    """Return the weights of a frame's coordinate `k` for the estimate and its covariance.
+    """Return the factors of `kalman.correct` for coordinate `k` of a frame.
 
-    The frame is `lead` seconds old. The weights apply to the result of `measure`.
+    The first corrects the estimate, the second the covariance. The frame is `lead` seconds old.
     """
     noise = max(SHARPEST, numbers[POSITION_NOISE] if k < 2 else numbers[ANGLE_NOISE])
     by_x, by_y = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0

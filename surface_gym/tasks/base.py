@@ -131,7 +131,7 @@ class Task:
         return replace(self, parcels=parcels) if draws_default_parcels(self) else self
 
     def count_periods(self, control_period: float) -> int:
-        """Return the maximum control periods [s] of an episode."""
+        """Return the maximum control periods of an episode, for a control period [s]."""
         del control_period
         return self.periods
 

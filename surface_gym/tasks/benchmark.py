@@ -171,8 +171,9 @@ class Offer:
     Args:
         name: name in tables.
         task: task with stream, exits and duration.
-        rates: [parcels/h] offered rates; of several, the first at which nearly all departures are
-            correct, else the last; None: the stream's own rate; `ENTRANCE`: the entry limit.
+        rates: [parcels/h] offered rates; among several, the result is the first rate with
+            nearly all departures correct, else the last. None: the stream's own rate; `ENTRANCE`:
+            the entry limit.
             Without a rate, the highest sustained rate is searched.
         group: group of offers in a table; only the first group is compared by default.
         arguments: additional arguments of the environment, e.g. sensors of no preset.

@@ -64,8 +64,8 @@ GOAL_FEATURES = tuple(each.name for each in FEATURES[COLUMN.to_go_along.place :]
 class Park(base.Task):
     """Come to rest at a goal pose: x, y and theta.
 
-    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. The
-    entry speed is all the energy that there is. Moving aside, turning and braking use it, so a
+    A parcel enters a level field of rotors. It must stop within 5 mm and 2 deg of a goal pose. Its
+    entry speed is its only energy. Moving aside, turning and braking use this energy, so a
     parcel that stops short stays there. A parcel rolls freely at 0, 45, -45 and 90 deg only; at all
     other headings the axes brake it.
 
@@ -146,7 +146,7 @@ class Park(base.Task):
         return seen
 
     def decode_start(self, seen: planning.ObservationTable) -> Start:
-        """Decode the first observation into a start, some columns into the field.
+        """Decode the first observation into a start that is some columns into the field.
 
         The field is the same every pitch, so only the position within a pitch matters.
         """

@@ -38,7 +38,7 @@ FEATURES = (
     Feature("entry speed", -2.0, 5.0, "vx at the start", "m/s", 1.0, 1.5),
     Feature("asked ratio", 0.0, 1.0, "the goal ratio"),
     Feature(
-        "excess of speed", -50.0, 50.0, "over the speed that rolls to the asked ratio", "m/s", 0.2
+        "excess of speed", -50.0, 50.0, "speed minus the right speed: see `excess`", "m/s", 0.2
     ),
     Feature("fine excess", -1.0, 1.0, "the same excess", "m/s", 0.02, bent=True),
 )
@@ -209,7 +209,7 @@ difference from the right speed. A parcel with the right speed reaches the goal 
 
 @kernel_function
 def _excess(state: EnvState, to_go: float, vx: float, vy: float) -> float:
-    """Return the excess [m/s] over the speed that rolls to the goal speed in `to_go` [m]."""
+    """Return the speed minus the one [m/s] that rolling reduces to the goal in `to_go` [m]."""
     asked = state.goal[RATIO] * state.goal[ENTRY_SPEED]
     needed = math.sqrt(asked * asked + 2.0 * base.ROLLING_LOSS * max(0.0, to_go))
     return math.sqrt(vx * vx + vy * vy) - needed

@@ -134,7 +134,7 @@ class Errors:
 
 
 def compute_errors(runs: Sequence[ComparedRun], model: str) -> Errors:
-    """Compare MuJoCo's displacements with an analytic model's; percent are of MuJoCo's."""
+    """Compute MuJoCo's displacements minus a model's; percentages are relative to MuJoCo's."""
     mujoco = displacements(runs, MUJOCO)
     difference = mujoco - displacements(runs, model)
     return Errors(difference * UNIT, 100.0 * difference / mujoco)
@@ -270,7 +270,7 @@ METHODS = (
 
 
 def measure(method: TimedMethod) -> MethodSpeed:
-    """Time a method at its largest step up to which every tried step is accurate."""
+    """Time a method at its largest accurate step; all smaller steps must be accurate, too."""
 
     def ends(step: float) -> Array:
         return np.array([displacement(method.run(case, step)) for case in CASES])

@@ -111,14 +111,14 @@ def test_columns_by_group_by_rows_and_by_speed():
     assert rows.rows[1][1:4] == (4, 8, "+45 deg")
     assert by_speed.rows[0][:3] == (0.3, 2, None)  # at this speed no number is enough
     assert not by_speed.shown
-    assert report.sentence.endswith("; for 95% of the draws, 4")
+    assert report.sentence.endswith("; 4 suffice for 95% of the draws")
     assert columns_of(replace(CASE, unknown=NOTHING), ()).sentence == (
-        "4 columns of 2 rows (8 modules at +45 deg) are what it takes to sort it, a 0.25 x 0.25 m "
-        "parcel that comes at 1.2 m/s"
+        "4 columns of 2 rows (8 modules at +45 deg) suffice to sort it, a 0.25 x 0.25 m parcel at "
+        "1.2 m/s"
     )
     assert columns_of(LOST, ()).sentence.startswith("No number of columns up to 30")
     turn = Case(BOX, TurnPurpose(), speed=1.5, draws=20)
-    assert "no number does it in 95% of the draws" in columns_of(turn, ()).sentence
+    assert "no number suffices for 95% of the draws" in columns_of(turn, ()).sentence
     large = Case(layouts.box("B"), SortPurpose(), speed=1.5, unknown=NOTHING)
     several, chosen = (columns_report(large, rows) for rows in (None, 3))
     assert [each.rows for each in several.by_rows] == [1, 2, 3, 4]
@@ -144,7 +144,7 @@ def test_limits_and_their_curves_a_tilt_in_degrees_and_both_coefficients_of_fric
     assert {row[0] for row in curve.rows} == {"factor on mu_max", "factor on mu_min"}
     assert "mu_max may be 0.3" in found.sentence
     assert "times 0.5 and mu_min may be" in found.sentence
-    assert "for 95% of the draws of what else is unknown, mu_max" in found.sentence
+    assert "for 95% of the draws of other unknown quantities, mu_max" in found.sentence
 
 
 @pytest.mark.parametrize(
