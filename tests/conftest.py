@@ -12,7 +12,7 @@ from hypothesis import settings
 
 from surface_gym.core.batch import BaseBatch
 from surface_gym.state import RUNNING
-from tests.order import NIGHTLY, SMOKE, TOGETHER, place_of
+from tests.order import SMOKE, TOGETHER, is_nightly, place_of, unused_lines
 
 # The same examples from run to run; the first one may wait for the compiler.
 settings.register_profile("surface_gym", deadline=None, derandomize=True, max_examples=25)
@@ -85,10 +85,14 @@ def pytest_collection() -> Iterator[None]:
         gc.enable()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.startswith(SMOKE):
             item.add_marker("smoke")
-        if item.nodeid.startswith(NIGHTLY):
+        if is_nightly(item.nodeid):
             item.add_marker("nightly")
+    if [os.path.basename(each) for each in config.args] == config.getini("testpaths"):
+        unused = unused_lines([item.nodeid for item in items])
+        if unused:
+            raise pytest.UsageError(f"tests/nightly.txt has lines that fit no test: {unused}")
     items.sort(key=lambda item: place_of(item.nodeid))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.order import FIRST, NIGHTLY, SMOKE, place_of
+from tests.order import FIRST, NIGHTLY, SMOKE, is_nightly, place_of, unused_lines
 
 ROOT = Path(__file__).parents[1]
 
@@ -159,12 +159,20 @@ def test_a_room_never_reaches_another(room, never):
     assert never not in reached(edges(), room)
 
 
-@pytest.mark.parametrize("name", [*FIRST, *NIGHTLY, *SMOKE])
+@pytest.mark.parametrize("name", [*FIRST, *SMOKE])
 def test_what_is_named_is_there(name):
     file, *inside = name.split("::")
     assert (ROOT / file).exists()
     if inside:
         assert f" {inside[-1].partition('[')[0]}" in (ROOT / file).read_text()
+
+
+def test_a_line_for_the_night_fits_the_beginning_of_names_with_any_text_between():
+    of_cluster = "tests/parallel/test_jobs.py::test_two_share_what_there_is_and_are_used_again"
+    assert is_nightly(f"{of_cluster}[a cluster]")
+    assert not is_nightly(f"{of_cluster}[processes]")
+    of_file = [line for line in NIGHTLY if line.startswith("tests/parallel/")]
+    assert unused_lines(["tests/parallel/test_jobs.py::test_none"]) == of_file
 
 
 def test_those_not_named_come_last():
