@@ -192,7 +192,7 @@ def suited(own: EnvConfig, config: EnvConfig | None) -> EnvConfig:
     checks.one_of("gate", config.stream_task.gate, (False,))
     if config.chosen_orientations != own.chosen_orientations:
         raise ValueError(
-            f"orientations must be {own.chosen_orientations}, those of the card, "
+            f"orientations must be the card's, {own.chosen_orientations}, "
             f"got {config.chosen_orientations}"
         )
     return config

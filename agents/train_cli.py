@@ -91,8 +91,7 @@ def parse_arguments(arguments: Sequence[str]) -> Request:
         folder = selection.out / (selection.name or f"search-{selection.search.stem}")
         if folder.exists():
             raise ValueError(
-                f"name must be that of a new folder, got {folder}; --resume {folder} goes on "
-                "with it"
+                f"name must be a new folder, got {folder}; --resume {folder} goes on with it"
             )
         return Request(selection.cluster, task, search=selection.search, folder=folder)
     if selection.resume is not None:

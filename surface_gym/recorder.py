@@ -328,8 +328,7 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
     run = trajectory.run
     if run is None:
         raise ValueError(
-            "a recording must be made of a trajectory with a run, as those of "
-            "surface_gym.simulate have; got one whose run is None"
+            "trajectory must have a run, as from surface_gym.simulate; got one whose run is None"
         )
     time, surface, contacts = trajectory.time, run.surface, trajectory.contacts
     checks.positive("period", period)

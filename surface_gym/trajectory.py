@@ -244,8 +244,8 @@ class Trajectory:
     def _known_run(self, asked: str) -> Run:
         if self.run is None:
             raise ValueError(
-                f"{asked} must be asked of a trajectory with a run, as those of "
-                "surface_gym.simulate have; got one whose run is None"
+                f"{asked} needs a trajectory with a run, as from surface_gym.simulate; "
+                "got one whose run is None"
             )
         return self.run
 
@@ -515,9 +515,7 @@ def _read_run(parts: Parts, rows: int) -> Run | None:
     try:
         base = make_base(lengths)
     except TypeError:
-        raise ValueError(
-            f"base_lengths must be those of a {plain['base']}, got {lengths}"
-        ) from None
+        raise ValueError(f"base_lengths must fit a {plain['base']}, got {lengths}") from None
     parcel = Parcel(base, **{name: plain[name] for name in PARCEL}, inertia=plain.get("inertia"))
     surface.check_capacity(base, (surface.columns, surface.rows))
     dt = checks.positive("dt", plain["dt"])

@@ -287,7 +287,7 @@ def test_contacts_acceleration_and_energy_take_a_run():
         sg.simulate_together(*at_rest, duration=0.02).trajectories[0],
     ):
         for asked in ("contacts", "acceleration", "energy"):
-            message = f"^{asked} must be asked of a trajectory with a run"
+            message = f"^{asked} needs a trajectory with a run"
             with pytest.raises(ValueError, match=message):
                 getattr(trajectory, asked)
 

@@ -67,7 +67,7 @@ def export(
     checks.integer("observations", observations, least=100)
     if not isinstance(source.policy, Policy):
         raise ValueError(
-            f"name must be that of an agent of PPO or DQN, got {source.name!r}: a policy of "
+            f"name must be an agent of PPO or DQN, got {source.name!r}: a policy of "
             "modules selects modules by the observation"
         )
     decision = policy.network_decision(source)

@@ -82,7 +82,7 @@ def _read(
     policy = library.from_files(files, task)
     if not isinstance(policy, (Policy, ModulePolicy)):
         raise ValueError(
-            f"name must be that of an agent of single parcels (PPO, DQN or modules), got {name!r}: "
+            f"name must be an agent of single parcels (PPO, DQN or modules), got {name!r}: "
             "in a stream of parcels the environment decides which module follows which parcel"
         )
     return Source(

@@ -289,7 +289,7 @@ def write_run(
     policy = library.read(first, None if own is None else library.find_task(own))
     _check_run(policy.card)
     if own is None and name not in (None, policy.card.task):
-        raise ValueError(f"task must be that of the run, {policy.card.task!r}, got {task!r}")
+        raise ValueError(f"task must be the run's, {policy.card.task!r}, got {task!r}")
     of_task, agent = name or policy.card.task, run.resolve().name
     weights, agents = read_agents(package)
     there = agents.setdefault(of_task, {})

@@ -108,7 +108,7 @@ def make_folder(config: TrainConfig, arguments: Sequence[str]) -> Path:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise ValueError(
-            f"name must be that of a new folder, got {folder}; --resume {folder} goes on with it"
+            f"name must be a new folder, got {folder}; --resume {folder} goes on with it"
         ) from None
     if estimate is not None:
         estimate.save(folder / ESTIMATE)

@@ -89,7 +89,7 @@ class SimulatedWorld(ABC):
 
     def open_gate(self, begin: float, end: float) -> None:
         """Let one parcel in between two times [s], as soon as there is room."""
-        raise ValueError(f"gate must be that of a stream, got times {begin:g} to {end:g} s")
+        raise ValueError(f"gate must be of a stream, got times {begin:g} to {end:g} s")
 
     def set_axes(self, command: int, angles: ms.Angles) -> ms.AxesAcknowledgement:
         """Turn the axes to angles (rows, columns) [rad], or refuse invalid ones."""

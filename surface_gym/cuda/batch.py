@@ -293,8 +293,8 @@ class CudaStreamBatch(BaseCudaBatch):
             stream = each.get("stream", self._task.stream)
             if kernels.stream_capacity(self._config, stream.kinds) > self._capacity:
                 raise ValueError(
-                    f"stream must have parcels no larger than those of the environment's where "
-                    f"device is {str(self._device)!r}, got {stream.kinds}"
+                    f"stream must have no larger parcels than the environment draws, on device "
+                    f"{str(self._device)!r}; got {stream.kinds}"
                 )
 
     def place_drawn(

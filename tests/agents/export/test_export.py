@@ -204,7 +204,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
     for name, said in (
         ("flow-schedule", "single"), ("merge-local", "single"), ("sort-modules", "PPO or DQN"),
     ):  # fmt: skip
-        with pytest.raises(SystemExit, match=f"error: name must be that of an agent of {said}"):
+        with pytest.raises(SystemExit, match=f"error: name must be an agent of {said}"):
             main([name, "--out", str(tmp_path / "out")])
     with pytest.raises(SystemExit, match="holds no policy"):
         main(["--run", str(tmp_path), "--out", str(tmp_path / "out")])

@@ -165,8 +165,8 @@ def test_a_run_acts_before_the_package_s_agents_are_written(folder, tmp_path, mo
 @pytest.mark.parametrize(
     ("name", "task", "said"),
     [
-        ("sort-ppo", "stop", "task must be that of the run, 'sort', got 'stop'"),
-        ("merge-local", "sequence", "task must be that of the run, 'merge', got 'sequence'"),
+        ("sort-ppo", "stop", "task must be the run's, 'sort', got 'stop'"),
+        ("merge-local", "sequence", "task must be the run's, 'merge', got 'sequence'"),
         ("flow-schedule", "flow", "run must hold a policy of parcels, .*, got schedule, parcels"),
     ],
 )

@@ -172,7 +172,7 @@ def test_a_machine_that_was_lost_is_led_on_over_the_socket() -> None:
 
 def test_a_gate_of_one_parcel_at_a_time_is_refused() -> None:
     one = SimulatedMachine(made.CONFIG, 0, 0.0, WorldOptions())
-    with pytest.raises(ValueError, match="gate must be that of a stream"):
+    with pytest.raises(ValueError, match="gate must be of a stream"):
         one.open_gate(0.0, 1.0)
 
 
