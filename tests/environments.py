@@ -46,11 +46,10 @@ every_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=lambda kind: kind.
 
 # Code is compiled for each id, kind of action and kind of sensor together, which takes seconds.
 # These hold every pair of the three once. By day each of the three is tried at least once: with
-# exact sensors, and where rules need the code too. All pairs are tried at night.
+# exact sensors, and one for each other sensor. All pairs are tried at night.
 BY_DAY = {
     ("SmartSurface/Slow-v0", "modules"), ("SmartSurface/Sort-v0", "modules"),
-    ("SmartSurface/Sort-v0", "halves"), ("SmartSurface/Stop-v0", "modules"),
-    ("SmartSurface/Track-v0", "window"),
+    ("SmartSurface/Sort-v0", "halves"),
 }  # fmt: skip
 CELLS = [
     (env_id, actions, SENSORS[(row + column) % len(SENSORS)])
