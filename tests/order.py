@@ -88,6 +88,7 @@ OF_INFOS = (
     "tests/learners/test_learners.py::test_a_library_stacks_infos_in_its_own_way"
     "[gymnasium-by_gymnasium-SmartSurface/"
 )
+SAMPLE_OF_AN_ENTRY = "tests/agents/benchmark/test_results.py::test_a_sample_comes_out_the_same"
 # Pages whose code compiles kernels that no other test needs.
 PAGES_AT_NIGHT = ("sensors.md", "material-flow.md")
 # Long proofs of which the rest of the tests hold a short form: `pytest -m nightly`.
@@ -296,6 +297,16 @@ NIGHTLY = (
     "test_at_any_angle_a_fixed_layout_sorts_as_slowly_as_rules_do",
     "tests/agents/test_programs.py::test_the_comparison_of_a_task",
     "tests/agents/benchmark/test_results.py::test_the_board_of_the_documentation_shows_them",
+    # By day each entry of one parcel is tried on its first task, whose kernel others compile.
+    *(
+        f"{SAMPLE_OF_AN_ENTRY}[{task}"
+        for task in ("park", "flow", "singulate", "merge", "sequence")
+    ),
+    *(
+        f"{SAMPLE_OF_AN_ENTRY}[{task}-{name}"
+        for task in ("slow", "stop", "track", "orient")
+        for name in ("best rule", "fixed layout", "planner", "ppo-1m")
+    ),
     "tests/agents/benchmark/test_board.py::test_an_interval_covers_the_truth_as_often_as_it_says",
     "tests/agents/benchmark/test_process.py::TestGood::test_a_zip_file_acts_as_here[DQN",
     "tests/benchmarks/test_tracking.py::test_no_parcel_is_swapped_and_as_many_are_delivered_as_of_known_parcels",

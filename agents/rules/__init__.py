@@ -20,7 +20,7 @@ __all__ = [
 BEST_RULES = {
     "sort": "event rule", "slow": "braking rule", "stop": "braking rule", "track": "sliding mode",
     "orient": "turning rule", "park": "parking rule", "flow": "event rule",
-    "singulate": "time slots", "merge": "time slots", "sequence": "pass and park",
+    "singulate": "patterns", "merge": "patterns", "sequence": "pass and park",
 }  # fmt: skip
 
 
