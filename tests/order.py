@@ -305,7 +305,7 @@ NIGHTLY = (
     *(
         f"{SAMPLE_OF_AN_ENTRY}[{task}-{name}"
         for task in ("slow", "stop", "track", "orient")
-        for name in ("best rule", "fixed layout", "planner", "ppo-1m")
+        for name in ("best rule", "fixed layout", "ppo-1m")
     ),
     "tests/agents/benchmark/test_board.py::test_an_interval_covers_the_truth_as_often_as_it_says",
     "tests/agents/benchmark/test_process.py::TestGood::test_a_zip_file_acts_as_here[DQN",
