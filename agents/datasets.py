@@ -133,7 +133,7 @@ def _is_recoverable(method: Method) -> bool:
 def find_best_rule(task: str) -> Method:
     """Return the best rule of a task."""
     found = {each.name: each for each in rules(task) if _is_recoverable(each)}
-    return found[BEST_RULES.get(task, list(found)[-1])]
+    return found[BEST_RULES[task]]
 
 
 def _without_controller(task: str) -> Method:

@@ -19,7 +19,6 @@ from surface_gym.registration import PERIODS
 
 from ..base import Numbers
 from ..evaluation.tables import NOTHING, Table, number
-from . import TASKS
 from .entry import CELLS, BenchmarkEntry, Row, read_protocol
 
 RESAMPLES = 2000
@@ -189,7 +188,7 @@ def _is_rate(task: str) -> bool:
 
 def make_page(board: Board) -> str:
     """Return the tables of all tasks, and of the entries, as a page in Markdown."""
-    tables = [found for task in TASKS if (found := board.table(task)) is not None]
+    tables = [found for task in PERIODS if (found := board.table(task)) is not None]
     tables.append(board.sources())
     ((zero, one),) = {tuple(each) for each in read_protocol()["references"].values()}
     title = TITLE.format(zero=zero, one=one)

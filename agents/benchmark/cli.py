@@ -35,7 +35,7 @@ class BenchmarkConfig:
 
     policy: str
     """FILE.py:Class, the folder of a policy, a shipped agent, a model.onnx, or a model.zip of
-    Stable-Baselines3. "{seed}" stands for the training seed.
+    Stable-Baselines3. "{task}" and "{seed}" stand for a task and a training seed.
     """
     tasks: tuple[str, ...] = SINGLES
     """Tasks, four cells each."""
@@ -106,6 +106,7 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
         BenchmarkEntry,
         describe_machine,
         digest_source,
+        keep_rows,
         make_jobs,
         run_entry,
         write_entry,
@@ -121,15 +122,18 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
         Path(config.policy).name, digest_source([job.source for job in jobs]),
         machine=describe_machine(),
     )  # fmt: skip
+    file = config.out / f"{config.title.lower().replace(' ', '-').replace('/', '-')}.json"
+    entry = keep_rows(entry, file, jobs)
+    kept = entry.rows
     with show_progress(console, "benchmark", len(jobs)) as advance:
         entry = run_entry(entry, jobs, config.workers, advance)
-    file = config.out / f"{config.title.lower().replace(' ', '-').replace('/', '-')}.json"
     write_entry(entry, file)
-    failed = [row for row in entry.rows if row.failure]
+    rows = entry.rows[len(kept) :]
+    failed = [row for row in rows if row.failure]
     for row in failed:
         console.print(f"{row.task}, {row.cell}, seed {row.seed} failed: {row.failure}")
     console.print(f"the entry is in {file}; surface-gym benchmark table shows the board")
-    if len(failed) == len(entry.rows):
+    if len(failed) == len(rows):
         raise ValueError(f"policy must run, got {config.policy}: {failed[0].failure}")
 
 

@@ -1,10 +1,10 @@
 """The benchmark's protocol, and entries: results of one policy by episode, and their files.
 
-A task has four cells of 128 episodes each. In the first three, sensors are exact and the axes turn
-ever more slowly, from the same starts. The fourth is the lab, with other parcels, friction, sensors
-and actuators. An episode's start follows from the protocol's seed, the cell and the episode's
-number. The file `protocol-1.json` holds a digest of all starts of a cell, so a version of the
-package that draws other starts is refused.
+A task has four cells of 128 episodes each, or of 32 streams. In the first three, sensors are exact
+and the axes turn ever more slowly, from the same starts. The fourth is the lab, with other parcels,
+friction, sensors and actuators. An episode's start follows from the protocol's seed, the cell and
+the episode's number. The file `protocol-1.json` holds a digest of the first 128 starts of a cell.
+So a version of the package that draws other starts is refused.
 """
 
 import hashlib
@@ -36,7 +36,8 @@ from ..scheduling.scheduler import begin_streams
 from . import FILE, TASKS, VERSION
 from .process import ENV_KWARGS, PolicyFailure, PolicyLimits, PolicyProcess
 
-EPISODES = 128  # per cell and training seed
+EPISODES = 128  # per cell and training seed, of one parcel
+STREAMS = 32  # the same of streams: as many decisions as of one parcel, or more
 SEED = 20_261_126_000  # of the first episode of the first cell; training uses small seeds
 WARM_UP = 20.0  # [s] of a stream, before deliveries count
 
@@ -76,8 +77,13 @@ class TestCell:
         return SEED + 10_000 * TASKS.index(self.task) + 1000 * place
 
     @property
+    def episodes(self) -> int:
+        """Number of episodes per training seed."""
+        return STREAMS if PERIODS[self.task] is None else EPISODES
+
+    @property
     def digest(self) -> str:
-        """Digest of all starts by the protocol's file."""
+        """Digest of the first 128 starts by the protocol's file."""
         found: str = read_protocol()["digests"][self.task][self.cell]
         return found
 
@@ -150,17 +156,16 @@ class Row:
     failure: str = ""  # reason; then there are no scores
 
     def __post_init__(self) -> None:
-        TestCell(self.task, self.cell)
+        count = TestCell(self.task, self.cell).episodes
         checks.integer("seed", self.seed, least=0)
         checks.not_negative("decision_time", self.decision_time)
         most = 1e6 if PERIODS[self.task] is None else 1.0
         for name, limit in (("scores", most), ("times", 1e6)):
             values = tuple(checks.not_negative(name, each, limit) for each in getattr(self, name))
             object.__setattr__(self, name, values)
-            if len(values) not in (0, EPISODES) or (not values) != bool(self.failure):
+            if len(values) not in (0, count) or (not values) != bool(self.failure):
                 raise ValueError(
-                    f"{name} must have {EPISODES} numbers, or none with a failure, "
-                    f"got {len(values)}"
+                    f"{name} must have {count} numbers, or none with a failure, got {len(values)}"
                 )
 
 
@@ -247,13 +252,14 @@ def play_cell(
     policy: PolicyProcess,
     seed: int,
     kwargs: dict[str, Any],
-    count: int = EPISODES,
+    count: int | None = None,
 ) -> tuple[Values, Values]:
     """Run the first episodes of a cell; return scores and durations [s].
 
     Args:
         seed: training seed.
         kwargs: arguments of the environment that the policy chose.
+        count: number of episodes; None: all.
 
     Raises:
         PolicyFailure: the policy failed.
@@ -265,6 +271,7 @@ def play_cell(
         raise ValueError(
             f"starts of {test.task}, {test.cell}, must have the digest {test.digest}, got {found}"
         )
+    count = test.episodes if count is None else count
     policy.begin(config.arguments(), seed)
     if config.task.is_stream:
         batch = play_stream(config, policy, count, seed=test.seed)
@@ -311,7 +318,7 @@ def make_jobs(
     """List the jobs of a policy: all cells of a task, for each training seed.
 
     Args:
-        source: as for `PolicyProcess`; "{seed}" stands for the training seed.
+        source: as for `PolicyProcess`; "{task}" and "{seed}" stand for a task and a training seed.
         seeds: empty: all seeds of a shipped agent, or 0.
         given: arguments of the environment besides the policy's own.
     """
@@ -322,7 +329,7 @@ def make_jobs(
     return [
         PolicyJob(
             tuple(TestCell(checks.one_of("tasks", task, TASKS), cell) for cell in CELLS),
-            source.replace("{seed}", str(seed)), seed, chosen, limits,
+            source.replace("{task}", task).replace("{seed}", str(seed)), seed, chosen, limits,
         )
         for task in tasks
         for seed in seeds or (0,)
@@ -340,6 +347,21 @@ def digest_source(sources: Sequence[str]) -> str:
                 made.update(file.name.encode() + file.read_bytes())
                 found = True
     return made.hexdigest()[:16] if found else ""
+
+
+def keep_rows(entry: BenchmarkEntry, file: Path, jobs: Sequence[PolicyJob]) -> BenchmarkEntry:
+    """Add the rows of a file that jobs will not run anew, if it is of the same policy.
+
+    So tasks can be run one after the other.
+    """
+    if not file.is_file():
+        return entry
+    old = read_entry(file)
+    if (old.source_digest, old.version) != (entry.source_digest, entry.version):
+        return entry
+    new = {(test.task, job.seed) for job in jobs for test in job.tests}
+    kept = tuple(row for row in old.rows if (row.task, row.seed) not in new)
+    return replace(entry, rows=entry.rows + kept)
 
 
 def describe_machine() -> str:

@@ -19,8 +19,8 @@ __all__ = [
 # The best rule of each task by the benchmark.
 BEST_RULES = {
     "sort": "event rule", "slow": "braking rule", "stop": "braking rule", "track": "sliding mode",
-    "orient": "turning rule", "flow": "event rule", "singulate": "time slots",
-    "merge": "time slots", "sequence": "pass and park",
+    "orient": "turning rule", "park": "parking rule", "flow": "event rule",
+    "singulate": "patterns", "merge": "patterns", "sequence": "pass and park",
 }  # fmt: skip
 
 

@@ -11,11 +11,13 @@ from surface_gym.agents import library
 from surface_gym.agents.benchmark.entry import (
     CELLS,
     EPISODES,
+    STREAMS,
     TASKS,
     BenchmarkEntry,
     Row,
     TestCell,
     digest_source,
+    keep_rows,
     make_jobs,
     play_cell,
     read_entries,
@@ -25,6 +27,7 @@ from surface_gym.agents.benchmark.entry import (
 )
 from surface_gym.agents.benchmark.process import PolicyLimits, PolicyProcess
 from surface_gym.agents.rollout import run_episodes
+from surface_gym.registration import SHIPPED
 
 TEST = TestCell("sort", "0 ms")
 SCORES = tuple(float(k % 2) for k in range(EPISODES))
@@ -75,6 +78,26 @@ def test_a_row_with_other_numbers_is_refused(change: dict, message: str) -> None
         replace(ROW, **change)
 
 
+def test_tasks_are_run_one_after_the_other(tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    empty = replace(ENTRY, rows=())
+    again, other = (make_jobs("sort-ppo", (t,), (0,), {}, PolicyLimits()) for t in ("sort", "stop"))
+    assert keep_rows(empty, file, other) == empty
+    write_entry(ENTRY, file)
+    assert keep_rows(empty, file, other) == ENTRY
+    assert keep_rows(empty, file, again) == empty
+    for change in ({"source_digest": "another"}, {"version": "0.0.1"}):
+        entry = replace(empty, **change)
+        assert keep_rows(entry, file, other) == entry
+
+
+def test_a_stream_has_fewer_episodes() -> None:
+    flow = replace(ROW, task="flow", scores=SCORES[:STREAMS], times=SCORES[:STREAMS])
+    assert len(flow.scores) == TestCell("flow", "lab").episodes < EPISODES
+    with pytest.raises(ValueError, match=f"scores must have {STREAMS} numbers"):
+        replace(ROW, task="flow")
+
+
 def test_two_entries_of_a_name_are_refused(tmp_path: Path) -> None:
     for name in ("a.json", "b.json"):
         write_entry(ENTRY, tmp_path / name)
@@ -86,8 +109,9 @@ def test_a_shipped_agent_runs_in_all_its_seeds_and_every_cell() -> None:
     jobs = make_jobs("sort-ppo", ("sort",), (), {}, PolicyLimits())
     assert [job.seed for job in jobs] == list(library.seeds("sort-ppo"))
     assert [test.cell for test in jobs[0].tests] == list(CELLS)
-    assert "runs/7.zip" in [
-        job.source for job in make_jobs("runs/{seed}.zip", ("sort",), (6, 7), {}, PolicyLimits())
+    jobs = make_jobs("runs/{task}-{seed}.zip", ("sort", "stop"), (6, 7), {}, PolicyLimits())
+    assert [job.source for job in jobs] == [
+        f"runs/{task}-{seed}.zip" for task in ("sort", "stop") for seed in (6, 7)
     ]
 
 
@@ -117,6 +141,7 @@ def test_results_are_those_of_the_policy_in_this_process() -> None:
 def test_every_cell_has_a_digest_and_seeds_of_its_own() -> None:
     digests = read_protocol()["digests"]
     assert list(digests) == list(TASKS)
+    assert set(TASKS) == set(SHIPPED)
     assert all(list(cells) == list(CELLS) for cells in digests.values())
     cells = [TestCell(task, cell) for task in TASKS for cell in CELLS]
     starts = {(cell.task, CELLS[cell.cell].name): cell for cell in cells}
