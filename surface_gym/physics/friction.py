@@ -282,7 +282,7 @@ def _bend(table: Array, i: int) -> None:
     uy = table[ph.SLIP_ACROSS + i]
     speed = table[ph.SLIP_SPEED + i]
     share = table[ph.SHARE + i]
-    # Where friction is rounded, it grows with the slip; elsewhere it turns with it.
+    # Rounded friction grows with the slip; full friction only turns with it.
     turn = (speed >= ROUNDING) * share / max(ROUNDING * ROUNDING, speed * speed)
     _write_curvature(table, i, share - turn * ux * ux, -turn * ux * uy, share - turn * uy * uy)
 
