@@ -71,7 +71,8 @@ def measure_host(config: BenchmarkConfig, console: Console) -> None:
     measures: list[Callable[[], list[Figure]]] = []
     missing = []
     if config.physics:
-        measures += [physics.step_figures, physics.size_figures, physics.start_figures]
+        measures += [physics.step_figures, physics.drive_figures]
+        measures += [physics.size_figures, physics.start_figures]
         measures.append(crowds.crowd_figures)
     if config.environments:
         measures.append(environments.environment_figures)

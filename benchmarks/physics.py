@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
@@ -30,6 +30,7 @@ MOST_FIRST_STEP = 8.0  # [s] in an empty cache
 MOST_FIRST_ENV = 8.0  # [s] with the import
 MOST_CACHED = 1.0  # [s]
 MOST_SIZE_RATIO = 1.10
+MOST_DRIVEN_RATIO = 1.10
 
 # Of the comparison with the explicit step.
 STEPS = (0.010, 0.005, 0.002, 0.001)  # [s]
@@ -78,6 +79,31 @@ def size_figures() -> list[Figure]:
     return [
         Figure("step on 2000 x 2000 over 10 x 10 modules", times[1] / times[0], "", MOST_SIZE_RATIO)
     ]
+
+
+def drive_figures() -> list[Figure]:
+    """Measure a step on driven modules over one on idle rotors: the same box, start and steps.
+
+    Idle axes are random among four. All driven modules run alike, so that the box soon moves with
+    them, or each has a random velocity, so that the box always slips.
+    """
+    rng = np.random.default_rng(0)
+    shape = 30, 40
+    idle = sg.Surface(axis=rng.choice(AXES, shape), rotor=np.ones(shape, dtype=bool))
+    kinds = {
+        "alike": np.full((*shape, 2), (1.4, 0.5)),
+        "at random": rng.uniform((0.5, -0.8), (1.5, 0.8), (*shape, 2)),
+    }
+    figures = []
+    for size in ("S", "B"):
+        surfaces = [idle, *(replace(idle, surface_velocity=each) for each in kinds.values())]
+        times = [
+            _step_time(surface, size, y=1.5, speed=1.5, steps=80, dt=DT) for surface in surfaces
+        ]
+        for kind, taken in zip(kinds, times[1:], strict=True):
+            name = f"step with drives, {kind}, over one without, {size}-box"
+            figures.append(Figure(name, taken / times[0], "", most=MOST_DRIVEN_RATIO))
+    return figures
 
 
 IMPORTING = """

@@ -241,6 +241,7 @@ def turning_with_limits(loaded: bool) -> Any:
 def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Integers) -> bool:
     """Turn and drive each module of the zone towards its mode; return whether any changed."""
     changed = False
+    known, cosine, sine = ROLLING, CONVEYOR[0], CONVEYOR[1]  # modules often turn alike
     for row in range(zone[st.FIRST_ROW], zone[st.FIRST_ROW] + zone[st.ROWS]):
         for column in range(zone[st.FIRST_COLUMN], zone[st.FIRST_COLUMN] + zone[st.COLUMNS]):
             mode = acting.modes[int(surfaces.target[i, row, column])]
@@ -254,7 +255,9 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
                 if abs(apart) > acting.turn:
                     angle = surfaces.angle[i, row, column] + math.copysign(acting.turn, apart)
                 surfaces.angle[i, row, column] = angle
-                cosine, sine = axis_direction(angle)
+                if angle != known:
+                    known = angle
+                    cosine, sine = axis_direction(angle)
                 surfaces.direction[i, axis, 0] = cosine
                 surfaces.direction[i, axis, 1] = sine
             drive = surfaces.drive[i, axis]

@@ -427,6 +427,61 @@ def is_free(parcels: SlopeParcels, order: Integers, count: int, k: int) -> bool:
     return True
 
 
+@inlined
+def count_ready(table: Singles, order: Integers, count: int) -> int:
+    """Return how many parcels at the head of the order have arrived."""
+    ready = 0
+    while ready < count and read(table[order[ready]], PLACE) < ready + 0.5:
+        ready += 1
+    return ready
+
+
+@inlined
+def _lead_out(
+    parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
+) -> None:
+    """Lead a parcel into the passage if a waiting parcel is ahead of it."""
+    k = order[place]
+    for after in range(place + 1, count):
+        j = order[after]
+        if parcels.x[j] > parcels.x[k] and _overlap(parcels, j, k):
+            if abs(parcels.y[k]) > parking.near:
+                parcels.shift[k] = -parcels.y[k]
+            break
+
+
+@linked
+def plan_in_order(
+    slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels, slots: Slots,
+    order: Integers, count: int, ready: int, place: int,
+) -> tuple[float, bool]:  # fmt: skip
+    """Write the shift of the parcel at a place of the order, to its waiting position or passage.
+
+    Returns:
+        Its wanted speed [m/s], and whether the way aside is free.
+    """
+    k = order[place]
+    parcels.shift[k] = 0.0
+    if _must_wait(parcels, order, ready, place):
+        y, front = find_parking(slope, parking, parcels, order, count, place)
+        if abs(y - parcels.y[k]) > parking.near:
+            parcels.shift[k] = y - parcels.y[k]
+        # It moves equally far along the line and aside.
+        room = front - parcels.x[k] - parcels.along[k] - abs(parcels.shift[k])
+        speed = stopping_speed(slope, tuning, room)
+        free = is_free(parcels, order, count, k)
+        if parcels.shift[k] != 0.0 and free:
+            speed = max(speed, 0.25)
+        room = slope.length - 0.1 - parcels.x[k] - parcels.along[k]
+        speed = min(speed, stopping_speed(slope, tuning, room))
+    else:
+        _lead_out(parking, parcels, order, count, place)
+        free = is_free(parcels, order, count, k)
+        late = abs(parcels.shift[k]) * tuning.shift_cost
+        speed = arrive_in_slot(slope, tuning, parcels, slots, k, late)
+    return min(speed, limit_in_order(slope, tuning, parcels, order, count, k, free)), free
+
+
 @compiled
 def choose_in_order(
     tables: Singles, slope: Slope, tuning: Tuning, parking: Parking, parcels: SlopeParcels,
@@ -442,50 +497,16 @@ def choose_in_order(
             if read(table[k], ta.COLUMN.present) > 0.5 and time < came[i, k]:
                 brakes.due[i, k] = 0.5
             came[i, k] = time
-        ready = 0  # number of parcels at the head of the order that have arrived
-        while ready < count and read(table[order[i, ready]], PLACE) < ready + 0.5:
-            ready += 1
+        ready = count_ready(table, order[i], count)
         forget_slots(slots)
         for place in range(count):
             k = order[i, place]
-            parcels.shift[k] = 0.0
-            waits = _must_wait(parcels, order[i], ready, place)
-            if waits:
-                y, front = find_parking(slope, parking, parcels, order[i], count, place)
-                if abs(y - parcels.y[k]) > parking.near:
-                    parcels.shift[k] = y - parcels.y[k]
-                # It moves equally far along the line and aside.
-                room = front - parcels.x[k] - parcels.along[k] - abs(parcels.shift[k])
-                speed = stopping_speed(slope, tuning, room)
-                free = is_free(parcels, order[i], count, k)
-                if parcels.shift[k] != 0.0 and free:
-                    speed = max(speed, 0.25)
-                room = slope.length - 0.1 - parcels.x[k] - parcels.along[k]
-                speed = min(speed, stopping_speed(slope, tuning, room))
-            else:
-                _lead_out(parking, parcels, order[i], count, place)
-                free = is_free(parcels, order[i], count, k)
-                late = abs(parcels.shift[k]) * tuning.shift_cost
-                speed = arrive_in_slot(slope, tuning, parcels, slots, k, late)
-            limit = limit_in_order(slope, tuning, parcels, order[i], count, k, free)
-            speed = min(speed, limit)
+            speed, free = plan_in_order(
+                slope, tuning, parking, parcels, slots, order[i], count, ready, place
+            )
             choose_halves(slope, tuning, parcels, k, speed, free, brakes, i, halves[i, k])
             if not free or parcels.shift[k] == 0.0:
                 hold(parcels, k, speed, halves[i, k])
-
-
-@inlined
-def _lead_out(
-    parking: Parking, parcels: SlopeParcels, order: Integers, count: int, place: int
-) -> None:
-    """Lead a parcel into the passage if a waiting parcel is ahead of it."""
-    k = order[place]
-    for after in range(place + 1, count):
-        j = order[after]
-        if parcels.x[j] > parcels.x[k] and _overlap(parcels, j, k):
-            if abs(parcels.y[k]) > parking.near:
-                parcels.shift[k] = -parcels.y[k]
-            break
 
 
 @rule("pass and park", "sequence", actions="parcels", is_prior=True)

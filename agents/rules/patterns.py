@@ -11,17 +11,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surface_gym import checks
 from surface_gym.actions import angle_after
 from surface_gym.compiler.jit import compiled, inlined, linked
 from surface_gym.config import EnvConfig
 from surface_gym.flow import take_away as ta
+from surface_gym.flow.slope_tasks import Sequence
 from surface_gym.flow.take_away import COLUMN
 from surface_gym.physics.types import GRAVITY
 from surface_gym.tasks.features import read
 
 from ..base import Booleans, Integers, Numbers, Singles, find_axes
 from .base import rule
-from .departures import is_way_clear, limit_speed, plan_by_slot, sort_by_progress
+from .departures import (
+    ALIGNMENT,
+    Parking,
+    count_ready,
+    is_way_clear,
+    limit_speed,
+    plan_by_slot,
+    plan_in_order,
+    sort_by_place,
+    sort_by_progress,
+)
 from .slopes import (
     BRAKE,
     HELD,
@@ -35,6 +47,7 @@ from .slopes import (
     SlopeRule,
     Slots,
     Tuning,
+    find_tuning,
     forget_slots,
     read_parcels,
 )  # fmt: skip
@@ -51,6 +64,7 @@ PATTERNS = np.array(
     + [(split, *two) for split in (AHEAD, LEFT) for two in TWO]
     + [(IN_TURN, one, other) for one, other in TWO if one < other]
 )
+HOLDING = EACH.index(BRAKE)  # the pattern in which all modules brake
 PARTS = 2  # of the predicted time
 SWEEPS = 2  # there and back over the modules below a parcel, in a part of the time
 MOST_BELOW = 64  # modules below one parcel in the model
@@ -61,6 +75,8 @@ LONG = 15  # control periods without motion after which parcels are let go toget
 CREEP = 0.4  # [m/s] speed at which they go
 # Values of `Tuning` that differ from other rules'.
 CLEAR, SHIFT, TURN = 0.06, 0.45, 0.1
+# Values of `PatternTuning` for a required order.
+IN_ORDER = {"aside": 2.0, "lateral": 0.6, "lateral_stop": 1.5}
 
 
 class PatternTuning(NamedTuple):
@@ -405,6 +421,40 @@ def choose_patterns(
             axes[i, m] = angle_after(axes[i, m], target, grid.period)
 
 
+@compiled
+def choose_patterns_in_order(
+    tables: Singles, slope: Slope, tuning: Tuning, aim: PatternTuning, parking: Parking,
+    grid: ModuleGrid, parcels: SlopeParcels, slots: Slots, below: Below, nearest: Numbers,
+    order: Integers, axes: Numbers, commands: Integers,
+) -> None:  # fmt: skip
+    """Choose actions (num_envs, modules), so that parcels depart in a required order."""
+    for i in range(tables.shape[0]):
+        table = tables[i]
+        read_parcels(table, slope, tuning, parcels)
+        count = sort_by_place(table, order[i])
+        ready = count_ready(table, order[i], count)
+        forget_slots(slots)
+        for m in range(nearest.shape[0]):
+            nearest[m], commands[i, m] = math.inf, ROLL
+        for place in range(count):
+            k = order[i, place]
+            speed, free = plan_in_order(
+                slope, tuning, parking, parcels, slots, order[i], count, ready, place
+            )
+            lateral, turning = want_sideways(slope, tuning, aim, parcels, k, free)
+            moves_aside = free and parcels.shift[k] != 0.0
+            if speed < 0.2 * HELD and parcels.vx[k] < HELD and not moves_aside:
+                pattern = HOLDING  # a standing parcel does not creep
+            else:
+                pattern = choose_pattern(
+                    slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
+                )
+            claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
+        for m in range(nearest.shape[0]):
+            target = grid.angles[commands[i, m]]
+            axes[i, m] = angle_after(axes[i, m], target, grid.period)
+
+
 class PatternMemory(NamedTuple):
     """Memory of the rule, in arrays (num_envs, ...)."""
 
@@ -450,6 +500,25 @@ class Patterns(SlopeRule):
             tables, slope, tuning, self._aim, self._grid, parcels, slots, self._below,
             self._nearest, *memory,
         )  # fmt: skip
+
+
+@rule("patterns", "sequence", actions="modules")
+class PatternsInOrder(Patterns):
+    """Park and pass parcels as `PassAndPark`, by the best pattern of axes below each."""
+
+    kernel = staticmethod(choose_patterns_in_order)
+
+    def __init__(self, config: EnvConfig) -> None:
+        checks.instance("task", config.task, Sequence, "a Sequence")
+        super().__init__(config)
+        self._tuning = find_tuning(config)
+        self._aim = self._aim._replace(**IN_ORDER)
+        self._slope = self._slope._replace(alignment=min(self._slope.alignment, ALIGNMENT))
+
+    def arguments(self, tables: Singles, memory: Any, commands: Integers) -> tuple[Any, ...]:
+        tables, slope, tuning, aim, *more = super().arguments(tables, memory, commands)
+        *more, order, _, _, axes, commands = more
+        return (tables, slope, tuning, aim, Parking(), *more, order, axes, commands)
 
 
 def read_places(config: EnvConfig) -> tuple[Numbers, Numbers, Booleans]:

@@ -213,8 +213,8 @@ def _moving(
         if weighs:
             weigh_parcels(view, grid, scratch)
         if turns:
-            turn(view.params.acting, view.surfaces, i, view.bodies.zone[0])
-            invalidate_world(scratch)
+            if turn(view.params.acting, view.surfaces, i, view.bodies.zone[0]):
+                invalidate_world(scratch)
             invalidate_contacts(physics.scratch)
         pairs = step_world(grid, world, view.stream_params.touching, scratch, dt)
         streams.clock[i] += dt

@@ -300,9 +300,7 @@ def _write_matrix(island: Island) -> None:
         k = island.member[n]
         mass = island.bodies.body[island.body[k], ph.MASS]
         scratch, floor = floor_contacts(island, k)
-        hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(
-            scratch, floor, velocity[k, 0], velocity[k, 1], velocity[k, 2]
-        )
+        hxx, hxy, hxw, hyy, hyw, hww = friction_curvature(scratch, floor)
         at = 3 * n
         matrix[at, at] = mass * (1.0 + hxx)
         matrix[at + 1, at] = mass * hxy

@@ -100,8 +100,12 @@ STRIDE = CAPACITY + 8
     NORMAL,  # [m/s^2] normal force / mass
     MOST_ALONG,  # [m/s] friction along the axis once it slips, times dt
     MOST_ACROSS,  # [m/s] across it
-    SLIP_ALONG,  # [-] velocity along the axis over the module's surface, over the rounding
-    SLIP_ACROSS,  # [-] across it
+    # [-] velocity along the axis over the module's surface, over the rounding; [m/s] if friction is
+    # isotropic
+    SLIP_ALONG,
+    SLIP_ACROSS,  # across it
+    SLIP_SPEED,  # [m/s] if friction is isotropic
+    SHARE,  # [-] impulse of friction over the slip, if friction is isotropic
     FORCE_X,  # [m/s] impulse of friction in a step
     FORCE_Y,  # [m/s]
     TORQUE,  # [m^2/s]
@@ -124,7 +128,7 @@ STRIDE = CAPACITY + 8
     BOUND_SLOPE,  # [-]
     BOUND_SIDE,  # positive: x is bounded above; negative: below; 0: the edge lies along the row
     KINKS,  # [-] kinks of all contacts within the search, one after the other
-) = range(0, 37 * STRIDE, STRIDE)
+) = range(0, 39 * STRIDE, STRIDE)
 TABLE_SIZE = KINKS + 4 * CAPACITY
 (
     KIND,  # kind of the element: SUPPORT, ROTOR or DRIVEN

@@ -14,7 +14,7 @@ from surface_gym.agents import library
 from surface_gym.agents.base import Controller
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
-from surface_gym.agents.rules.patterns import Patterns
+from surface_gym.agents.rules.patterns import Patterns, PatternsInOrder
 from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.agents.rules.sorting import GradedLayout, SortEach, StreamEventRule
 from surface_gym.agents.rules.velocities import VelocityRule
@@ -24,6 +24,7 @@ from surface_gym.tasks import TASKS
 ON_SLOPES = [
     ("singulate", TimeSlots), ("singulate", HoldAndRelease), ("merge", TimeSlots),
     ("merge", HoldAndRelease), ("sequence", PassAndPark), ("merge", Patterns),
+    ("sequence", PatternsInOrder),
 ]  # fmt: skip
 ANY_ROWS = ("parcels", "local")  # learning algorithms of policies for any number of parcels
 

@@ -1,6 +1,6 @@
 """The implicit step against another convex solver, its own optimality, and known answers."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -164,6 +164,21 @@ def test_sliding_is_slowed_by_coulomb_friction(
 def test_supports_slow_in_the_direction_of_motion(velocity: Triple, left: float) -> None:
     after = over_square(False, velocity, friction=sets.Friction(support=0.1)).step()
     np.testing.assert_allclose(after, left * np.array(velocity), rtol=0.0, atol=1e-9)
+
+
+def test_isotropic_contacts_alone_or_beside_an_unloaded_rotor_are_the_same_to_the_bit() -> None:
+    """Both loops over isotropic contacts, over all of them and by a list, follow one law."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        alone = draw_problem(rng, rotors=0.0)
+        beside = replace(
+            alone,
+            arms=np.append(alone.arms, [[0.1, 0.2]], axis=0),
+            axis=np.append(alone.axis, 0.3),
+            rotor=np.append(alone.rotor, True),
+            normal=np.append(alone.normal, 0.0),
+        )
+        np.testing.assert_array_equal(alone.step(), beside.step())
 
 
 @pytest.mark.parametrize("pull", [0.0, 0.4 * sets.WEIGHT, -0.4 * sets.WEIGHT])

@@ -17,7 +17,7 @@ from surface_gym.agents.library import PolicyCard, save_policy
 from surface_gym.agents.rules import find_rules
 from surface_gym.agents.rules.base import CompiledRule
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
-from surface_gym.agents.rules.patterns import Patterns
+from surface_gym.agents.rules.patterns import Patterns, PatternsInOrder
 from surface_gym.agents.rules.sorting import BestSorting, SortEach, StreamEventRule
 from surface_gym.agents.slope_policy import LocalNetwork, ParcelNetwork
 from surface_gym.config import EnvConfig
@@ -40,6 +40,7 @@ RULES = [
     ("merge", "time slots", TimeSlots),
     ("sequence", "pass and park", PassAndPark),
     ("singulate", "patterns", Patterns),
+    ("sequence", "patterns", PatternsInOrder),
 ]
 SIZE, SIDE = 6, 14  # columns of what is seen in Sort
 TIE = 1e-4  # of two shares that rounding may tell apart either way

@@ -8,7 +8,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.agents.rules.departures import HoldAndRelease, PassAndPark, TimeSlots
-from surface_gym.agents.rules.patterns import Patterns
+from surface_gym.agents.rules.patterns import Patterns, PatternsInOrder
 from surface_gym.agents.rules.slopes import SlopeRule
 from surface_gym.config import EnvConfig
 from surface_gym.flow.batch import StreamBatch
@@ -123,9 +123,15 @@ def test_one_that_holds_and_releases_keeps_parcels_longer_and_gaps_right() -> No
     assert held.time_mean > slots.time_mean
 
 
-@pytest.mark.parametrize(("window", "rate"), [(1, 3000.0), (2, 2600.0), (4, 2200.0), (8, 1600.0)])
-def test_parcels_leave_in_their_order(window: int, rate: float) -> None:
-    found, batch = played(PassAndPark, "sequence", stream=shuffled(rate, window))
+@pytest.mark.parametrize(
+    ("make", "window", "rate"),
+    [
+        (PassAndPark, 1, 3000.0), (PassAndPark, 2, 2600.0), (PassAndPark, 4, 2200.0),
+        (PassAndPark, 8, 1600.0), (PatternsInOrder, 4, 2200.0),
+    ],
+)  # fmt: skip
+def test_parcels_leave_in_their_order(make: type[SlopeRule], window: int, rate: float) -> None:
+    found, batch = played(make, "sequence", stream=shuffled(rate, window))
     assert batch.outcome[0] != JAM
     assert found.order_errors == 0.0
     assert found.correct_gaps == 1.0
