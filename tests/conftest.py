@@ -12,7 +12,7 @@ from hypothesis import settings
 
 from surface_gym.core.batch import BaseBatch
 from surface_gym.state import RUNNING
-from tests.order import SMOKE, TOGETHER, is_nightly, place_of, unused_lines
+from tests.order import COLLECTED, SMOKE, TOGETHER, is_nightly, place_of
 
 # The same examples from run to run; the first one may wait for the compiler.
 settings.register_profile("surface_gym", deadline=None, derandomize=True, max_examples=25)
@@ -91,8 +91,5 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("smoke")
         if is_nightly(item.nodeid):
             item.add_marker("nightly")
-    if [os.path.basename(each) for each in config.args] == config.getini("testpaths"):
-        unused = unused_lines([item.nodeid for item in items])
-        if unused:
-            raise pytest.UsageError(f"tests/nightly.txt has lines that fit no test: {unused}")
+    config.stash[COLLECTED] = [item.nodeid for item in items]
     items.sort(key=lambda item: place_of(item.nodeid))

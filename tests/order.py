@@ -4,6 +4,8 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import pytest
+
 # By the beginning of their names: those that compile most, then those that take longest. Whoever
 # comes later finds the code compiled, and short tests at the end leave no processor waiting.
 FIRST = (
@@ -58,6 +60,8 @@ SMOKE = (
     "tests/test_surface.py",
     "tests/test_vector_env.py::TestBesideSingles::test_also_over_whole_episodes",
 )
+
+COLLECTED = pytest.StashKey[list[str]]()  # names of all tests, those left out too
 
 # Beginnings of the names of tests that only run at night, with * for any text.
 NIGHTLY = tuple(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.order import FIRST, NIGHTLY, SMOKE, is_nightly, place_of, unused_lines
+from tests.order import COLLECTED, FIRST, NIGHTLY, SMOKE, is_nightly, place_of, unused_lines
 
 ROOT = Path(__file__).parents[1]
 
@@ -173,6 +173,13 @@ def test_a_line_for_the_night_fits_the_beginning_of_names_with_any_text_between(
     assert not is_nightly(f"{of_cluster}[processes]")
     of_file = [line for line in NIGHTLY if line.startswith("tests/parallel/")]
     assert unused_lines(["tests/parallel/test_jobs.py::test_none"]) == of_file
+
+
+def test_each_line_for_the_night_fits_a_test(request):
+    # Where a single test of a file was asked for, others are not there.
+    if any("::" in each for each in request.config.args):
+        pytest.skip("not all tests of the files are collected")
+    assert unused_lines(request.config.stash[COLLECTED]) == []
 
 
 def test_those_not_named_come_last():
