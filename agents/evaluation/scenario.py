@@ -56,7 +56,7 @@ WHOLE = Extent()
 # `--quick`: the same tables with fewer episodes.
 QUICK = Extent(
     starts=12, level_starts=12, seeds=1, replications=2, duration=20.0, offers=1, levels=1,
-    searched=2, presets=("exact",), film=3.0, rungs=2,
+    searched=1, presets=("exact",), film=2.0, rungs=2,
 )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ class TestStarts:
             for extent in (sc.WHOLE, sc.QUICK)
             for method in (named("sort", "fixed layout"), named("sort", "planner"))
         ]
-        assert counts == [len(benchmark.starts), 40, 12, 2]
+        assert counts == [len(benchmark.starts), 40, 12, 1]
 
     def test_parcels_are_those_that_the_environment_draws(self) -> None:
         """A parcel enters with its rear at x = 0; a start that names its parcel has it."""
