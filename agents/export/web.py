@@ -5,7 +5,7 @@ It adds files to the pages of `surface-gym web FOLDER`:
 - `agents.bin`: weights of all policies for single parcels;
 - `agents.json`: their networks, the layouts of rules for the page's starts, and the parts of
   stream agents;
-- files of each stream agent, loaded when it is chosen: `agent-time-slots.wasm` (a rule's compiled
+- files of each stream agent, loaded when it is chosen: `agent-TimeSlots.wasm` (a rule's compiled
   function), `agent-merge-time-slots.bin` (its memory), `agent-merge-parcels.bin` (weights);
 - data of the page `home.html`: `home.bin`, a stream with all boxes yet to arrive, and `home.json`,
   its layout.
@@ -106,9 +106,9 @@ def write_rule(rule: Rule, folder: Path) -> Card:
     config = configure(rule)
     made: Any = rule.make(config)
     is_stream = config.task.is_stream
-    slug = rule.name.lower().replace(" ", "-")
-    code = slug if is_stream else f"{rule.task}-{slug}"
-    name = f"{rule.task}-{slug}"
+    name = f"{rule.task}-{rule.name.lower().replace(' ', '-')}"
+    # On streams all tasks of a class share its function; two classes may have rules of one name.
+    code = type(made).__name__ if is_stream else name
     card = {"kind": "rule", **write_machine(code, name, made.kernel, made.begin(), folder)}
     if is_stream:
         card |= {"choices": made.choices.tolist(), "modules": config.actions == "modules"}

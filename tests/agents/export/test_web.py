@@ -294,6 +294,20 @@ def test_every_rule_of_a_task_acts_in_the_page_unless_it_searches(task, tmp_path
     assert wanted - set(there) == ({"fixed layout"} if task == "track" else set())
 
 
+def test_code_of_streams_is_of_one_function(tmp_path, monkeypatch):
+    """Tasks share files of code, also tasks whose rules have one name and other functions."""
+    written = {}
+
+    def note(code, name, kernel, *_):
+        assert written.setdefault(code, kernel) is kernel, name
+        return {"code": code}
+
+    monkeypatch.setattr(web, "write_machine", note)
+    cards = {task: web.write_rules(task, tmp_path) for task in STREAMS}
+    codes = [cards[task]["patterns"]["code"] for task in ("singulate", "merge", "sequence")]
+    assert codes[0] == codes[1] != codes[2]
+
+
 def test_a_card_says_which_numbers_are_others_with_a_camera(tmp_path: Path):
     rule = {each.name: each for each in find_rules("slow")}["braking rule"]
     card = json.loads(json.dumps(web.write_rule(rule, tmp_path)))
