@@ -388,6 +388,13 @@ def want_motion(
     return speed, lateral, turning
 
 
+@inlined
+def expect_axes(grid: ModuleGrid, commands: Integers, axes: Numbers) -> None:
+    """Turn the expected axes (modules,) [rad] as modules do in a period after commands."""
+    for m in range(commands.shape[0]):
+        axes[m] = angle_after(axes[m], grid.angles[commands[m]], grid.period)
+
+
 @compiled
 def choose_patterns(
     tables: Singles, slope: Slope, tuning: Tuning, aim: PatternTuning, grid: ModuleGrid,
@@ -404,8 +411,7 @@ def choose_patterns(
         count = sort_parcels(table, tuning, parcels, order[i], came[i], stood[i])
         stuck = find_stuck(parcels, order[i], count, stood[i])
         forget_slots(slots)
-        for m in range(nearest.shape[0]):
-            nearest[m], commands[i, m] = math.inf, ROLL
+        nearest[:], commands[i, :] = math.inf, ROLL
         for place in range(count):
             k = order[i, place]
             goes = stuck and stood[i, k] > LONG
@@ -416,9 +422,7 @@ def choose_patterns(
                 slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
             )
             claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
-        for m in range(nearest.shape[0]):
-            target = grid.angles[commands[i, m]]
-            axes[i, m] = angle_after(axes[i, m], target, grid.period)
+        expect_axes(grid, commands[i], axes[i])
 
 
 @compiled
@@ -434,8 +438,7 @@ def choose_patterns_in_order(
         count = sort_by_place(table, order[i])
         ready = count_ready(table, order[i], count)
         forget_slots(slots)
-        for m in range(nearest.shape[0]):
-            nearest[m], commands[i, m] = math.inf, ROLL
+        nearest[:], commands[i, :] = math.inf, ROLL
         for place in range(count):
             k = order[i, place]
             speed, free = plan_in_order(
@@ -450,9 +453,7 @@ def choose_patterns_in_order(
                     slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
                 )
             claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
-        for m in range(nearest.shape[0]):
-            target = grid.angles[commands[i, m]]
-            axes[i, m] = angle_after(axes[i, m], target, grid.period)
+        expect_axes(grid, commands[i], axes[i])
 
 
 class PatternMemory(NamedTuple):
