@@ -232,7 +232,7 @@ def page(name: str) -> str:
         _argument_table(task_class, Task),
         _wrap(
             "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
-            f"Time limit: {limit} periods, {limit * period:g} s. [Other arguments](environment.md)."
+            f"Time limit: {limit} periods, {limit * period:g} s. [All else](environment.md)."
         ),
     )
 

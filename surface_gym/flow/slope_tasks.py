@@ -49,8 +49,7 @@ class Singulate(TakeAwayTask):
     Parcels arrive on a slope side by side, touching, and at any angle. They must depart by its
     lower end one at a time, each at least `gap` behind the previous one. No motor drives them. The
     slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
-    the slope restores speed lost by braking. Touching parcels push each other, and may block each
-    other permanently.
+    the slope restores lost speed. Parcels push each other and may jam.
 
     **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
     `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.

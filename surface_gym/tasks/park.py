@@ -77,8 +77,8 @@ class Park(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm and its theta within 2 deg of the goal; a full
-    turn too much is an error of 360 deg. Failures are "off the line" and "off the surface", as in
-    other tasks, and "missed": it rests elsewhere.
+    turn too much is an error of 360 deg. Failures: "off the line", "off the surface" and "missed"
+    (it rests elsewhere).
 
     ### Reward
 
@@ -86,8 +86,7 @@ class Park(base.Task):
     | --- | --- | --- |
     | `approach` | 1 per metre | decrease of the remaining way |
     | `precision` | 2 | once, at rest: exp(-remaining way / 10 mm) |
-    | `success` | 2 | once, at success |
-    | `failure` | -1 | once, at any failure |
+    | `success`, `failure` | 2, -1 | once, at the end |
 
     The remaining way is the distance to the goal; an angle error of 2 deg counts as 5 mm. `info`
     has `distance` [m] from the centre to the goal, and `angle_error` [rad]: current theta - goal

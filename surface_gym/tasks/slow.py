@@ -58,8 +58,8 @@ class Slow(base.Task):
     slows a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
-    speed is then within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the
-    surface", as in other tasks, and "missed": it leaves the zone at another ratio.
+    speed is then within 0.01 of the goal ratio. Failures: "stalled", "off the line", "off the
+    surface" and "missed" (another ratio).
 
     ### Reward
 

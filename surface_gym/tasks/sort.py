@@ -75,8 +75,8 @@ class Sort(Task):
     straight ahead, is available as an option only.
 
     **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
-    the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
-    base. Failures are "stalled" and "off the surface", as in other tasks, and:
+    the line's middle. For side 0: the rear is past the zone's end, with a rotor under the base.
+    Failures: "stalled", "off the surface", and
 
     - "wrong side": no rotor is under the base, and its centre is not on the goal side (side 0:
       anywhere);
@@ -90,9 +90,8 @@ class Sort(Task):
 parcel would still coast at 45 deg; at most 0.6 m count. For side 0, the reach is 0.3 of \
 the distance along the line, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
-    | `success` | 1 | once, at success |
     | `haste` | 4 | once, at success, divided by the time in s |
-    | `failure` | -1 | once, at any failure |
+    | `success`, `failure` | 1, -1 | once, at the end |
 
     ### Example
 

@@ -64,11 +64,11 @@ class Stop(base.Task):
     Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
     farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
     the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
-    that is less. If the farthest is before the nearest, in a short zone, it is the goal.
+    that is less. In a short zone the farthest may come first; then it is the goal.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
-    "success": it rests with its centre within 5 mm of the goal x. Failures are "off the line" and
-    "off the surface", as in other tasks, and:
+    "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off
+    the surface", and
 
     - "missed": it rests elsewhere;
     - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
@@ -79,8 +79,7 @@ class Stop(base.Task):
     | --- | --- | --- |
     | `approach` | 1 per metre | decrease of the distance to the goal x |
     | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
-    | `success` | 1 | once, at success |
-    | `failure` | -1 | once, at any failure |
+    | `success`, `failure` | 1, -1 | once, at the end |
 
     `info` has `stop_error` [m]: current x of the centre - goal x; signed.
 
