@@ -208,8 +208,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
     | "parcels" | MultiDiscrete, 2 per row of the observation | in streams: modules ahead of each parcel's centre, then behind it |
 
-    Streams have "modules" and "parcels", other tasks the first four. `orientations="any"`: a Box of
-    angles in [-pi/2, pi/2].
+    Streams have "modules" and "parcels", other tasks the first four. `orientations="any"`: angles
+    of -pi/2 to pi/2 (Box).
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
     as many entries as there are modules, and all entries share one reward. "modules" has one entry
@@ -254,8 +254,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## End
 
-    Success and failure terminate an episode; the time limit truncates it, which is no failure. A
-    task's page names its failures. Three failures occur in many tasks:
+    Success and failure terminate an episode; the time limit truncates it, which is no failure.
+    Failures of many tasks:
 
     - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the line": no rotor is under the base any more;

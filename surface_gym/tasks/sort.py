@@ -220,7 +220,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward gained reach and a short duration."""
+        """Write the terms of the reward: gain of lateral reach, time, and the end."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])
