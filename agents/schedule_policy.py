@@ -53,11 +53,9 @@ class ScheduleNetwork(nn.Module):
     ) -> torch.Tensor:
         """Compute the logarithm of expected touches (decisions, options, levels).
 
-        Args:
-            option: (decisions, options, OPTION).
-            token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
-                existing ones.
-            about: (decisions, ABOUT) features of the line.
+        Args: option: (decisions, options, OPTION) features of each option. token: (decisions,
+        tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks existing ones. about:
+        (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
         own = self.option(each)
@@ -113,9 +111,9 @@ class NetworkScheduler(DecidingScheduler):
 
 
 class SchedulePolicy(TrainedPolicy):
-    """A trained policy on the schedule of an environment's stream.
+    """A trained policy that schedules an environment's stream.
 
-    The first call tests maneuvers, and chooses the price of a touch, which takes seconds.
+    The first call takes seconds: it tests maneuvers and chooses the price of a touch.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".

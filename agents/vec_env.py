@@ -23,9 +23,8 @@ class SurfaceVecEnv(VecEnv):
     `seed` and `set_options` act at the next `reset`. Environments of one vector env share
     attributes and methods.
 
-    Args:
-        envs: the vector envs; their environments follow each other.
-        mirror: mirror of actions; then actions are chosen for y > 0 in every environment.
+    Args: envs: the vector envs; their environments follow each other. mirror: function that mirrors
+    actions. With it, the learner acts as if every goal were at y > 0.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:
