@@ -53,9 +53,11 @@ class ScheduleNetwork(nn.Module):
     ) -> torch.Tensor:
         """Compute the logarithm of expected touches (decisions, options, levels).
 
-        Args: option: (decisions, options, OPTION) features of each option. token: (decisions,
-        tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks existing ones. about:
-        (decisions, ABOUT) features of the line.
+        Args:
+            option: (decisions, options, OPTION) features of each option.
+            token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
+                existing ones.
+            about: (decisions, ABOUT) features of the line.
         """
         each = torch.cat([option, about[:, None].expand(-1, option.shape[1], -1)], dim=2)
         own = self.option(each)

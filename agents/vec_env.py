@@ -23,8 +23,9 @@ class SurfaceVecEnv(VecEnv):
     `seed` and `set_options` act at the next `reset`. Environments of one vector env share
     attributes and methods.
 
-    Args: envs: the vector envs; their environments follow each other. mirror: function that mirrors
-    actions. With it, the learner acts as if every goal were at y > 0.
+    Args:
+        envs: the vector envs; their environments follow each other.
+        mirror: function that mirrors actions; the learner then acts as if each goal were at y > 0.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:

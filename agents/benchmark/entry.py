@@ -93,7 +93,8 @@ class TestCell:
         Args:
             chosen: arguments that the policy chooses; see `ENV_KWARGS`.
 
-        Raises: ValueError: an argument is not in `ENV_KWARGS`, or has an invalid value.
+        Raises:
+            ValueError: an argument is not in `ENV_KWARGS`, or has an invalid value.
         """
         for name in chosen:
             checks.one_of("env_kwargs", name, ENV_KWARGS)
