@@ -97,10 +97,8 @@ def _overview(task: str) -> str:
     space: Any = EnvConfig(task).observation_space()
     features = f"#{_features_heading(task)}".replace(" ", "-").lower()
     shown = f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})"
-    return _table(
-        ("Action space", ";<br>".join([f"{acting[0]}, the default", *acting[1:]])),
-        [("Observation space", shown)],
-    )
+    acts = ";<br>".join([f"{acting[0]}, the default", *acting[1:]])
+    return _table(("", ""), (("Action space", acts), ("Observation space", shown)))
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

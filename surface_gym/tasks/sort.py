@@ -76,11 +76,9 @@ class Sort(Task):
 
     **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
     the line's middle. For side 0: the rear is past the zone's end, with a rotor under the base.
-    Failures: "stalled", "off the surface", and
-
-    - "wrong side": no rotor is under the base, and its centre is not on the goal side (side 0:
-      anywhere);
-    - "passed the zone": the rear is past the zone's end (sides +1 and -1).
+    Failures: "stalled", "off the surface", "wrong side" (no rotor is under the base, and its centre
+    is not on the goal side; side 0: anywhere) and "passed the zone" (the rear is past the zone's
+    end; sides +1 and -1).
 
     ### Reward
 

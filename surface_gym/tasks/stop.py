@@ -68,10 +68,8 @@ class Stop(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off
-    the surface", and
-
-    - "missed": it rests elsewhere;
-    - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
+    the surface", "missed" (it rests elsewhere) and "passed the asked x" (its centre is more than 5
+    mm past the goal x and still moves).
 
     ### Reward
 

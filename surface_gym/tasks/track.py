@@ -110,11 +110,8 @@ class Track(Task):
     or a cubic spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path,
     or points (n, 2) [m] of a polyline. A path's slope is at most 3.
 
-    **Goal and end.** "success": the centre is past the path's last x. Failures:
-
-    - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
-    - "stalled": slower than 0.05 m/s;
-    - "off the surface": the centre of mass passes the edge of the surface.
+    **Goal and end.** "success": the centre is past the path's last x. Failures: "off the path" (the
+    centre is 0.15 m or more from the path), "stalled" (slower than 0.05 m/s) and "off the surface".
 
     ### Reward
 
