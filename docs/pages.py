@@ -229,7 +229,7 @@ def page(name: str) -> str:
         "## Arguments of the task",
         _argument_table(task_class, Task),
         _wrap(
-            "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
+            "`reset` options: " + ", ".join(f"`{option}`" for option in task.options) + ". "
             f"Time limit: {limit} periods, {limit * period:g} s. [All else](environment.md)."
         ),
     )

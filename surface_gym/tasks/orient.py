@@ -56,9 +56,9 @@ class Orient(base.Task):
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
     Entry speed: uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
 
-    **Goal and end.** The episode ends when the rearmost point of the base passes the zone's end.
-    "success": theta is then within 2 deg of the goal angle; a full turn too much is an error of 360
-    deg. Failures: "stalled", "off the line", "off the surface" and "missed" (another angle).
+    **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is
+    within 2 deg of the goal; a full turn too much is 360 deg off. Failures: "stalled", "off the
+    line", "off the surface", "missed" (another angle).
 
     ### Reward
 
@@ -66,7 +66,8 @@ class Orient(base.Task):
     | --- | --- | --- |
     | `turn` | 1 per radian | decrease of the angle to the goal |
     | `precision` | 1 | once, on leaving: exp(-abs(`angle_error`) / 1 deg) |
-    | `success`, `failure` | 1, -1 | once, at the end |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
 
     `info` has `angle_error` [rad]: current theta - goal angle; signed.
 

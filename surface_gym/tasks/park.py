@@ -86,7 +86,8 @@ class Park(base.Task):
     | --- | --- | --- |
     | `approach` | 1 per metre | decrease of the remaining way |
     | `precision` | 2 | once, at rest: exp(-remaining way / 10 mm) |
-    | `success`, `failure` | 2, -1 | once, at the end |
+    | `success` | 2 | once, at success |
+    | `failure` | -1 | once, at any failure |
 
     The remaining way is the distance to the goal; an angle error of 2 deg counts as 5 mm. `info`
     has `distance` [m] from the centre to the goal, and `angle_error` [rad]: current theta - goal

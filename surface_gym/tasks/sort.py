@@ -88,8 +88,9 @@ class Sort(Task):
 parcel would still coast at 45 deg; at most 0.6 m count. For side 0, the reach is 0.3 of \
 the distance along the line, minus the distance from the line's middle |
     | `time` | -0.3 per second | time that passed |
+    | `success` | 1 | once, at success |
     | `haste` | 4 | once, at success, divided by the time in s |
-    | `success`, `failure` | 1, -1 | once, at the end |
+    | `failure` | -1 | once, at any failure |
 
     ### Example
 

@@ -77,7 +77,8 @@ class Stop(base.Task):
     | --- | --- | --- |
     | `approach` | 1 per metre | decrease of the distance to the goal x |
     | `precision` | 1 | once, at rest: exp(-abs(`stop_error`) / 2 mm) |
-    | `success`, `failure` | 1, -1 | once, at the end |
+    | `success` | 1 | once, at success |
+    | `failure` | -1 | once, at any failure |
 
     `info` has `stop_error` [m]: current x of the centre - goal x; signed.
 

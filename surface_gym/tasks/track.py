@@ -124,7 +124,8 @@ class Track(Task):
     | `cross_error` | -8 per metre | x gained, times abs(`cross_error`) in m |
     | `speed_error` | -2 per metre | x gained, times the absolute difference in m/s between the speed \
 along the path and the asked speed |
-    | `success`, `failure` | 2, -2 | once, at the end |
+    | `success` | 2 | once, at success |
+    | `failure` | -2 | once, at any failure |
 
     `info` has the current error across the path, `cross_error` [m], positive to the left. Root mean
     squares over the time so far are `rms_error` [m] of this error, and `speed_error` [m/s] of the
