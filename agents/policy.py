@@ -28,10 +28,10 @@ NEVER = -30.0  # log probability of a choice that is never drawn
 
 
 class EqualCategoricals(MultiCategoricalDistribution):
-    """Independent choices with equal numbers of options, as one array categorical.
+    """Independent choices among equally many options, in one `Categorical` of PyTorch.
 
-    Stable-Baselines3 loops over a list of distributions, which takes longer than the network for
-    tens of choices.
+    Stable-Baselines3 has a list of distributions. For tens of choices, its loop takes longer than
+    the network.
     """
 
     def __init__(self, choices: int, options: int) -> None:

@@ -54,7 +54,7 @@ class ScheduleNetwork(nn.Module):
         """Compute the logarithm of expected touches (decisions, options, levels).
 
         Args:
-            option: (decisions, options, OPTION).
+            option: (decisions, options, OPTION) features of each option.
             token: (decisions, tokens, TOKEN) features of parcels; `shown` (decisions, tokens) marks
                 existing ones.
             about: (decisions, ABOUT) features of the line.
@@ -113,9 +113,9 @@ class NetworkScheduler(DecidingScheduler):
 
 
 class SchedulePolicy(TrainedPolicy):
-    """A trained policy on the schedule of an environment's stream.
+    """A trained policy that schedules an environment's stream.
 
-    The first call tests maneuvers, and chooses the price of a touch, which takes seconds.
+    The first call takes seconds: it tests maneuvers and chooses the price of a touch.
 
     Args:
         config: configuration of the environment, with a gate and actions "parcels".

@@ -25,7 +25,7 @@ class SurfaceVecEnv(VecEnv):
 
     Args:
         envs: the vector envs; their environments follow each other.
-        mirror: mirror of actions; then actions are chosen for y > 0 in every environment.
+        mirror: function that mirrors actions; the learner then acts as if each goal were at y > 0.
     """
 
     def __init__(self, *envs: SmartSurfaceVectorEnv, mirror: ActionMirror | None = None) -> None:

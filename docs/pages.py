@@ -22,15 +22,12 @@ from surface_gym.tasks import TASKS
 from surface_gym.tasks.base import Task
 from surface_gym.tasks.features import Feature
 
-# Tasks on streams of parcels, and where each page leads on.
-MATERIAL_FLOW = (
-    "Inlets, exits, the take-away, streams and rules: [material flow on a slope]"
-    "(../material-flow.md)."
-)
+# Tasks on streams of parcels, and the guide to which each page leads on.
 STREAMS = {
-    DEFAULT_STREAM: "Streams, exits, the physics of parcels that touch, and controllers: "
-    "[a flow of parcels](../flow.md).",
-    **dict.fromkeys(("singulate", "merge", "sequence"), MATERIAL_FLOW),
+    DEFAULT_STREAM: "[a flow of parcels](../flow.md)",
+    **dict.fromkeys(
+        ("singulate", "merge", "sequence"), "[material flow on a slope](../material-flow.md)"
+    ),
 }
 # The task whose page has a task's first features, and a stream's other arguments.
 BASES = {
@@ -99,16 +96,9 @@ def _overview(task: str) -> str:
     acting = [f'{_space(EnvConfig(task, actions=kind))} with `actions="{kind}"`' for kind in kinds]
     space: Any = EnvConfig(task).observation_space()
     features = f"#{_features_heading(task)}".replace(" ", "-").lower()
-    return _table(
-        ("", ""),
-        (
-            ("Action space", ";<br>".join([f"{acting[0]}, the default", *acting[1:]])),
-            (
-                "Observation space",
-                f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})",
-            ),
-        ),
-    )
+    shown = f"`Box(shape={space.shape}, {space.dtype})`: [features]({features})"
+    acts = ";<br>".join([f"{acting[0]}, the default", *acting[1:]])
+    return _table(("", ""), (("Action space", acts), ("Observation space", shown)))
 
 
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -121,14 +111,22 @@ def _features_heading(task: str) -> str:
 
 
 def _feature_rows(features: tuple[Feature, ...], first: int) -> list[tuple[str, ...]]:
-    """Return a table's rows from a feature on; features of the neighbour behind are one row."""
+    """Return a table's rows from a feature on.
+
+    Features of the neighbour behind are one row, as are successive features that differ only in
+    their names.
+    """
     rows: list[tuple[str, ...]] = []
     behind = [each for each in features if each.name.endswith(" behind")]
     for place, each in enumerate(features[first:], first):
         like = replace(each, name=each.name.replace(" behind", " ahead"))
         if each not in behind or like not in features:
-            bounds = f"{each.low:g}", f"{each.high:g}"
-            rows.append((str(place), each.name, each.meaning, each.formula, *bounds))
+            rest = each.meaning, each.formula, f"{each.low:g}", f"{each.high:g}"
+            if rows and rows[-1][2:] == rest:
+                start, names = rows[-1][0].partition(" to ")[0], rows.pop()[1]
+                rows.append((f"{start} to {place}", f"{names}, {each.name}", *rest))
+            else:
+                rows.append((str(place), each.name, *rest))
         elif each is behind[-1]:
             names = ", ".join(other.name for other in behind)
             start, ahead = place - len(behind) + 1, place - 2 * len(behind) + 1
@@ -212,9 +210,6 @@ def _comment(source: list[str], at: int) -> str:
     return comment
 
 
-ENVIRONMENT = "[the environment](environment.md)."
-
-
 def _join(*parts: str) -> str:
     return "\n\n".join(parts) + "\n"
 
@@ -234,9 +229,8 @@ def page(name: str) -> str:
         "## Arguments of the task",
         _argument_table(task_class, Task),
         _wrap(
-            "Options of `reset`: " + ", ".join(f"`{option}`" for option in task.options) + ". "
-            f"Episodes are truncated after {limit} control periods, {limit * period:g} s. Actions, "
-            f"sensors, ends and the other arguments: {ENVIRONMENT}"
+            "`reset` options: " + ", ".join(f"`{option}`" for option in task.options) + ". "
+            f"Time limit: {limit} periods, {limit * period:g} s. [All else](environment.md)."
         ),
     )
 
@@ -271,7 +265,7 @@ def stream_page(name: str) -> str:
         "## Arguments of the task",
         *arguments,
         _wrap(
-            f"Actions, sensors and the environment's other arguments: {ENVIRONMENT} {STREAMS[name]}"
+            f"[The environment](environment.md) has all other arguments; {STREAMS[name]} has rules."
         ),
     )
 

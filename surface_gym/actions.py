@@ -115,7 +115,7 @@ def part_of_window(
 def set_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set an axis to the orientation chosen by the part, at once."""
+    """Set an axis at once to the orientation that its part of the command chooses."""
     surfaces.axis[i, row, column] = surfaces.command[i, part]
 
 
@@ -123,7 +123,7 @@ def set_choice(
 def set_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set an axis to the angle of the part, at once."""
+    """Set an axis at once to the angle in its part of the command."""
     angle = surfaces.command[i, part]
     axis = surfaces.axis[i, row, column]
     cosine, sine = axis_direction(angle)
@@ -135,7 +135,7 @@ def set_angle(
 def aim_at_choice(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the orientation chosen by the part as the target of a turning axis."""
+    """Set the target of a turning axis to the orientation that its part of the command chooses."""
     surfaces.target[i, row, column] = acting.orientations[surfaces.command[i, part]]
 
 
@@ -143,7 +143,7 @@ def aim_at_choice(
 def aim_at_angle(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the angle of the part as the target of a turning axis."""
+    """Set the target of a turning axis to the angle in its part of the command."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -151,7 +151,7 @@ def aim_at_angle(
 def aim_at_mode(
     acting: ActionParams, surfaces: SurfaceState, i: int, row: int, column: int, part: int
 ) -> None:
-    """Set the mode chosen by the part as the target of a driven module."""
+    """Set the target of a driven module to the mode that its part of the command chooses."""
     surfaces.target[i, row, column] = surfaces.command[i, part]
 
 
@@ -281,7 +281,7 @@ def ramp_modules(acting: ActionParams, surfaces: SurfaceState, i: int, zone: Int
 
 @inlined
 def straighten_choices(acting: ActionParams, surfaces: SurfaceState, i: int) -> None:
-    """Set all axes to the direction after the last available one."""
+    """Set all axes to the conveyor's direction, the last row of `direction`."""
     conveyor = surfaces.direction.shape[1] - 1
     for row in range(surfaces.axis.shape[1]):
         for column in range(surfaces.axis.shape[2]):

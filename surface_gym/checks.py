@@ -168,7 +168,7 @@ def some_of(name: str, value: Any, allowed: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def instance(name: str, value: Any, kind: Any, allowed: str) -> Any:
-    """Return an object of a kind, or raise an error; the message for a class says to call it."""
+    """Return an object of a kind, or raise an error. A class instead of an object gets a hint."""
     if isinstance(value, kind):
         return value
     called = ""

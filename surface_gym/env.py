@@ -197,8 +197,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     Every control period, an action chooses orientations for the modules that obey: rotors of the
     zone that are not stuck. Choices are indices into `orientations`, by default 0, 45, -45 and 90
-    deg. At the start, all axes are at 90 deg and roll along x like a conveyor. Axes outside the
-    zone do not turn.
+    deg. At the start, all axes are at 90 deg, so parcels roll along x. Axes outside the zone do not
+    turn.
 
     | `actions` | space | sets |
     | --- | --- | --- |
@@ -208,8 +208,8 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
     | "window" | MultiDiscrete, 25 | the 5 x 5 modules around the parcel's centre, row by row from y < 0 |
     | "parcels" | MultiDiscrete, 2 per row of the observation | in streams: modules ahead of each parcel's centre, then behind it |
 
-    Streams have "modules" and "parcels", all other tasks the first four. With
-    `orientations="any"`, each entry is an angle in a Box from -pi/2 to pi/2.
+    Streams have "modules" and "parcels", other tasks the first four. `orientations="any"`: angles
+    of -pi/2 to pi/2 (Box).
 
     Begin with `actions="halves"`. The default "modules" is hard to learn, because each action has
     as many entries as there are modules, and all entries share one reward. "modules" has one entry
@@ -254,23 +254,22 @@ class SmartSurfaceEnv(gym.Env[Any, Any]):
 
     ## End
 
-    Success and failure terminate an episode; the time limit truncates it, which is no failure. A
-    task's page names its failures. Three failures occur in many tasks:
+    Success and failure terminate an episode; the time limit truncates it, which is no failure.
+    Failures of many tasks:
 
     - "stalled": no point of the base moves faster than 1 mm/s;
     - "off the line": no rotor is under the base any more;
     - "off the surface": the centre of mass passes the edge of the surface.
 
-    If an episode terminates in its last control period, the `TimeLimit` of `gym.make` also sets
-    `truncated`; the native vector env sets one flag only.
+    At the time limit, `gym.make` may set `truncated` beside `terminated`; the native vector env
+    sets one flag only.
 
     ## Arguments
 
     Keyword arguments of `gym.make`, `gym.make_vec` and the classes are the fields of
     `surface_gym.config.EnvConfig` and any field of the task, e.g. `stream` of Flow. `preset`, e.g.
-    "lab", sets sensors, actuators and randomisation. The parcels of a preset replace the S-box and
-    the B-box, but no other parcels of a task. `render_mode` is None, "rgb_array" (without a
-    display) or "human".
+    "lab", sets sensors, actuators and randomisation. The parcels of a preset replace only the S-box
+    and the B-box. `render_mode` is None, "rgb_array" or "human".
 
     `reset(options=...)` sets a start: `speed`, `parcel` ("S", "B" or a `Parcel`) and the task's
     goal. An unknown option or an invalid value raises a ValueError that names it; the running

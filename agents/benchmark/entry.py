@@ -94,7 +94,7 @@ class TestCell:
             chosen: arguments that the policy chooses; see `ENV_KWARGS`.
 
         Raises:
-            ValueError: the policy must not choose an argument, or must not choose its value.
+            ValueError: an argument is not in `ENV_KWARGS`, or has an invalid value.
         """
         for name in chosen:
             checks.one_of("env_kwargs", name, ENV_KWARGS)

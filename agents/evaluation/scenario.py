@@ -152,7 +152,7 @@ class StartScenario(Scenario):
         return STARTS
 
     def count(self, method: Method) -> int | None:
-        """Return the number of starts for a method; None: all."""
+        """Return how many starts a method gets; None: all starts."""
         asked = [each for each in (self.extent.starts, method.most) if each is not None]
         if method.most is not None and self.extent.searched is not None:
             asked.append(self.extent.searched)

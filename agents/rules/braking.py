@@ -130,7 +130,7 @@ def make_scratch(model: Model) -> BrakingScratch:
 
 @linked
 def find_power(fill: float) -> float:
-    """Return the exponent of the oval with a filled share of its rectangle, like `np.interp`."""
+    """Return the exponent of the oval that fills a share of its rectangle, by interpolation."""
     last = FILLS.shape[0] - 1
     if fill >= FILLS[last]:
         return POWERS[last]

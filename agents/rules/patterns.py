@@ -327,7 +327,7 @@ def sort_parcels(
     table: Singles, tuning: Tuning, parcels: SlopeParcels, order: Integers, came: Numbers,
     stood: Integers,
 ) -> int:  # fmt: skip
-    """Update the order of departure as `sort_by_progress`, with parcels in the way first."""
+    """Update the order by `sort_by_progress`, then move parcels in the way of others forward."""
     count = sort_by_progress(table, parcels, order, came, stood, tuning.swap)
     for place in range(1, count):
         at = place

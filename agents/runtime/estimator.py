@@ -106,7 +106,7 @@ class Resolver:
 
 
 class Estimator(ABC):
-    """Base class of estimators, which predict by the commands of axes since the latest picture."""
+    """Base class of estimators: predict from the latest picture by the commands since then."""
 
     _surfaces: st.SurfaceState
     _axis_speed: float  # [rad/s]

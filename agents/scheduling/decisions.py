@@ -216,7 +216,8 @@ class Features:
     ) -> tuple[Singles, Booleans]:
         """Return features (decisions, TOKENS, TOKEN) of parcels, and a mask (decisions, TOKENS).
 
-        The parcels are waiting, on the line, or departed last.
+        A token holds the TOKEN features of one parcel: waiting, on the line, or among the last
+        departed. The mask is true where a token has a parcel.
         """
         env, side = given.env, self._kind_side[given.queue[:, 0]][:, np.newaxis]
         gone, rows = watched.gone[env], book.rows[env]

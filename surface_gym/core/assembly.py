@@ -135,7 +135,7 @@ def choose_actuation(config: EnvConfig) -> Actuation:
 
 
 def compiled_functions(owner: Any, kind: type[Any], names: str, ending: str = "") -> dict[str, Any]:
-    """Return compiled functions of a task or a sensor by name; all names get an ending."""
+    """Return compiled functions of a task or a sensor, by name and `ending`."""
     found = {name + ending: getattr(owner, name, None) for name in names.split()}
     for name, function in found.items():
         if not is_compiled(function):

@@ -49,8 +49,7 @@ class Singulate(TakeAwayTask):
     Parcels arrive on a slope side by side, touching, and at any angle. They must depart by its
     lower end one at a time, each at least `gap` behind the previous one. No motor drives them. The
     slope pulls, and the modules under a parcel brake it, hold it, turn it or move it aside. Only
-    the slope restores speed lost by braking. Touching parcels push each other, and may block each
-    other permanently.
+    the slope restores lost speed. Parcels push each other and may jam.
 
     **The surface.** The surface has 5 m x 1.4 m of rotor modules on a slope of 8 deg towards +x.
     `tilt` and `line` change it, e.g. `line=slope_line(4.0, 1.0)` of `surface_gym.flow.take_away`.
@@ -131,11 +130,10 @@ def lines(rate: float = 6000.0) -> Stream:
 class Merge(TakeAwayTask):
     """Merge several lines of parcels into one line with gaps, fairly.
 
-    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line. They
-    must depart by one mouth in the middle of the lower end, each at least `gap` behind the previous
-    one. A parcel without room waits on its line and blocks it, while the other lines continue.
-
-    Surface, end, actions, reward, episode and infos are as in `Singulate`.
+    Lines end side by side at the upper edge of a slope, and parcels arrive in a row on each line.
+    They must depart by one mouth in the middle of the lower end, each at least `gap` behind the
+    previous one. A parcel without room waits on its line and blocks it, while the other lines
+    continue. All else is as in `Singulate`.
 
     **Lines.** `inlets` sets the ends of the lines. The default, `side_by_side(3)`, is three inlets
     at the upper edge, 0.46 m from middle to middle; an `Inlet` may be on any edge. `stream` sets
@@ -198,10 +196,9 @@ class Sequence(TakeAwayTask):
     """Bring parcels into a required order of departure, e.g. for a truck's load or a kit.
 
     Each parcel has a place in an order, but every few successive parcels arrive in random order.
-    Parcels must depart by the lower end in order, each at least `gap` behind the previous one.
-    They must wait where others can pass them.
-
-    All else is as in `Singulate`, but the surface is shorter, 3 m x 1.4 m.
+    Parcels must depart by the lower end in order, each at least `gap` behind the previous one. They
+    must wait where others can pass them. All else is as in `Singulate`, but the surface is shorter,
+    3 m x 1.4 m.
 
     **Order.** `stream` numbers the parcels: `Stream(..., window=4)` numbers every four successive
     parcels at random. A departure is correct only if all parcels with lower numbers have departed.

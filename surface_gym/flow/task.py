@@ -138,9 +138,8 @@ class Flow(StreamTask):
 
     **Observation.** A table (max_parcels, features), float32, with one row per parcel. A parcel
     keeps its row while it is on the line; free rows are 0. The row of a parcel with an exit at y <
-    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, `queue`
-    more rows (one by default) show waiting parcels at their entry poses, in order of entry. Unused
-    rows are 0.
+    0 is mirrored in y. Choices are not mirrored: 45 deg always leads to y < 0. With `gate`, more
+    rows (`queue`, default 1) show the next parcels at their entry poses.
 
     ### Reward
 

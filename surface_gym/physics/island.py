@@ -165,7 +165,7 @@ def update_impulses(island: Island, friction: float, share: float) -> float:
 
 @inlined
 def clear_matrix(island: Island) -> None:
-    """Find where each member's rows begin, and set them to zero."""
+    """Find the first used column of each member's rows, and set the rows to zero from there."""
     low = island.low
     for n in range(island.members):
         low[n] = n

@@ -278,11 +278,10 @@ TURNING_SPEED = Feature("turning speed", -50.0, 50.0, "omega", "rad/s", 3.0)
 SIZE = Feature("size", -10.0, 100.0, "half length; shown: S-box -1, B-box 1", "m", 0.05, 0.175)
 LENGTH = replace(SIZE, name="length", meaning="half length")
 WIDTH = replace(SIZE, name="width", meaning="half width")
-PHASE = (
-    Feature("sine of phase x", -1.0, 1.0, "of the position within a module"),
-    Feature("cosine of phase x", -1.0, 1.0),
-    Feature("sine of phase y", -1.0, 1.0),
-    Feature("cosine of phase y", -1.0, 1.0),
+PHASE = tuple(
+    Feature(f"{part} of phase {axis}", -1.0, 1.0, "of the position within a module")
+    for axis in ("x", "y")
+    for part in ("sine", "cosine")
 )
 PARCEL_FEATURES = (
     OFFSET, *DIRECTION, FORWARD_SPEED, LATERAL_SPEED, TURNING_SPEED, SIZE, *PHASE,

@@ -50,17 +50,15 @@ class Orient(base.Task):
     """Turn the parcel by a goal angle before its rear leaves the zone.
 
     A parcel enters a line of rotors among supports at theta = 0. It must leave the zone at a goal
-    theta, within 2 deg. Modules that brake only one side of the parcel turn
-    it. Turning costs speed and causes lateral drift, which cannot be recovered. A turned parcel
-    covers other modules.
+    theta, within 2 deg. Modules that brake only one side of the parcel turn it. Turning costs speed
+    and causes drift; neither can be undone.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
     Entry speed: uniform in `speeds`. Goal angle: uniform in `angles`. Parcel: equal odds.
 
-    **Goal and end.** The episode ends when the rearmost point of the base passes the zone's end.
-    "success": theta is then within 2 deg of the goal angle; a full turn too much is an error of 360
-    deg. Failures are "stalled", "off the line" and "off the surface", as in other tasks, and
-    "missed": it leaves the zone at another angle.
+    **Goal and end.** The episode ends when the rear passes the zone's end. "success": theta is
+    within 2 deg of the goal; a full turn too much is 360 deg off. Failures: "stalled", "off the
+    line", "off the surface", "missed" (another angle).
 
     ### Reward
 

@@ -77,8 +77,8 @@ class Park(base.Task):
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
     "success": it rests with its centre within 5 mm and its theta within 2 deg of the goal; a full
-    turn too much is an error of 360 deg. Failures are "off the line" and "off the surface", as in
-    other tasks, and "missed": it rests elsewhere.
+    turn too much is an error of 360 deg. Failures: "off the line", "off the surface" and "missed"
+    (it rests elsewhere).
 
     ### Reward
 

@@ -54,12 +54,12 @@ class Slow(base.Task):
     jumps when an edge of the parcel crosses a module.
 
     **Start.** The rear is at x = 0, on the line's middle, with theta 0 and speed along x only.
-    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. Rolling
-    slows a parcel, too, so the goal is at most 0.98 of the ratio that an unbraked parcel reaches.
+    Entry speed: uniform in `speeds`. Parcel: equal odds. Goal ratio: uniform in `ratios`. The goal
+    is at most 0.98 of an unbraked parcel's ratio.
 
     **Goal and end.** The episode ends when the rear passes the zone's end. "success": speed / entry
-    speed is then within 0.01 of the goal ratio. Failures are "stalled", "off the line" and "off the
-    surface", as in other tasks, and "missed": it leaves the zone at another ratio.
+    speed is then within 0.01 of the goal ratio. Failures: "stalled", "off the line", "off the
+    surface" and "missed" (another ratio).
 
     ### Reward
 

@@ -75,12 +75,10 @@ class Sort(Task):
     straight ahead, is available as an option only.
 
     **Goal and end.** "success": no rotor is under the base, and its centre is on the goal side of
-    the line's middle. For side 0: the rear is past the zone's end, with a rotor still under the
-    base. Failures are "stalled" and "off the surface", as in other tasks, and:
-
-    - "wrong side": no rotor is under the base, and its centre is not on the goal side (side 0:
-      anywhere);
-    - "passed the zone": the rear is past the zone's end (sides +1 and -1).
+    the line's middle. For side 0: the rear is past the zone's end, with a rotor under the base.
+    Failures: "stalled", "off the surface", "wrong side" (no rotor is under the base, and its centre
+    is not on the goal side; side 0: anywhere) and "passed the zone" (the rear is past the zone's
+    end; sides +1 and -1).
 
     ### Reward
 
@@ -221,7 +219,7 @@ the distance along the line, minus the distance from the line's middle |
     @staticmethod
     @kernel_function
     def reward(state: EnvState, outcome: int) -> None:
-        """Reward gained reach and a short duration."""
+        """Write the terms of the reward: gain of lateral reach, time, and the end."""
         reach = _score(state)
         terms = state.terms
         terms[0] = REACH_REWARD * (reach - state.memory[REACH])

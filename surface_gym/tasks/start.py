@@ -83,15 +83,15 @@ class Draw:
         return values
 
     def within(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option` for a number in [low, high]."""
+        """Return the drawn numbers, replaced by options, which must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.within(name, value, low, high))
 
     def angle(self, name: str, drawn: ArrayLike, low: float, high: float) -> Numbers:
-        """Return `option` for an angle [rad] in [low, high]."""
+        """Return the drawn angles [rad], replaced by options, which must be in [low, high]."""
         return self.option(name, drawn, lambda value: checks.angle(name, value, low, high))
 
     def one_of(self, name: str, drawn: ArrayLike, allowed: tuple[Any, ...]) -> Numbers:
-        """Return `option` for one of the allowed numbers."""
+        """Return the drawn numbers, replaced by options, which must be among the allowed numbers."""
         return self.option(name, drawn, lambda value: float(checks.one_of(name, value, allowed)))
 
     def parcel(self, parcels: tuple[Parcel, ...], number: Numbers) -> Parcels:

@@ -64,14 +64,12 @@ class Stop(base.Task):
     Entry speed: uniform in `speeds`. Parcel: equal odds. Goal x: uniform from the nearest to the
     farthest stop. The nearest results from full braking (0.5 g) as soon as the parcel is wholly in
     the zone. The farthest is the last point wholly in the zone, or 0.8 of the rolling distance if
-    that is less. If the farthest is before the nearest, in a short zone, it is the goal.
+    that is less. In a short zone the farthest may come first; then it is the goal.
 
     **Goal and end.** The parcel is at rest when no point of the base moves faster than 1 mm/s.
-    "success": it rests with its centre within 5 mm of the goal x. Failures are "off the line" and
-    "off the surface", as in other tasks, and:
-
-    - "missed": it rests elsewhere;
-    - "passed the asked x": its centre is more than 5 mm past the goal x and still moves.
+    "success": it rests with its centre within 5 mm of the goal x. Failures: "off the line", "off
+    the surface", "missed" (it rests elsewhere) and "passed the asked x" (its centre is more than 5
+    mm past the goal x and still moves).
 
     ### Reward
 

@@ -110,11 +110,8 @@ class Track(Task):
     or a cubic spline: see `surface_gym.tasks.paths.random_path`. The option `path` is such a path,
     or points (n, 2) [m] of a polyline. A path's slope is at most 3.
 
-    **Goal and end.** "success": the centre is past the path's last x. Failures:
-
-    - "off the path": the centre's perpendicular distance from the path is 0.15 m or more;
-    - "stalled": slower than 0.05 m/s;
-    - "off the surface": the centre of mass passes the edge of the surface.
+    **Goal and end.** "success": the centre is past the path's last x. Failures: "off the path" (the
+    centre is 0.15 m or more from the path), "stalled" (slower than 0.05 m/s) and "off the surface".
 
     ### Reward
 
@@ -130,9 +127,9 @@ along the path and the asked speed |
     | `success` | 2 | once, at success |
     | `failure` | -2 | once, at any failure |
 
-    `info` has root mean squares over the time so far: `rms_error` [m] of the error across the path,
-    `speed_error` [m/s] of the speed along the path minus the asked speed. `cross_error` [m] is the
-    current error across the path, positive to the left of the path.
+    `info` has the current error across the path, `cross_error` [m], positive to the left. Root mean
+    squares over the time so far are `rms_error` [m] of this error, and `speed_error` [m/s] of the
+    speed along the path minus the asked speed.
 
     ### Example
 

@@ -91,8 +91,9 @@ def end_pose(
 ) -> Array:  # fmt: skip
     """Run the implicit model with the normal forces of uneven supports; return the end pose (3,).
 
-    Takes the arguments of `simulate`, the heights (rows, columns) [m] of the elements' tops, and
-    the stiffness [1/s^2] of a contact per parcel mass, which the surface's stiffness multiplies.
+    Takes the arguments of `simulate`, and two more: the heights (rows, columns) [m] of the
+    elements' tops, and a contact's stiffness [1/s^2], divided by the parcel's mass.
+    `surface.stiffness` multiplies it.
     """
     tops = checks.array("heights", heights, (surface.rows, surface.columns))
     grid, body = surface.grid, parcel.body

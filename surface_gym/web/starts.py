@@ -173,7 +173,7 @@ ONLY = np.zeros(1, dtype=np.int64)
 
 
 class NoiseStart(NamedTuple):
-    """States of a seed's generator for a page."""
+    """States of a seed's random generator, from which a page draws noise."""
 
     first: list[str]  # state before drawing noise, as words in hexadecimal digits
     then: list[str]  # state after drawing the start
