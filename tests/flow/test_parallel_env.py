@@ -70,7 +70,7 @@ class TestContract:
             assert env.action_space(agent) == gym.spaces.MultiDiscrete([4, 4])
             assert env.action_space(agent) is env.action_space("parcel_0")
         right = np.float32(math.pi / 2)
-        any_angle = agents_of(orientations="any", sensors=Presence())
+        any_angle = agents_of(orientations="any")
         assert any_angle.action_space("parcel_0") == gym.spaces.Box(-right, right, (2,))
 
     def test_it_says_what_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:

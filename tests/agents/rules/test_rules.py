@@ -11,6 +11,7 @@ from surface_gym.actions import KINDS
 from surface_gym.agents.rules import ROLLING, Rule, find_rules
 from surface_gym.agents.rules.sorting import EventRule, FixedLayout
 from surface_gym.config import EnvConfig
+from surface_gym.sensors import Exact
 from surface_gym.tasks import TASKS
 from tests.agents.rules.runs import SENSORS, assert_mirrored, mirrored_starts
 
@@ -35,8 +36,9 @@ def test_no_two_rules_of_a_task_share_a_name() -> None:
 
 
 @every_rule
-def test_it_acts_inside_the_action_space(rule) -> None:
-    sensors = SENSORS[rule.task, rule.actions]()
+@pytest.mark.parametrize("sensor", [Exact, None], ids=["exact", "another"])
+def test_it_acts_inside_the_action_space(rule, sensor) -> None:
+    sensors = (sensor or SENSORS[rule.task, rule.actions])()
     eight = tuple(math.pi / 2 - np.arange(8) * math.pi / 8)
     others = {"sensors": sensors, "zone": (6, 15), "control_period": 0.1, "orientations": eight}
     controller, state = rule.make(config_for(rule, **others)), None
