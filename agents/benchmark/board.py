@@ -1,4 +1,4 @@
-"""The board: scores of all entries, one table per task.
+"""The board: scores of all entries by task.
 
 A score of an episode is linear in its result: 0 for the mean of the task's fixed layout, 1 for the
 mean of the best rule, both in the same cell. The protocol's file names the two entries. The board
@@ -30,8 +30,9 @@ TITLE = """# The board
 Results of all entries of [the benchmark](benchmark.md), best first. Made by
 `surface-gym benchmark table` from the entries' files in `benchmarks/results/`.
 
-Tables show success rates or correct deliveries per hour by cell. Score: interquartile mean \
-with its 95 % interval, where 0 is {zero} and 1 is {one}."""
+Cells show success rates, for streams correct deliveries per hour. Score: interquartile mean \
+with its 95 % interval, where 0 is {zero} and 1 is {one}. Interactions are control periods of \
+training per seed; decision is the time of a decision."""
 
 
 @dataclass(frozen=True)
@@ -150,11 +151,11 @@ class Board:
                 ranked.append((-place, entry.name, self._line(entry, rows, score)))
         if not ranked:
             return None
-        header = ("entry", "score", *CELLS, "seeds", "decision")
+        header = ("entry", "score", *CELLS, "seeds", "interactions", "decision")
         return Table(task, "", header, tuple(line for *_, line in sorted(ranked)))
 
     def _line(self, entry: BenchmarkEntry, rows: Sequence[Row], score: Score) -> tuple[str, ...]:
-        digits = ".3f" if _is_rate(rows[0].task) else ".0f"
+        digits = ".0f" if _is_stream(rows[0].task) else ".3f"
         means = []
         for cell in CELLS:
             results = self.results(entry, rows[0].task, cell)
@@ -165,31 +166,42 @@ class Board:
         times = [row.decision_time for row in rows if not row.failure]
         return (
             name, str(score), *means, str(len({row.seed for row in rows})),
+            number(1e-6 * entry.interactions or None, ".1f", "\u00a0M"),
             number(1e6 * float(np.median(times)) if times else None, ".0f", "\u00a0us"),
         )  # fmt: skip
 
+    def merged(self, title: str, tasks: Sequence[str]) -> list[Table]:
+        """Return the tables of tasks as one table; none without entries."""
+        tables = [found for task in tasks if (found := self.table(task)) is not None]
+        rows = [
+            (each.heading if row is each.rows[0] else "", *row)
+            for each in tables
+            for row in each.rows
+        ]
+        return [Table(title, "", ("task", *tables[0].header), tuple(rows), 2)] if rows else []
+
     def sources(self) -> Table:
         """Return the table of where entries come from."""
-        rows = [
-            (
-                entry.name, entry.kind, entry.by or NOTHING, f"`{entry.source}`",
-                f"{entry.interactions / 1e6:.1f}\u00a0M" if entry.interactions else NOTHING,
-            )
-            for entry in sorted(self.entries, key=lambda each: each.name)
-        ]  # fmt: skip
-        header = ("entry", "kind", "by", "source", "interactions")
-        caption = "Interactions are control periods of training per seed."
-        return Table("entries", caption, header, tuple(rows))
+        groups: dict[tuple[str, str], list[str]] = {}
+        for entry in sorted(self.entries, key=lambda each: each.name):
+            text = entry.name if entry.name == entry.source else f"{entry.name}: `{entry.source}`"
+            groups.setdefault((entry.kind, entry.by or NOTHING), []).append(text)
+        rows = tuple((*group, "; ".join(texts)) for group, texts in sorted(groups.items()))
+        caption = "An entry without a source is the shipped agent of that name."
+        return Table("entries", caption, ("kind", "by", "entries, with their sources"), rows, 3)
 
 
-def _is_rate(task: str) -> bool:
-    return PERIODS[task] is not None
+def _is_stream(task: str) -> bool:
+    return PERIODS[task] is None
 
 
 def make_page(board: Board) -> str:
     """Return the tables of all tasks, and of the entries, as a page in Markdown."""
-    tables = [found for task in PERIODS if (found := board.table(task)) is not None]
-    tables.append(board.sources())
+    tables = [
+        *board.merged("one parcel", [task for task in PERIODS if not _is_stream(task)]),
+        *board.merged("streams", [task for task in PERIODS if _is_stream(task)]),
+        board.sources(),
+    ]
     ((zero, one),) = {tuple(each) for each in read_protocol()["references"].values()}
     title = TITLE.format(zero=zero, one=one)
     return "\n\n".join([title, *(each.markdown().strip() for each in tables)]) + "\n"

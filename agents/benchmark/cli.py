@@ -105,7 +105,6 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     from .entry import (
         BenchmarkEntry,
         describe_machine,
-        digest_source,
         keep_rows,
         make_jobs,
         run_entry,
@@ -119,11 +118,10 @@ def benchmark(config: BenchmarkConfig, console: "Console") -> None:
     jobs = make_jobs(config.policy, config.tasks, config.seeds, given, limits)
     entry = BenchmarkEntry(
         config.title, (), config.by, config.link, config.kind, config.interactions,
-        Path(config.policy).name, digest_source([job.source for job in jobs]),
-        machine=describe_machine(),
+        Path(config.policy).name, machine=describe_machine(),
     )  # fmt: skip
     file = config.out / f"{config.title.lower().replace(' ', '-').replace('/', '-')}.json"
-    entry = keep_rows(entry, file, jobs)
+    entry = keep_rows(entry, file, config.policy, jobs)
     kept = entry.rows
     with show_progress(console, "benchmark", len(jobs)) as advance:
         entry = run_entry(entry, jobs, config.workers, advance)

@@ -154,6 +154,7 @@ class Row:
     times: tuple[float, ...]  # (episodes,) [s] duration of the episode
     decision_time: float  # [s] mean time of a decision for one environment, with its process
     failure: str = ""  # reason; then there are no scores
+    source_digest: str = ""  # of the policy's files for this task and seed; "": not known
 
     def __post_init__(self) -> None:
         count = TestCell(self.task, self.cell).episodes
@@ -180,7 +181,6 @@ class BenchmarkEntry:
     kind: str = "agent"  # "agent", "rule", "planner" or "baseline"
     interactions: int = 0  # control periods of training per seed
     source: str = ""  # name of the policy's file or folder
-    source_digest: str = ""  # of the policy's files
     version: str = sg.__version__  # of the package
     machine: str = ""  # processor
     protocol: int = VERSION
@@ -220,7 +220,7 @@ class PolicyJob:
 
     def __call__(self) -> list[Row]:
         """Run the policy in its own process; a failure of the policy is a result."""
-        rows = []
+        rows, source_digest = [], digest_source(self.source)
         with ExitStack() as processes:
             policy = None
             for test in self.tests:
@@ -235,7 +235,7 @@ class PolicyJob:
                     policy = None  # its process has ended
                     key = (test.task, test.cell, self.seed, test.digest, kwargs)
                     rows.append(Row(*key, (), (), 0.0, str(error)[:TEXT]))
-        return rows
+        return [replace(row, source_digest=source_digest) for row in rows]
 
     def _run(self, policy: PolicyProcess, test: TestCell, kwargs: dict[str, Any]) -> Row:
         scores, times = play_cell(test, policy, self.seed, kwargs)
@@ -322,46 +322,61 @@ def make_jobs(
         seeds: empty: all seeds of a shipped agent, or 0.
         given: arguments of the environment besides the policy's own.
     """
-    chosen, is_shipped = tuple(given.items()), source in library.names()
-    if is_shipped:
+    if source in library.names():
         seeds = seeds or library.seeds(source)
-        source = str(library.SHELF / source / "seed-{seed}")
     return [
         PolicyJob(
             tuple(TestCell(checks.one_of("tasks", task, TASKS), cell) for cell in CELLS),
-            source.replace("{task}", task).replace("{seed}", str(seed)), seed, chosen, limits,
+            find_source(source, task, seed), seed, tuple(given.items()), limits,
         )
         for task in tasks
         for seed in seeds or (0,)
     ]  # fmt: skip
 
 
-def digest_source(sources: Sequence[str]) -> str:
-    """Compute the digest of the files of a policy; "" for a name without a file."""
+def find_source(source: str, task: str, seed: int) -> str:
+    """Return the source of a policy for a task and a training seed, as for `PolicyProcess`."""
+    if source in library.names():
+        source = str(library.SHELF / source / "seed-{seed}")
+    return source.replace("{task}", task).replace("{seed}", str(seed))
+
+
+def digest_source(source: str) -> str:
+    """Compute the digest of the files of a policy; "" without a file."""
+    place = Path(source.rpartition(":")[0] or source)
+    files = sorted(place.rglob("*")) if place.is_dir() else [place]
     made, found = hashlib.sha256(), False
-    for source in dict.fromkeys(sources):
-        place = Path(source.rpartition(":")[0] or source)
-        files = sorted(place.rglob("*")) if place.is_dir() else [place]
-        for file in files:
-            if file.is_file():
-                made.update(file.name.encode() + file.read_bytes())
-                found = True
+    for file in files:
+        if file.is_file():
+            made.update(file.name.encode() + file.read_bytes())
+            found = True
     return made.hexdigest()[:16] if found else ""
 
 
-def keep_rows(entry: BenchmarkEntry, file: Path, jobs: Sequence[PolicyJob]) -> BenchmarkEntry:
-    """Add the rows of a file that jobs will not run anew, if it is of the same policy.
+def keep_rows(
+    entry: BenchmarkEntry, file: Path, source: str, jobs: Sequence[PolicyJob]
+) -> BenchmarkEntry:
+    """Add the rows of a file that jobs will not run anew, if they are of the same policy.
 
-    So tasks can be run one after the other.
+    So tasks can be run one after the other. A row is of another policy if the policy's name or the
+    package's version differs, or if its files for the row's task and seed are there and differ.
+
+    Args:
+        source: as for `make_jobs`.
     """
     if not file.is_file():
         return entry
     old = read_entry(file)
-    if (old.source_digest, old.version) != (entry.source_digest, entry.version):
+    if (old.source, old.version) != (entry.source, entry.version):
         return entry
     new = {(test.task, job.seed) for job in jobs for test in job.tests}
-    kept = tuple(row for row in old.rows if (row.task, row.seed) not in new)
-    return replace(entry, rows=entry.rows + kept)
+    kept = []
+    for row in old.rows:
+        now = digest_source(find_source(source, row.task, row.seed))
+        is_same = not row.source_digest or now in ("", row.source_digest)
+        if is_same and (row.task, row.seed) not in new:
+            kept.append(row)
+    return replace(entry, rows=(*entry.rows, *kept))
 
 
 def describe_machine() -> str:
@@ -391,7 +406,11 @@ def read_entry(file: Path) -> BenchmarkEntry:
     """
     try:
         found = json.loads(read_text(file, SIZE))
+        # Old entries have one digest. It tells nothing about a row if files differ by row.
+        whole = found.pop("source_digest", "")
+        is_one = ":" in found["source"] and "{" not in found["source"]
         for row in found["rows"]:
+            row.setdefault("source_digest", whole if is_one else "")
             row["scores"], row["times"] = tuple(row["scores"]), tuple(row["times"])
         return BenchmarkEntry(**{**found, "rows": tuple(Row(**row) for row in found["rows"])})
     except FileNotFoundError:

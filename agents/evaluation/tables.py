@@ -24,9 +24,11 @@ BOLD = "**"  # on both sides, as in Markdown
 BETWEEN, EDGES = 3, 4  # characters between columns, and at the edges of a table
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---") -> str:
-    """Return rows as a Markdown table; `others` aligns all columns except the first."""
-    lines = [header, ["---"] + [others] * (len(header) - 1), *rows]
+def markdown(
+    header: Sequence[str], rows: Iterable[Sequence[str]], others: str = "---", keys: int = 1
+) -> str:
+    """Return rows as a Markdown table; `others` aligns all columns except the first `keys`."""
+    lines = [header, ["---"] * keys + [others] * (len(header) - keys), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -65,7 +67,7 @@ class Table:
         return self.title[:1].upper() + self.title[1:]
 
     def markdown(self) -> str:
-        text = markdown(self.header, self.rows, "---:")
+        text = markdown(self.header, self.rows, "---:", self.keys)
         parts = (f"## {self.heading}", self.caption, text)
         return "\n\n".join(filter(None, parts)) + "\n"
 

@@ -287,7 +287,7 @@ class TrueModel(SearchModel):
         """Restore the first copy to its saved state."""
         self._batch.restore(self._begun, 0)
 
-    def step(self, action: int) -> SearchNodes:
+    def step(self, action: int | Integers) -> SearchNodes:
         """Move the first copy by a control period, and save its state."""
         self.rewind()
         nodes = self.advance(FIRST, np.array([action]))

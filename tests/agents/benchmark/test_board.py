@@ -77,7 +77,7 @@ def test_a_table_ranks_and_names_failures() -> None:
     assert table.rows[0][table.header.index("seeds")] == "5"
     assert "failed" in table.rows[-1]
     assert math.isnan(Board(entries).score(entries[-1], "sort").value)
-    assert "| seeds |" in make_page(Board(entries))
+    assert make_page(Board(entries)).count("| seeds |") == 2  # the entry and the column
 
 
 def test_without_references_there_are_results_but_no_scores() -> None:
@@ -86,3 +86,17 @@ def test_without_references_there_are_results_but_no_scores() -> None:
     table = board.table("sort")
     assert table is not None
     assert "0.898" in table.rows[0]
+
+
+def test_a_page_has_a_table_for_one_parcel_and_one_for_who_entered() -> None:
+    mine = replace(entry("mine", 0.5), by="me", source="own.py:Mine", interactions=1_500_000)
+    shipped = replace(entry("sort-ppo", 0.5), source="sort-ppo")
+    page = make_page(Board([mine, shipped, replace(mine, name="other", rows=())]))
+    assert "## One parcel" in page
+    assert "## Streams" not in page
+    one, two = [line for line in page.splitlines() if " 0.500 |" in line]
+    assert one.startswith("| Sort | mine |")
+    assert "1.5\u00a0M" in one
+    assert two.startswith("|  | sort-ppo |")
+    assert "| agent | me | mine: `own.py:Mine`; other: `own.py:Mine` |" in page
+    assert "| agent | - | sort-ppo |" in page

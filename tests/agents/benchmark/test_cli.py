@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from surface_gym.agents.benchmark.cli import main
-from surface_gym.agents.benchmark.entry import CELLS, read_entry
+from surface_gym.agents.benchmark.entry import CELLS, Row, read_entry
 
 BROKEN = """
 class Policy:
@@ -25,6 +25,24 @@ def test_a_policy_that_fails_leaves_an_entry_with_the_reason(tmp_path: Path, cap
     assert all("asked for env_kwargs 'zone'" in row.failure for row in entry.rows)
     main(["table", "--results", str(tmp_path), "--out", str(tmp_path / "board.md")])
     assert "| My Own |" in (tmp_path / "board.md").read_text()
+    capsys.readouterr()
+
+
+def test_a_task_run_again_replaces_its_own_rows(tmp_path: Path, capsys) -> None:
+    def enter(*tasks: str) -> tuple[Row, ...]:
+        policy = f"{tmp_path}/own-{{task}}.py:Policy"
+        with pytest.raises(SystemExit, match="policy must run"):
+            main(["--policy", policy, "--tasks", *tasks, "--out", str(tmp_path), "--name", "own"])
+        return read_entry(tmp_path / "own.json").rows
+
+    for task in ("sort", "stop"):
+        (tmp_path / f"own-{task}.py").write_text(BROKEN)
+    first = enter("sort", "stop")
+    (tmp_path / "own-sort.py").write_text(BROKEN.replace("[4, 5]", "[5, 6]"))
+    rows = enter("sort")
+    assert [row.task for row in rows] == ["stop"] * 4 + ["sort"] * 4
+    assert rows[:4] == first[4:]
+    assert len({row.source_digest for row in first + rows}) == 2 + 1
     capsys.readouterr()
 
 

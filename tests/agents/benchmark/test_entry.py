@@ -79,16 +79,36 @@ def test_a_row_with_other_numbers_is_refused(change: dict, message: str) -> None
 
 
 def test_tasks_are_run_one_after_the_other(tmp_path: Path) -> None:
+    file, own = tmp_path / "mine.json", tmp_path / "own.py"
+    own.write_text("class Mine: pass")
+    source = f"{own}:Mine"
+    rows = tuple(replace(row, source_digest=digest_source(source)) for row in ENTRY.rows)
+    entry, empty = replace(ENTRY, rows=rows), replace(ENTRY, rows=())
+    again, other = (make_jobs(source, (t,), (0,), {}, PolicyLimits()) for t in ("sort", "stop"))
+    assert keep_rows(empty, file, source, other) == empty
+    write_entry(entry, file)
+    assert keep_rows(empty, file, source, other) == entry
+    assert keep_rows(empty, file, source, again) == empty
+    for change in ({"source": "another.py:Mine"}, {"version": "0.0.1"}):
+        changed = replace(empty, **change)
+        assert keep_rows(changed, file, source, other) == changed
+    own.write_text("class Mine: ...")
+    assert keep_rows(empty, file, source, other) == empty
+    own.unlink()  # nothing tells that the policy has changed
+    assert keep_rows(empty, file, source, other) == entry
+
+
+@pytest.mark.parametrize(("source", "kept"), [("own.py:Mine", "abc"), ("own-{task}.zip", "")])
+def test_a_file_with_one_digest_for_all_rows_is_read(
+    tmp_path: Path, source: str, kept: str
+) -> None:
     file = tmp_path / "mine.json"
-    empty = replace(ENTRY, rows=())
-    again, other = (make_jobs("sort-ppo", (t,), (0,), {}, PolicyLimits()) for t in ("sort", "stop"))
-    assert keep_rows(empty, file, other) == empty
-    write_entry(ENTRY, file)
-    assert keep_rows(empty, file, other) == ENTRY
-    assert keep_rows(empty, file, again) == empty
-    for change in ({"source_digest": "another"}, {"version": "0.0.1"}):
-        entry = replace(empty, **change)
-        assert keep_rows(entry, file, other) == entry
+    write_entry(replace(ENTRY, source=source), file)
+    old = json.loads(file.read_text()) | {"source_digest": "abc"}
+    for row in old["rows"]:
+        del row["source_digest"]
+    file.write_text(json.dumps(old))
+    assert {row.source_digest for row in read_entry(file).rows} == {kept}
 
 
 def test_a_stream_has_fewer_episodes() -> None:
@@ -118,11 +138,11 @@ def test_a_shipped_agent_runs_in_all_its_seeds_and_every_cell() -> None:
 def test_a_digest_follows_the_content_of_a_policy(tmp_path: Path) -> None:
     file = tmp_path / "own.py"
     file.write_text("class Mine: pass")
-    before = digest_source([f"{file}:Mine"])
-    assert before == digest_source([f"{file}:Mine"])
+    before = digest_source(f"{file}:Mine")
+    assert before == digest_source(f"{file}:Mine")
     file.write_text("class Mine: ...")
-    assert digest_source([f"{file}:Mine"]) != before
-    assert digest_source(["sort-ppo"]) == ""
+    assert digest_source(f"{file}:Mine") != before
+    assert digest_source("sort-ppo") == ""
 
 
 def test_results_are_those_of_the_policy_in_this_process() -> None:
