@@ -6,7 +6,8 @@ Both planners make a plan of halves by a beam search in every control period. Th
 first action, and keep the best variation by simulations to the plan's end. The planner over halves
 tries all actions. The planner over modules tries all actions by quadrants, and changes single
 modules under the parcel as long as this lowers the cost. The planner over halves has a wider beam,
-and simulates about as many periods as the other, on Stop a third. Sensors are exact, and the model is the truth.
+and simulates about as many periods as the other, on Stop a third. Sensors are exact, and the model
+is the truth.
 """
 
 import argparse
