@@ -1,175 +1,162 @@
-"""`python -m benchmarks.residual`: does PPO improve the rule "patterns" on Singulate in the lab?
+"""`python -m benchmarks.residual`: does PPO improve the rule "patterns" through a mouth in the lab?
 
-Shared-policy PPO corrects the motion that the rule wants for each parcel, and begins at the rule:
-residual policy learning (Silver et al. 2018). A correction lasts `HOLD` control periods. Rule and
-corrected rule are then compared on streams on which neither was trained or tuned.
+Shared-policy PPO corrects the rule: residual policy learning (Silver et al. 2018). An action shifts
+the speeds that the rule sees of a parcel, hence the wanted ones, for `HOLD` control periods. It
+begins near the rule. Both get the same streams, on which neither was trained or tuned.
 """
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
+from scipy import stats
 
+from surface_gym.agents.base import Integers, Numbers, Singles
 from surface_gym.agents.evaluation.method import all_methods
 from surface_gym.agents.evaluation.scenario import WHOLE
 from surface_gym.agents.evaluation.streams import StreamScenario, measure_stream
+from surface_gym.agents.learning import slopes
 from surface_gym.agents.learning.algorithms import ParcelsConfig
-from surface_gym.agents.learning.slopes import (
-    ParcelLearner,
-    SlopeObservations,
-    SlopeStep,
-    StreamLearner,
-    Surfaces,
-    training_configs,
-)
-from surface_gym.agents.rules import patterns as rules
 from surface_gym.agents.rules.patterns import Patterns
 from surface_gym.agents.scheduling.scheduler import begin_streams
-from surface_gym.agents.slope_policy import ParcelNetwork
-from surface_gym.compiler.jit import compiled
-from surface_gym.config import EnvConfig
-from surface_gym.flow import take_away as ta
+from surface_gym.agents.slope_policy import ParcelNetwork, to_halves
+from surface_gym.flow.take_away import COLUMN
 from surface_gym.state import RUNNING
 
-HOLD = 5  # control periods that a correction lasts
-SPEED = np.array([0.0, -0.15, -0.5, 0.3])  # [m/s] added to the wanted speed along the slope
-ASIDE = np.array([0.0, 0.4, -0.4, 0.0])  # [m/s] and across it; the last one stops turning, too
-STREAMS_SEED = 424_242  # of no other comparison
+HOLD = 5  # control periods
+ALONG = np.array([0.0, -0.15, 0.15])  # [m/s] added to the wanted speed along the slope
+ASIDE = np.array([0.0, 0.3, -0.3])  # [m/s] and across it
+SHIFTED = (COLUMN.forward_speed, COLUMN.lateral_speed)
+EASIER = 1.5  # less initial logit of the rule than `slope_policy.PRIOR`, for exploration
+SEED = 424_242  # of the compared streams
 
 
-@compiled
-def choose_corrected(
-    corrections, tables, slope, tuning, aim, grid, parcels, slots, below, nearest, order, came,
-    stood, axes, commands,
-):  # fmt: skip
-    """Choose actions as `choose_patterns`, with corrections (num_envs, rows, 2)."""
-    for i in range(tables.shape[0]):
-        table = tables[i]
-        rules.read_parcels(table, slope, tuning, parcels)
-        for k in range(table.shape[0]):
-            if abs(parcels.shift[k]) < rules.NEAR:
-                parcels.shift[k] = 0.0
-        count = rules.sort_parcels(table, tuning, parcels, order[i], came[i], stood[i])
-        stuck = rules.find_stuck(parcels, order[i], count, stood[i])
-        rules.forget_slots(slots)
-        nearest[:], commands[i, :] = np.inf, rules.ROLL
-        for place in range(count):
-            k = order[i, place]
-            goes = stuck and stood[i, k] > rules.LONG
-            speed, lateral, turning = rules.want_motion(
-                slope, tuning, aim, parcels, slots, order[i], count, place, goes
-            )
-            along, aside = corrections[i, k, 0], corrections[i, k, 1]
-            speed = min(slope.take_away, max(0.0, speed + SPEED[along]))
-            lateral += ASIDE[aside]
-            turning *= aside != 3
-            pattern = rules.choose_pattern(
-                slope, aim, grid, parcels, table[k], k, axes[i], below, speed, lateral, turning
-            )
-            rules.claim_modules(aim, grid, parcels, table[k], k, pattern, nearest, commands[i])
-        rules.expect_axes(grid, commands[i], axes[i])
+def shift(tables: Singles, corrections: Integers, since: float) -> Singles:
+    """Return tables with the speeds of parcels shifted by corrections (num_envs, rows, 2).
+
+    Parcels that entered less than `since` [s] ago have none.
+    """
+    shifted, old = tables.copy(), COLUMN.time.of(tables) >= since
+    for k, (column, by) in enumerate(zip(SHIFTED, (ALONG, ASIDE), strict=True)):
+        shifted[..., column.place] -= old * by[corrections[..., k]] / column.scale
+    return shifted
 
 
-class CorrectedPatterns(Patterns):
-    """The rule with corrections (num_envs, rows, 2), which are set before `predict`."""
-
-    kernel = staticmethod(choose_corrected)
-    corrections: Any
-
-    def arguments(self, tables: Any, memory: Any, commands: Any) -> tuple[Any, ...]:
-        return (self.corrections, *super().arguments(tables, memory, commands))
-
-    def correct(self, corrections: Any, tables: Any, periods: int) -> None:
-        """Set the corrections of parcels that were there `periods` ago, when they were chosen."""
-        new = ta.COLUMN.time.of(tables) < 0.04 * periods - 0.01
-        self.corrections = np.where(new[..., np.newaxis], 0, corrections)
-
-
-class CorrectedSurfaces(Surfaces):
+class CorrectedSurfaces(slopes.Surfaces):
     """Environments in which the rule acts, with corrections as actions."""
 
-    def __init__(self, configs: list[EnvConfig], num_envs: int) -> None:
+    def __init__(self, configs: Any, num_envs: int) -> None:
         super().__init__(configs, num_envs)
-        self.orientations = len(SPEED)
-        self._acting = [CorrectedPatterns(config) for config in configs]
+        self.orientations = len(ALONG)
+        self._acting = [Patterns(config) for config in configs]
 
-    def see(self) -> SlopeObservations:
+    def see(self) -> slopes.SlopeObservations:
         tables = np.concatenate([batch.observation for batch in self.batches])
-        return SlopeObservations(tables, np.zeros(tables.shape[:2], dtype=np.int64))
+        return slopes.SlopeObservations(tables, np.zeros(tables.shape[:2], dtype=np.int64))
 
-    def step(self, halves: Any) -> SlopeStep:
+    def step(self, halves: Integers) -> slopes.SlopeStep:
         """Step all by `HOLD` control periods with corrections (num_envs, rows, 2)."""
-        shape = (self.num_envs, self.rows)
-        reward, departed = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-        jammed, timed = np.zeros((2, self.num_envs), dtype=np.bool_)
-        last: dict[int, Any] = {}
-        for periods in range(HOLD):
-            actions, first = [], 0
+        reward, over = np.zeros((self.num_envs, self.rows)), np.zeros(self.num_envs, dtype=np.bool_)
+        departed = reward > 0.0
+        parts = np.split(halves, np.cumsum([batch.num_envs for batch in self.batches[:-1]]))
+        for period in range(HOLD):
+            departed = departed | over[:, np.newaxis]
+            actions = []
             for k, (rule, batch) in enumerate(zip(self._acting, self.batches, strict=True)):
-                here = slice(first, first + batch.num_envs)
-                first += batch.num_envs
-                rule.correct(halves[here], batch.observation, periods)
-                action, self._memories[k] = rule.predict(
-                    batch.observation, self._memories[k], self._fresh[k]
-                )
+                table = shift(batch.observation, parts[k], period * batch.config.control_period)
+                action, self._memories[k] = rule.predict(table, self._memories[k], self._fresh[k])
                 actions.append(action)
             found = super().step(np.concatenate(actions))
-            ended = jammed | timed
-            counts = ~departed & ~ended[:, np.newaxis]
-            reward += np.where(counts, found.reward, 0.0)
-            departed |= counts & found.departed
-            index = np.flatnonzero(found.out_of_time)
-            last |= {i: table for i, table in zip(index.tolist(), found.last, strict=True)
-                     if not ended[i]}  # fmt: skip
-            jammed |= found.jammed & ~ended
-            timed |= found.out_of_time & ~ended
-        tables = [last[i] for i in np.flatnonzero(timed).tolist()]
-        empty = np.zeros((0, *self.batches[0].observation.shape[1:]), dtype=np.float32)
-        return SlopeStep(reward, departed, jammed, timed, np.stack(tables) if tables else empty)
+            reward += np.where(departed, 0.0, found.reward)
+            departed, over = departed | found.departed, found.jammed | found.out_of_time
+        return found._replace(reward=reward, departed=departed)
 
 
-class Learner(ParcelLearner):
-    """Training of the corrections."""
+class CorrectionLearner(slopes.ParcelLearner):
+    """Training of the corrections, in the lab."""
+
+    critic_first = 4
 
     def __init__(self, config: ParcelsConfig) -> None:
-        configs = [each.replace(actions="modules", max_parcels=32) for each in training_configs(config)]
-        surfaces = CorrectedSurfaces([each for each in configs if not each.sensors.is_exact] if False else configs[:2], config.num_envs)
+        lab = slopes.training_configs(config)[:2]
+        configs = [each.replace(actions="modules", max_parcels=32) for each in lab]
         torch.manual_seed(config.seed)
-        StreamLearner.__init__(self, config, surfaces, ParcelNetwork(configs[0].features, len(SPEED), config.hidden))
+        network = ParcelNetwork(configs[0].features, len(ALONG), config.hidden)
+        with torch.no_grad():
+            network.actor[-1].bias[0] = -EASIER
+        surfaces = CorrectedSurfaces(configs, config.num_envs)
+        slopes.StreamLearner.__init__(self, config, surfaces, network)
 
 
-def compare(network: Any, streams: int, seed: int, sample: bool) -> list[list[dict[str, Any]]]:
-    """Return the rows of each stream of the rule, and of the corrected rule."""
+def play(network: torch.nn.Module | None, streams: int) -> tuple[Numbers, int, float]:
+    """Play streams with the rule, corrected if there is a network.
+
+    Returns rates (streams,) [parcels/h], the number of jams, and the share of corrected decisions.
+    """
     method = next(each for each in all_methods("singulate") if each.name == "patterns")
     scenario = StreamScenario("singulate", "lab", WHOLE, "mouth of 0.6 m, 10 deg")
     config = scenario.config(method, scenario.offer.rates[0])
-    found = []
-    for learns in (False, True):
-        rule, rng = CorrectedPatterns(config), np.random.default_rng(seed)
-        batch = begin_streams(config, streams, seed)
-        corrections = np.zeros((streams, config.rows, 2), dtype=np.int64)
-        fresh, state, period = np.ones(streams, dtype=np.bool_), None, 0
-        while (batch.outcome == RUNNING).any():
-            if learns and period % HOLD == 0:
-                corrections[:] = 0
-                table = torch.from_numpy(batch.observation.copy())
-                with torch.no_grad():
-                    seen = network(table, torch.zeros(table.shape[:2], dtype=torch.int64))
-                if sample:
-                    p = seen.logits.softmax(1).cumsum(1).numpy()
-                    choice = (rng.random((len(p), 1)) > p[:, :-1]).sum(1)
-                else:
-                    choice = seen.logits.argmax(1).numpy()
-                flat = corrections.reshape(-1, 2)
-                flat[seen.row.numpy()] = np.stack(np.divmod(choice, len(SPEED)), axis=1)
-            rule.correct(corrections, batch.observation, period % HOLD)
-            action, state = rule.predict(batch.observation, state, fresh)
-            batch.step(config.action_kind.commands(action, streams))
-            fresh[:] = False
-            period += 1
-        found.append(measure_stream(batch))
-    return found
+    rule, batch, state = Patterns(config), begin_streams(config, streams, SEED), None
+    corrections, period, shares = np.zeros((streams, config.rows, 2), dtype=np.int64), 0, [0.0]
+    torch.manual_seed(SEED)
+    while (batch.outcome == RUNNING).any():
+        seen = batch.observation
+        if network is not None and period % HOLD == 0:
+            with torch.no_grad():
+                nothing = torch.zeros(seen.shape[:2], dtype=torch.int64)
+                found = network(torch.from_numpy(seen.copy()), nothing)
+            noise = -torch.log(-torch.log(torch.rand_like(found.logits)))  # Gumbel's
+            choice = (found.logits + noise).argmax(dim=1).numpy()
+            shares.append(np.count_nonzero(choice) / max(1, choice.size))
+            corrections[:] = 0
+            corrections.reshape(-1, 2)[found.row.numpy()] = to_halves(choice, len(ALONG))
+        table = shift(seen, corrections, period % HOLD * config.control_period)
+        action, state = rule.predict(table, state, np.full(streams, period == 0))
+        batch.step(config.action_kind.commands(action, streams))
+        period += 1
+    rows = measure_stream(batch)
+    rates = np.array([row["parcels_per_hour"] for row in rows])
+    return rates, sum(row["jam"] for row in rows), float(np.mean(shares))
+
+
+@dataclass(frozen=True)
+class ResidualOptions:
+    """Train corrections of the rule, and compare both on the same streams."""
+
+    rollouts: int = 60
+    """Rollouts of training, of 32 environments and 6.4 s."""
+    streams: int = 16
+    """Compared streams, 200 s each."""
+    seed: int = 0
+    """Seed of the training."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, and print both rates and their paired difference."""
+    options = tyro.cli(ResidualOptions, prog="python -m benchmarks.residual", args=arguments)
+    torch.set_num_threads(1)
+    config = ParcelsConfig(
+        seed=options.seed, num_envs=32, n_steps=32, batch_size=256, n_epochs=4, learning_rate=2e-3,
+        gamma=0.97, ent_coef=0.0, steps=32 * 32 * options.rollouts,
+    )  # fmt: skip
+    learner, curve = CorrectionLearner(config), SimpleNamespace(add_episodes=len)
+    learner.begin(options.seed)
+    while learner.steps < config.steps:
+        learner.learn(curve)
+    (rule, jams, _), (learned, more, share) = (
+        play(network, options.streams) for network in (None, learner.network)
+    )
+    change = learned - rule
+    margin = stats.sem(change) * stats.t.ppf(0.975, len(change) - 1)
+    print(
+        f"patterns {rule.mean():.0f} an hour, {jams} jams; with PPO {learned.mean():.0f}, {more} "
+        f"jams, {share:.1%} of decisions corrected; difference {change.mean():.0f} ±{margin:.0f}"
+    )
+
+
+if __name__ == "__main__":
+    main()
