@@ -87,7 +87,7 @@ class CorrectionLearner(slopes.ParcelLearner):
         torch.manual_seed(config.seed)
         network = ParcelNetwork(configs[0].features, len(ALONG), config.hidden)
         with torch.no_grad():
-            network.actor[-1].bias[0] = -EASIER
+            dict(network.named_parameters())["actor.2.bias"][0] = -EASIER
         surfaces = CorrectedSurfaces(configs, config.num_envs)
         slopes.StreamLearner.__init__(self, config, surfaces, network)
 
@@ -143,7 +143,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         seed=options.seed, num_envs=32, n_steps=32, batch_size=256, n_epochs=4, learning_rate=2e-3,
         gamma=0.97, ent_coef=0.0, steps=32 * 32 * options.rollouts,
     )  # fmt: skip
-    learner, curve = CorrectionLearner(config), SimpleNamespace(add_episodes=len)
+    learner: Any = CorrectionLearner(config)
+    curve = SimpleNamespace(add_episodes=len)  # none is kept
     learner.begin(options.seed)
     while learner.steps < config.steps:
         learner.learn(curve)
