@@ -1,7 +1,8 @@
 """`python -m benchmarks.slopes`: rules and agents on slopes that none was trained or tuned on.
 
 Other tilts, mouths, lengths and rates than in the comparison, with its streams and its seeds. Each
-line shows the correct departures an hour of every method, and the streams that jammed.
+line shows the correct departures an hour of every method, and the streams that jammed. With
+`--seconds` and `--streams` it looks for jams in long runs.
 """
 
 import math
@@ -16,6 +17,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from surface_gym import checks
 from surface_gym.agents.evaluation.method import all_methods
 from surface_gym.agents.evaluation.scenario import WHOLE
 from surface_gym.agents.evaluation.streams import StreamScenario, measure_stream, play_stream
@@ -62,6 +64,7 @@ class Case:
 
 CASES = (
     Case("mouth, as trained", *MOUTH, lambda config: config),
+    Case("mouth, take-away stops", "singulate", "mouth, take-away stops", lambda config: config),
     Case("mouth, 6 deg", *MOUTH, partial(tilted, 6.0)),
     Case("mouth, 10 deg", *MOUTH, partial(tilted, 10.0)),
     Case("mouth of 0.5 m", *MOUTH, partial(with_mouth, 0.5, 0.0)),
@@ -85,18 +88,25 @@ class SlopeOptions:
 
     presets: tuple[str, ...] = ("exact", "lab")
     """Conditions: exact, camera or lab."""
+    cases: tuple[str, ...] = tuple(case.name for case in CASES)
+    """Names of the cases."""
+    methods: tuple[str, ...] = METHODS
+    """Names of the rules and agents."""
     streams: int = 4
-    """Streams of each case, 200 s each."""
+    """Streams of each case."""
+    seconds: float = 200.0
+    """[s] duration of a stream."""
     workers: int = usable_cores()
     """Number of processes; results do not depend on it."""
 
 
-def run(name: str, preset: str, method: str, streams: int) -> str:
+def run(name: str, preset: str, method: str, streams: int, seconds: float) -> str:
     """Return correct departures an hour, their share if below 99 %, and jams, as text."""
     case = next(each for each in CASES if each.name == name)
     found = next(each for each in all_methods(case.task) if each.name == method)
     scenario = StreamScenario(case.task, preset, WHOLE, case.scenario)
     config = case.change(scenario.config(found, scenario.offer.rates[0]))
+    config = config.replace(duration=seconds)
     batch = play_stream(config, found.controller(config, found.seeds[0]), streams)
     assert batch is not None
     rows = measure_stream(batch)
@@ -111,14 +121,20 @@ def run(name: str, preset: str, method: str, streams: int) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the cases, and print a table for each preset."""
     options = tyro.cli(SlopeOptions, prog="python -m benchmarks.slopes", args=arguments)
+    names, methods = options.cases, options.methods
+    for each in names:
+        checks.one_of("cases", each, tuple(case.name for case in CASES))
     for preset in options.presets:
-        places = [(case.name, name) for case in CASES for name in METHODS]
-        jobs = [partial(run, case, preset, name, options.streams) for case, name in places]
+        jobs = [
+            partial(run, case, preset, name, options.streams, options.seconds)
+            for case in names
+            for name in methods
+        ]
         done = map_jobs([partial(without_report, each) for each in jobs], options.workers)
         found = dict(track(done, preset, total=len(jobs), console=Console(stderr=True)))
-        table = Table(f"correct departures an hour, {preset}", *METHODS, box=SIMPLE_HEAD)
-        for k, case in enumerate(CASES):
-            table.add_row(case.name, *(found[len(METHODS) * k + j] for j in range(len(METHODS))))
+        table = Table(f"correct departures an hour, {preset}", *methods, box=SIMPLE_HEAD)
+        for k, case in enumerate(names):
+            table.add_row(case, *(found[len(methods) * k + j] for j in range(len(methods))))
         Console(width=140).print(table)
 
 

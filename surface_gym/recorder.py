@@ -14,7 +14,7 @@ from surface_gym.core.batch import BaseBatch
 from surface_gym.flow.state import NOBODY
 from surface_gym.physics import collision, rollout, types as ph, world_forces
 from surface_gym.physics.types import Array, Integers
-from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes
+from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes, index_drives
 from surface_gym.surface import Surface
 
 if TYPE_CHECKING:
@@ -242,6 +242,7 @@ class _Recorder:
         self._parcels: dict[int, _Rows] = {}  # by arrival number
         self._time: list[float] = []
         self._axes: list[Array] = []
+        self._velocities: list[Array] = []  # of driven modules
         kind = StreamForces if self._is_stream else ParcelForces
         self._force_source = kind(batch, env_index)
         self._forces: list[FrameForces] = []  # rows are indices of recorded parcels
@@ -254,6 +255,8 @@ class _Recorder:
         self._outcome = str(info.get("outcome", ""))
         self._time.append(float(info["time"]))
         self._axes.append(self._batch.axes(self._index))
+        if (velocity := self._batch.surface_velocity(self._index)) is not None:
+            self._velocities.append(velocity)
         self._metrics.append({"reward": reward, **_numbers(info)})
         if self._is_stream:
             self._record_stream()
@@ -296,6 +299,7 @@ class _Recorder:
         """Return the frames so far as a `Recording`."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
+        driven = _record_drives(np.array(self._velocities)) if self._velocities else {}
         names = dict.fromkeys(name for each in self._metrics for name in each)
         return Recording(
             title=scene.title,
@@ -320,7 +324,14 @@ class _Recorder:
                 for name in names
             },
             outcome=self._outcome,
+            **driven,
         )
+
+
+def _record_drives(velocity: Array) -> dict[str, Any]:
+    """Return the fields of a recording for velocities of modules (T, rows, columns, 2) [m/s]."""
+    velocities, drive = index_drives(velocity)
+    return {"velocities": velocities, "drive": drive}
 
 
 def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recording:
@@ -335,6 +346,10 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
     rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1], period)))
     rows = np.union1d(rows[rows < len(time)], [len(time) - 1])
     angles, axis = index_axes(surface.axis)
+    driven: dict[str, Any] = {}
+    if surface.surface_velocity is not None:
+        shape = (len(rows), *surface.surface_velocity.shape)
+        driven = _record_drives(np.broadcast_to(surface.surface_velocity, shape))
     first, last = (np.searchsorted(contacts.step, rows, side=side) for side in ("left", "right"))
     chosen = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
     each = contacts.element @ (surface.columns, 1)
@@ -357,6 +372,7 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
         contacts=whole[chosen],
         metrics={"tipping": trajectory.tipping[rows].astype(np.float64)},
         outcome=trajectory.end,
+        **driven,
     )
 
 

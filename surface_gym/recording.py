@@ -21,13 +21,15 @@ from surface_gym.physics.types import Array, Booleans, Integers
 
 FORMAT, VERSION = "surface_gym recording", 2
 WITHOUT_BEARERS = 1  # file version with forces on one parcel only
+DRIVEN = 3  # file version with driven modules
 SUFFIX = ".replay"
 MARKS = ("line", "path", "zone", "exit", "inlet")
 MOST_BYTES = 2**30  # maximum size of a recording in memory: days of a stream
 MOST_HEADER = 2**26  # [bytes]
 SMALL_HEADER = 2**21  # [bytes] that any file's header may have
 HEADER_RATIO = 50  # [-] of the bytes of a larger header over the file's
-ANGLES = 256  # maximum number of different axes in a recording
+ANGLES = 256  # maximum number of different axes in a recording, and of velocities of modules
+FINEST = 0.01  # [m/s] resolution of velocities of modules, if there are few
 
 # Resolution of the numbers in a file.
 TIME = (1e-5,)  # [s]
@@ -118,6 +120,10 @@ class Recording:
     delivered: Array = field(default_factory=lambda: np.zeros((0, 0)))
     metrics: dict[str, Array] = field(default_factory=dict)  # (T,) by name; NaN: not known
     outcome: str = ""  # outcome of the run
+    # (velocities, 2) [m/s] distinct velocities of driven modules, NaN: idle; empty: all are idle
+    velocities: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    # (T, rows, columns) index of each module's velocity in `velocities`
+    drive: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=np.uint8))
 
     def __post_init__(self) -> None:
         for name in ("title", "outcome"):
@@ -133,7 +139,14 @@ class Recording:
             delivered=(checks.array, (None, None)),
         )  # fmt: skip
         _check_time(self.time)
-        self._check_axis()
+        self._check_indices("axis", "angles", self.angles)
+        if len(self.velocities) or np.size(self.drive):
+            self._check_indices("drive", "velocities", self.velocities)
+            velocities = np.array(self.velocities, dtype=np.float64)
+            if velocities.shape != (len(velocities), 2):
+                raise ValueError(f"velocities must be (any, 2), got {velocities.shape}")
+            velocities.setflags(write=False)
+            checks.set_fields(self, velocities=velocities)
         pitch = tuple(checks.positive("pitch", each) for each in np.array(self.pitch).tolist())
         checks.set_fields(self, pitch=pitch)
         if self.obeys is not None and self.obeys.shape != self.rotor.shape:
@@ -159,20 +172,21 @@ class Recording:
                 raise ValueError(f"metrics[{name!r}] must have {count} rows, got {values.shape}")
         checks.set_fields(self, metrics=metrics)
 
-    def _check_axis(self) -> None:
-        shape, count = (len(self.time), *self.rotor.shape), len(self.angles)
-        axis = np.array(self.axis)
-        if axis.dtype != np.uint8 or axis.shape != shape:
+    def _check_indices(self, name: str, of: str, values: Array) -> None:
+        """Check the index of each module's value in each frame."""
+        shape, count = (len(self.time), *self.rotor.shape), len(values)
+        index = np.array(getattr(self, name))
+        if index.dtype != np.uint8 or index.shape != shape:
             raise ValueError(
-                f"axis must be uint8 of the shape {shape}, got {axis.dtype} of {axis.shape}"
+                f"{name} must be uint8 of the shape {shape}, got {index.dtype} of {index.shape}"
             )
-        if not 1 <= count <= ANGLES or axis.max() >= count:
+        if not 1 <= count <= ANGLES or index.max() >= count:
             raise ValueError(
-                f"axis must be indices among angles, of which there are 1 to {ANGLES}, got "
-                f"{axis.max()} among {count}"
+                f"{name} must be indices among {of}, of which there are 1 to {ANGLES}, got "
+                f"{index.max()} among {count}"
             )
-        axis.setflags(write=False)
-        checks.set_fields(self, axis=axis)
+        index.setflags(write=False)
+        checks.set_fields(self, **{name: index})
 
     def _check_parcels(self) -> None:
         for k, each in enumerate(self.parcels):
@@ -239,6 +253,7 @@ class Recording:
     def encode(self) -> bytes:
         """Encode the recording as bytes, in the format of its file and of pages."""
         motion = [np.hstack([each.pose, each.velocity]) for each in self.parcels]
+        is_driven = len(self.velocities) > 0
         tables = [
             _pack("time", self.time[:, np.newaxis], TIME),
             _pack("pose", np.concatenate([np.zeros((0, 6)), *motion]), MOTION),
@@ -249,12 +264,15 @@ class Recording:
             _pack("pushes", self.pushes, PUSH),
             _pack("delivered", self.delivered, (1.0,) * self.delivered.shape[1]),
         ]
-        turned = np.diff(self.axis.reshape(len(self), -1), axis=0, prepend=np.uint8(0))
+        turned, driven = (
+            np.diff(each.reshape(len(self), -1), axis=0, prepend=np.uint8(0))
+            for each in (self.axis, self.drive if is_driven else self.axis[:, :0])
+        )
         metrics = np.array([*self.metrics.values()], dtype="<f4")
         obeys = np.ones_like(self.rotor) if self.obeys is None else self.obeys
         header = {
             "format": FORMAT,
-            "version": VERSION,
+            "version": DRIVEN if is_driven else VERSION,
             "title": self.title,
             "control_period": self.control_period,
             "rows": self.rotor.shape[0],
@@ -291,8 +309,11 @@ class Recording:
                 "push": PUSH,
             },
         }
+        if is_driven:
+            known = [None if math.isnan(each[0]) else each for each in self.velocities.tolist()]
+            header["velocities"] = known
         text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-        grids = [self.rotor.tobytes(), obeys.tobytes(), turned.tobytes()]
+        grids = [each.tobytes() for each in (self.rotor, obeys, turned, driven)]
         parts = [len(text).to_bytes(4, "little"), text, *grids, *tables, metrics.tobytes()]
         return zlib.compress(b"".join(parts), 9)
 
@@ -316,6 +337,23 @@ def index_axes(axes: Array) -> tuple[Array, NDArray[np.uint8]]:
         degrees = np.rint(np.degrees(half)) % 180.0
         angles, index = np.unique(np.radians(degrees), return_inverse=True)
     return angles, index.reshape(axes.shape).astype(np.uint8)
+
+
+def index_drives(velocity: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """Split velocities (..., 2) [m/s] into distinct ones (velocities, 2) and indices (...).
+
+    They are rounded to 0.01 m/s, or more coarsely if there are more than 256.
+    """
+    flat, unit = velocity.reshape(-1, 2), FINEST
+    idle = np.isnan(flat[:, 0])
+    while True:
+        rounded = np.rint(np.where(idle[:, np.newaxis], math.inf, flat) / unit) * unit + 0.0
+        found, index = np.unique(rounded, axis=0, return_inverse=True)
+        if len(found) <= ANGLES:
+            break
+        unit *= 2.0
+    found[np.isinf(found)] = math.nan
+    return found, index.reshape(velocity.shape[:-1]).astype(np.uint8)
 
 
 def _check_time(time: Array) -> None:
@@ -422,7 +460,7 @@ def _decode(packed: bytes) -> Recording:
     head = json.loads(reader.take(size).tobytes().decode())
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         raise ValueError(f"its format must be {FORMAT!r}")
-    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION))
+    version = checks.one_of("version", head["version"], (WITHOUT_BEARERS, VERSION, DRIVEN))
     if version == WITHOUT_BEARERS:
         head |= {"pushes": 0, "counted_pushes": False}
     count = {
@@ -433,10 +471,17 @@ def _decode(packed: bytes) -> Recording:
     shape, frames = (count["rows"], count["columns"]), count["frames"]
     grid = shape[0] * shape[1]
     rows = [checks.integer("rows", each["rows"], least=1) for each in head["parcels"]]
-    reader.check_claim((2 + frames) * grid + 5 * (frames * (1 + count["exits"]) + 6 * sum(rows)))
+    grids = 2 if version == DRIVEN else 1
+    reader.check_claim(
+        (2 + grids * frames) * grid + 5 * (frames * (1 + count["exits"]) + 6 * sum(rows))
+    )
     rotor = reader.take(grid).reshape(shape).astype(bool)
     obeys = reader.take(grid).reshape(shape).astype(bool)
-    turned = reader.take(frames * grid).reshape(frames, *shape)
+    turned = [reader.take(frames * grid).reshape(frames, *shape) for _ in range(grids)]
+    driven: dict[str, Any] = {}
+    if version == DRIVEN:
+        known = [(math.nan, math.nan) if each is None else each for each in head["velocities"]]
+        driven = {"velocities": np.array(known), "drive": np.cumsum(turned[1], 0, dtype=np.uint8)}
     time = reader.table(frames, TIME)[:, 0]
     _check_time(time)
     motion = np.split(reader.table(sum(rows), MOTION), np.cumsum(rows)[:-1]) if rows else []
@@ -453,7 +498,7 @@ def _decode(packed: bytes) -> Recording:
     return Recording(
         time=time,
         rotor=rotor,
-        axis=np.cumsum(turned, axis=0, dtype=np.uint8),
+        axis=np.cumsum(turned[0], axis=0, dtype=np.uint8),
         obeys=None if obeys.all() else obeys,
         marks=tuple(
             Mark(**{each.name: mark[each.name] for each in fields(Mark)}) for mark in head["marks"]
@@ -479,4 +524,5 @@ def _decode(packed: bytes) -> Recording:
         },
         heading=head["heading"],
         outcome=head["outcome"],
+        **driven,
     )

@@ -10,7 +10,7 @@ import pytest
 
 import surface_gym as sg
 from surface_gym.recorder import RecordReplay, record_trajectory
-from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes
+from surface_gym.recording import Mark, RecordedParcel, Recording, index_axes, index_drives
 
 BOX = sg.Parcel(sg.Rectangle(0.25, 0.25), mass=10.0)
 
@@ -161,10 +161,33 @@ def test_axes_are_indices_and_half_a_turn_is_the_same_axis():
     assert np.abs(np.sin(apart)).max() <= np.radians(0.51)
 
 
+def test_velocities_of_driven_modules_are_indices_and_come_back_from_a_file():
+    rng, idle = np.random.default_rng(0), np.full((1, 2, 2), np.nan)
+    few = np.concatenate([idle, [[[1.0, 0.0], [0.3, -0.4]]]])
+    for velocity, off in ((few, 1e-9), (rng.uniform(-2.0, 2.0, (100, 50, 2)), 0.33)):
+        velocities, index = index_drives(velocity)
+        np.testing.assert_allclose(velocities[index], velocity, atol=off)
+    run = sg.simulate(
+        sg.Surface(
+            np.full((6, 12), 0.5 * np.pi), np.ones((6, 12), dtype=bool),
+            surface_velocity=np.where(np.arange(12)[:, None] < 6, [0.5, 0.1], np.nan)
+            * np.ones((6, 1, 1)),
+        ),
+        BOX, (0.3, 0.3, 0.0), (0.5, 0.1, 0.0),
+    )  # fmt: skip
+    found = record_trajectory(run)
+    again = Recording.decode(found.encode())
+    assert_close(found, again)
+    assert again.velocities[again.drive[-1, 1, 5]].tolist() == pytest.approx([0.5, 0.1])
+    assert np.isnan(again.velocities[again.drive[-1, 1, 6]]).all()
+
+
 BAD = {
     "time": (np.array([0.0, 0.2, 0.1]), "time must hold at least one frame, and rise"),
     "axis": (np.zeros((3, 2, 2), dtype=np.uint8), "axis must be uint8 of the shape"),
     "angles": (np.array([0.0]), "axis must be indices among angles"),
+    "velocities": (np.zeros((1, 2)), "drive must be uint8 of the shape"),
+    "drive": (np.zeros((3, 2, 3), dtype=np.uint8), "drive must be indices among velocities"),
     "control_period": (0.0, "control_period must be"),
     "view": ((0, 0, 0, 1), "view must enclose an area"),
     "obeys": (np.ones((1, 1), dtype=bool), "obeys must have rotor's shape"),

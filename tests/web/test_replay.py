@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from importlib.resources import files
 
 import gymnasium as gym
@@ -220,6 +221,22 @@ def test_the_keyboard_reads_parcels_and_modules(show):
     keys.press("ArrowLeft")
     assert "Point at a parcel" in shown.reading
     assert shown.time == 1.16
+
+
+def test_driven_modules_show_their_velocity(show):
+    idle = stream(1.0)
+    drive = (idle.time >= 0.5)[:, None, None] * np.ones((1, 4, 20), dtype=np.uint8)
+    driven = np.array([[0.0, 1.0], [-2.0, 0.0]])
+    shown = show(replay(idle=idle, driven=replace(idle, velocities=driven, drive=drive)))
+    shown.page.locator("canvas").last.focus()
+    first = shown.picture(1)
+    assert first != shown.picture(0)
+    shown.page.keyboard.press("m")
+    assert "running at 1.00 m/s towards 90.0°" in shown.reading
+    shown.scrub(20)
+    assert "running at 2.00 m/s towards 180.0°" in shown.reading
+    shown.page.keyboard.press("Escape")
+    assert shown.picture(1) != first
 
 
 def test_keys_zoom_about_the_parcel_that_is_chosen(show):

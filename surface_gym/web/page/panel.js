@@ -86,9 +86,12 @@ export class Panel {
 
   _moduleText({ recording }, module) {
     const { columns, obeys } = recording.surface;
-    const axis = axisText(recording.axes[module]);
+    const drive = recording.drives?.[module];
+    const state = drive
+      ? `running at ${Math.hypot(...drive).toFixed(2)} m/s towards ${degrees(Math.atan2(drive[1], drive[0]))}`
+      : `axis ${axisText(recording.axes[module])}`;
     const fixed = obeys[module] ? "" : ", fixed";
-    return `module in row ${Math.floor(module / columns)}, column ${module % columns}: axis ${axis}${fixed}`;
+    return `module in row ${Math.floor(module / columns)}, column ${module % columns}: ${state}${fixed}`;
   }
 
   /** Fill the table of numbers, where it is open, but for those that stay zero in all runs. */

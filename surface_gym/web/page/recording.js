@@ -38,8 +38,9 @@ export class Recording {
       view: head.view ?? undefined,
     };
     this.axis = take(frames * this.modules);
-    for (let k = this.modules; k < this.axis.length; k++)
-      this.axis[k] += this.axis[k - this.modules];
+    this.drive = take(head.velocities ? frames * this.modules : 0);
+    for (const index of [this.axis, this.drive])
+      for (let k = this.modules; k < index.length; k++) index[k] += index[k - this.modules];
     [this.time] = table(frames, units.time);
     const motion = table(sum(head.parcels.map((each) => each.rows)), units.motion);
     let first = 0;
@@ -64,6 +65,8 @@ export class Recording {
       numbers.subarray(k * frames, (k + 1) * frames),
     ]);
     this.axes = new Float32Array(this.modules);
+    /** @type {(number[]|null)[]|null} [m/s] of driven modules; of idle ones null */
+    this.drives = null;
     this.axesOf = -1;
   }
 
@@ -93,6 +96,14 @@ export class Recording {
     return this.head.angles[this.axis[index * this.modules + module]];
   }
 
+  /** Return the velocities [m/s] of modules in a frame; null: all are idle. */
+  _drivesOf(index) {
+    const { velocities } = this.head;
+    if (!velocities) return null;
+    const first = index * this.modules;
+    return Array.from(this.drive.subarray(first, first + this.modules), (k) => velocities[k]);
+  }
+
   /**
    * Describe the picture at a time [s], between frames too.
    * @param {number} time
@@ -110,8 +121,10 @@ export class Recording {
     if (axesOf !== this.axesOf) {
       this.axesOf = axesOf;
       for (let k = 0; k < this.modules; k++) this.axes[k] = this.axisOf(axesOf, k);
+      this.drives = this._drivesOf(axesOf);
     }
-    const frame = { time, index, axes: this.axes, parcels: [], traces: [] };
+    const { axes, drives } = this;
+    const frame = { time, index, axes, drives, parcels: [], traces: [] };
     for (const parcel of this.parcels) {
       const row = index - parcel.first;
       if (row < 0 || time - this.time[parcel.first + parcel.rows - 1] > GLIDE) continue;
