@@ -209,13 +209,15 @@ def around(built, tmp_path_factory):
         scheduled = file.name.startswith(("agent-home-", "agent-schedule"))
         if file.suffix in (".js", ".css", ".html") or scheduled or file.name in needed:
             shutil.copy(file, beside)
-    shutil.copy(DOCS / "assets" / "live.js", folder)
+    for name in ("live.js", "theme.js"):
+        shutil.copy(DOCS / "assets" / name, folder)
     (folder / "index.html").write_text(
         '<!doctype html><html lang="en"><title>Home</title><link rel="icon" href="data:,">'
         "<style>iframe { width: 100%; border: 0 } p + div { height: 3000px }</style>"
         '<body data-md-color-scheme="default">'
         '<div id="live"><p><img alt="a film"></p></div>'
-        '<script type="module" src="live.js"></script><p>More</p><div></div></body></html>'
+        '<script type="module" src="live.js"></script><p>More</p><div></div>'
+        '<script type="module" src="theme.js"></script></body></html>'
     )
     made = Site(folder)
     yield made

@@ -213,8 +213,8 @@ export function connect(page) {
   });
   for (const id of ["forces", "traces"]) on(id, "change", () => {});
   on("theme", "change", ({ target }) => {
-    paintPage(document.documentElement, target.value);
-    for (const { picture } of page.shown) picture.setTheme(target.value);
+    const pictures = page.shown.map(({ picture }) => picture);
+    paintPage(target.value, pictures);
   });
   on("task", "change", ({ target }) =>
     page.open(target.value === "table" ? emptyTable() : taskScene(target.value)),

@@ -67,7 +67,7 @@ class Player {
     this.read = 0; // [ms] when readings were written
     this.theme = "auto";
     this.asked = asked;
-    paintPage(document.documentElement, asked.name);
+    paintPage(asked.name);
     shareView(runs.map((run) => run.recording.surface));
     this.runs = runs.map((run) => this._addRun(run));
     element("runs").classList.toggle("several", runs.length > 1);
@@ -151,8 +151,8 @@ class Player {
   setTheme(theme) {
     this.theme = theme;
     const name = theme === "auto" ? this.asked.name : theme;
-    paintPage(document.documentElement, name);
-    for (const { picture } of this.runs) picture.setTheme(name);
+    const pictures = this.runs.map(({ picture }) => picture);
+    paintPage(name, pictures);
     this.show();
   }
 

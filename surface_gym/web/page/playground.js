@@ -15,7 +15,7 @@ import {
 } from "./form.js";
 import { catchUp, ensure, explain, get, Machine, Noise, passedSince } from "./machine.js";
 import { paintPage } from "./palette.js";
-import { drawAim, listen } from "./pointer.js";
+import { listen } from "./pointer.js";
 import { PLAYER } from "./rule.js";
 import { fromFragment, isDriven, toFragment } from "./scene.js";
 import { TableRun } from "./table.js";
@@ -248,7 +248,7 @@ class Playground {
     if (this.aim) {
       const { picture, from, to } = this.aim;
       const speed = DRAG_SPEED * Math.hypot(to[0] - from[0], to[1] - from[1]);
-      drawAim(picture, from, to, `${speed.toFixed(1)} m/s`);
+      picture.drawAim(from, to, `${speed.toFixed(1)} m/s`);
     }
   }
 
@@ -358,7 +358,7 @@ function readingOf([what, value]) {
 }
 
 async function begin() {
-  paintPage(document.documentElement, "auto");
+  paintPage("auto");
   const page = new Playground([], new Agents(null, null));
   globalThis.playground = page; // for those who want to look into it
   await page.try(async () => {
