@@ -158,8 +158,7 @@ def test_labels_of_exits_cover_no_module(show, size):
         """() => {
           const { picture, run } = home.lines[0];
           const frame = { ...run.frame({ share: 0 }), parcels: [] };
-          const { origin, columns, rotor } = picture.surface;
-          const [px, py] = picture.pitch;
+          const { origin, columns, rotor, pitch: [px, py] } = picture.surface;
           const modules = [...rotor.keys()].filter((k) => rotor[k]);
           const across = modules.map((k) => origin[0] + (k % columns) * px);
           const up = modules.map((k) => origin[1] + Math.floor(k / columns) * py);

@@ -184,8 +184,7 @@ class Home {
   }
 
   setTheme(theme) {
-    const pictures = this.lines.map(({ picture }) => picture);
-    paintPage(theme, pictures);
+    paintPage(theme, this.lines);
     this.draw();
   }
 

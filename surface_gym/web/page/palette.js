@@ -53,8 +53,8 @@ export function themeName(theme) {
   return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 }
 
-/** Set a theme's colours, of pictures too; CSS has them as `--plate-edge` and so on. */
-export function paintPage(theme, pictures = []) {
+/** Set a theme's colours, as CSS variables `--plate-edge` and so on, and of pictures shown. */
+export function paintPage(theme, shown = []) {
   const { style } = document.documentElement;
   const name = themeName(theme);
   for (const [key, colour] of Object.entries(THEMES[name])) {
@@ -62,7 +62,7 @@ export function paintPage(theme, pictures = []) {
     style.setProperty(`--${kebab}`, colour);
   }
   style.colorScheme = name;
-  for (const picture of pictures) picture.setTheme(name);
+  for (const { picture } of shown) picture.setTheme(name);
 }
 
 /** Return the colour of an exit or a group; colours repeat where there are more of them. */

@@ -127,11 +127,9 @@ class Player {
 
   /** Go on by that many speeds to choose from, to slower ones where negative. */
   stepSpeed(count) {
-    const { options, selectedIndex } = element("speed");
-    element("speed").selectedIndex = Math.min(
-      Math.max(selectedIndex + count, 0),
-      options.length - 1,
-    );
+    const speed = element("speed");
+    const last = speed.options.length - 1;
+    speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + count, 0), last);
   }
 
   /**
@@ -151,8 +149,7 @@ class Player {
   setTheme(theme) {
     this.theme = theme;
     const name = theme === "auto" ? this.asked.name : theme;
-    const pictures = this.runs.map(({ picture }) => picture);
-    paintPage(name, pictures);
+    paintPage(name, this.runs);
     this.show();
   }
 

@@ -68,14 +68,9 @@ class Playground {
     ensure(!camera || this.hasCamera(task), `The page has no camera for the task ${task}.`);
     const hasKind = !isDriven(scene) || (!camera && this.kinds(task).includes(modules));
     ensure(hasKind, `The page has no such task with ${modules} modules.`);
-    const names = isTable
-      ? [null]
-      : [
-          isDriven(scene) ? YOU : scene.agent,
-          ...(find("beside").value && this.scene?.task === scene.task && !isDriven(scene)
-            ? [find("beside").value]
-            : []),
-        ];
+    const names = isTable ? [null] : [isDriven(scene) ? YOU : scene.agent];
+    const beside = find("beside").value;
+    if (beside && this.scene?.task === task && !isTable && !isDriven(scene)) names.push(beside);
     const [agents, ...loaded] = await Promise.all([
       isTable ? this.agents : this.loadAgents(),
       ...names.map((_, k) => this._load(scene, k)),

@@ -5,8 +5,15 @@ const MARGIN = 0.25; // [pitch] round the view
 
 /** Find the least x and y and the greatest of some points. */
 export function boundsOf(points) {
-  const [across, up] = [0, 1].map((k) => points.map((point) => point[k]));
-  return [Math.min(...across), Math.min(...up), Math.max(...across), Math.max(...up)];
+  return points.reduce(
+    ([left, low, right, high], [x, y]) => [
+      Math.min(left, x),
+      Math.min(low, y),
+      Math.max(right, x),
+      Math.max(high, y),
+    ],
+    [Infinity, Infinity, -Infinity, -Infinity],
+  );
 }
 
 /** Make bounds larger on all sides. */
