@@ -6,7 +6,7 @@
 const ADDRESS = "playground/home.html";
 const room = document.getElementById("live"); // with the film
 
-/** Show the page in a frame as high as what is in it, in the site's colours. */
+/** Show the page in a frame as high as what is in it; `theme.js` tells it the site's colours. */
 function show() {
   const frame = document.createElement("iframe");
   frame.title = "One stream of boxes on two lines, live";
@@ -19,13 +19,7 @@ function show() {
     const fit = () => {
       frame.style.height = `${Math.ceil(root.getBoundingClientRect().height)}px`;
     };
-    const colour = () => {
-      root.dataset.theme = document.body.dataset.mdColorScheme === "slate" ? "dark" : "light";
-    };
     new ResizeObserver(fit).observe(root);
-    const changes = new MutationObserver(colour);
-    changes.observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
-    colour();
   };
   frame.addEventListener("ready", begin, { once: true });
   room.append(frame);

@@ -158,8 +158,7 @@ def test_labels_of_exits_cover_no_module(show, size):
         """() => {
           const { picture, run } = home.lines[0];
           const frame = { ...run.frame({ share: 0 }), parcels: [] };
-          const { origin, columns, rotor } = picture.surface;
-          const [px, py] = picture.pitch;
+          const { origin, columns, rotor, pitch: [px, py] } = picture.surface;
           const modules = [...rotor.keys()].filter((k) => rotor[k]);
           const across = modules.map((k) => origin[0] + (k % columns) * px);
           const up = modules.map((k) => origin[1] + Math.floor(k / columns) * py);
@@ -209,13 +208,15 @@ def around(built, tmp_path_factory):
         scheduled = file.name.startswith(("agent-home-", "agent-schedule"))
         if file.suffix in (".js", ".css", ".html") or scheduled or file.name in needed:
             shutil.copy(file, beside)
-    shutil.copy(DOCS / "assets" / "live.js", folder)
+    for name in ("live.js", "theme.js"):
+        shutil.copy(DOCS / "assets" / name, folder)
     (folder / "index.html").write_text(
         '<!doctype html><html lang="en"><title>Home</title><link rel="icon" href="data:,">'
         "<style>iframe { width: 100%; border: 0 } p + div { height: 3000px }</style>"
         '<body data-md-color-scheme="default">'
         '<div id="live"><p><img alt="a film"></p></div>'
-        '<script type="module" src="live.js"></script><p>More</p><div></div></body></html>'
+        '<script type="module" src="live.js"></script><p>More</p><div></div>'
+        '<script type="module" src="theme.js"></script></body></html>'
     )
     made = Site(folder)
     yield made

@@ -14,21 +14,16 @@ export class Agents {
   /**
    * @param {object|null} file the content of agents.json
    * @param {ArrayBuffer|null} weights of policies of single parcels
-   * @param {string} [folder] of what other agents are made of, ending in "/"
    */
-  constructor(file, weights, folder = "") {
+  constructor(file, weights) {
     this.file = file ?? {};
     this.weights = weights && new Float32Array(weights);
-    this.folder = folder;
   }
 
   /** Load them from beside the page. */
-  static async load(folder = "") {
-    const [file, weights] = await Promise.all([
-      get(`${folder}agents.json`, "json"),
-      get(`${folder}agents.bin`, "arrayBuffer"),
-    ]);
-    return new Agents(file, weights, folder);
+  static async load() {
+    const files = [get("agents.json", "json"), get("agents.bin", "arrayBuffer")];
+    return new Agents(...(await Promise.all(files)));
   }
 
   /** List the names of a task's agents. */
@@ -49,15 +44,14 @@ export class Agents {
     const card = there[kind][name];
     if (kind === "layouts") return keepLayout(card);
     if (kind === "streams") return this._ofStream(card, there.obeying, machine);
-    if (kind === "rules") return new Rule(card, { machine: await this._own(card) });
+    if (kind === "rules") return new Rule(card, await this._parts(card));
     if (card.kind !== "modules") return new Policy(card, { weights: await this._weights(card) });
     return new SortingPolicy(card, await this._parts(card));
   }
 
   async _ofStream(card, obeying, machine) {
     if (card.kind === "modules") return new ModulesPolicy(card, await this._parts(card));
-    const code = await get(`${this.folder}${obeying.code}.wasm`, "arrayBuffer");
-    const follows = { obeying: await Obeying.make(obeying, code, machine) };
+    const follows = { obeying: await Obeying.load(obeying, machine) };
     if (card.kind === "each") {
       const { task, name } = card.policy;
       const policy = new Policy(this.file[task].policies[name], { weights: this.weights });
@@ -67,19 +61,16 @@ export class Agents {
     return new kind(card, { ...follows, ...(await this._parts(card)) });
   }
 
-  /** Load the machine of an agent's own function. */
-  _own(card) {
-    return Machine.load(card.machine, this.folder, card.code);
-  }
-
+  /** Load the machine of an agent's own function, and its weights. */
   async _parts(card) {
-    const [machine, weights] = await Promise.all([this._own(card), this._weights(card)]);
+    const own = Machine.load(card.machine, card.code);
+    const [machine, weights] = await Promise.all([own, this._weights(card)]);
     return { machine, weights };
   }
 
   /** Load the weights of an agent that has a file of them; others share one. */
   async _weights(card) {
     if (!card.weights) return this.weights;
-    return new Float32Array(await get(`${this.folder}${card.weights}`, "arrayBuffer"));
+    return new Float32Array(await get(card.weights, "arrayBuffer"));
   }
 }

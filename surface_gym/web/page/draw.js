@@ -3,16 +3,19 @@
 import {
   badgeSize,
   boxAbout,
+  fillPath,
   moduleStep,
   overlap,
   paintModule,
   placeBadge,
+  setFont,
+  strokePath,
   traceArrows,
   writeBadge,
   writeText,
 } from "./marks.js";
 import { exitColour, mixed, THEMES, textOn, themeName } from "./palette.js";
-import { View } from "./view.js";
+import { boundsOf, placeOf, View } from "./view.js";
 
 /**
  * @typedef {object} Mark what is drawn under the modules and stays
@@ -24,9 +27,9 @@ import { View } from "./view.js";
  * @typedef {object} Surface
  * @property {number} rows
  * @property {number} columns
- * @property {number|number[]} pitch [m] between neighbours: one, or in x and in y
+ * @property {number[]} pitch [m] between neighbours in x and in y
  * @property {number[]} origin [m] centre of the module in row 0, column 0
- * @property {Uint8Array|null} rotor 1: a module, 0: a support; row by row; null: all are modules
+ * @property {Uint8Array} rotor 1: a module, 0: a support; row by row
  * @property {Uint8Array|null} [obeys] 0: a module that no controller turns; null: all obey
  * @property {number[]} [view] [m] least x and y, greatest x and y to show; default: all
  * @property {Mark[]} [marks]
@@ -52,7 +55,7 @@ import { View } from "./view.js";
  * @property {ArrayLike<number>} axes [rad] of each module, row by row
  * @property {number[][]|null} [drives] [m/s] velocity in x and y of each module's surface; NaN: idle
  * @property {ParcelInFrame[]} parcels the last is drawn above the others
- * @property {(number[][]|{points: number[][], colour?: number|string})[]} [traces] [m] of ways
+ * @property {{points: number[][], colour?: number|string}[]} [traces] [m] of ways
  * @property {string[]} [counts] written after the labels of the exits, in their order
  *
  * @typedef {object} Track of a parcel
@@ -61,7 +64,8 @@ import { View } from "./view.js";
  * @property {number[]} motion x, y, theta, vx, vy, omega of the base at each time, in a row
  */
 
-const LEAST_FORCE = 2; // [CSS px] of an arrow: a shorter one would be a dot
+const LEAST_ARROW = 2; // [CSS px] a shorter arrow would be a dot
+const AIM = 14; // [CSS px] of an aim's letters, and of its arrow's head at most
 const TRACE_STEP = 6; // [device px] between the points of a trace
 const MOST_POINTS = 400; // of a way that are drawn
 
@@ -97,7 +101,6 @@ export class Picture extends View {
 
   /** Draw in the colours of a theme from the next frame on. */
   setTheme(theme) {
-    this.theme = theme;
     this.colours = THEMES[themeName(theme)];
     this.sprites.clear();
     this.stale = true;
@@ -110,15 +113,11 @@ export class Picture extends View {
 
   /** Find the uppermost parcel of the last frame at a place [CSS px]: its index; -1: none. */
   parcelAt(px, py) {
-    const [x, y] = this.toSurface(px, py);
-    const parcels = this.frame?.parcels ?? [];
-    for (let k = parcels.length - 1; k >= 0; k--) {
-      const parcel = parcels[k];
-      const [dx, dy] = [x - parcel.x, y - parcel.y];
-      const [cosine, sine] = [Math.cos(parcel.theta), Math.sin(parcel.theta)];
-      if (isWithin(parcel, cosine * dx + sine * dy, cosine * dy - sine * dx)) return k;
-    }
-    return -1;
+    const { context, ratio } = this;
+    return (this.frame?.parcels ?? []).findLastIndex((parcel) => {
+      this._traceBase(parcel);
+      return context.isPointInPath(px * ratio, py * ratio);
+    });
   }
 
   /** Draw a frame. @param {Frame} frame */
@@ -132,13 +131,27 @@ export class Picture extends View {
     context.lineCap = "round";
     this._writeExits(frame.counts);
     for (const [k, trace] of (frame.traces ?? []).entries()) {
-      this._drawTrace(trace.points ?? trace, trace.colour ?? frame.parcels[k]?.colour);
+      this._drawTrace(trace.points, trace.colour ?? frame.parcels[k]?.colour);
     }
     for (const [k, parcel] of frame.parcels.entries()) {
       this._drawParcel(parcel, k === this.chosen.parcel);
     }
     for (const parcel of frame.parcels) this._drawForces(parcel.forces ?? []);
     if (this.chosen.module >= 0) this._drawRing(this.chosen.module);
+  }
+
+  /** Draw the arrow of a throw, from a place [m] to another, with text at its tip. */
+  drawAim([x, y], [toX, toY], text) {
+    const { context, ratio, colours } = this;
+    const [tipX, tipY] = this._place(toX, toY);
+    const size = { scale: 1, longest: Infinity, head: (AIM * ratio) / this.scale };
+    this._traceArrows([[x, y, toX - x, toY - y]], size);
+    strokePath(context, colours.goal, 3 * ratio);
+    setFont(context, AIM * ratio);
+    context.textAlign = "left";
+    context.textBaseline = "bottom";
+    context.fillStyle = colours.goal;
+    context.fillText(text, tipX + 8 * ratio, tipY - 4 * ratio);
   }
 
   _colour(colour, otherwise) {
@@ -155,6 +168,41 @@ export class Picture extends View {
     if (close) context.closePath();
   }
 
+  /** Trace a closed line whose points are in a frame that has a pose: x, y [m] and theta [rad]. */
+  _traceAt([x, y, theta], points) {
+    const [cosine, sine] = [Math.cos(theta), Math.sin(theta)];
+    const placed = points.map(([px, py]) => [
+      x + cosine * px - sine * py,
+      y + sine * px + cosine * py,
+    ]);
+    this._trace(this.context, placed, true);
+  }
+
+  /** Trace a parcel's base, or the middle of it that is a share as large. */
+  _traceBase({ x, y, theta, outline, radius }, share = 1) {
+    const { context } = this;
+    if (outline) {
+      const points = outline.map((corner) => corner.map((each) => share * each));
+      this._traceAt([x, y, theta], points);
+    } else {
+      context.beginPath();
+      context.arc(...this._place(x, y), share * radius * this.scale, 0, 2 * Math.PI);
+    }
+  }
+
+  /** Trace arrows, but for those that would be dots. */
+  _traceArrows(forces, size) {
+    const least = (LEAST_ARROW * this.ratio) / this.scale;
+    traceArrows(this.context, forces, (x, y) => this._place(x, y), { ...size, least });
+  }
+
+  _strokeDashed(context, colour, width) {
+    const stroke = this._stroke();
+    context.setLineDash([4 * stroke, 3 * stroke]);
+    strokePath(context, colour, width * stroke);
+    context.setLineDash([]);
+  }
+
   /** Paint what stays: plate, supports and marks. */
   _paintGround() {
     for (const layer of [this.ground, this.modules]) {
@@ -165,16 +213,14 @@ export class Picture extends View {
     const { colours, surface } = this;
     context.fillStyle = colours.paper;
     context.fillRect(0, 0, this.ground.width, this.ground.height);
-    const [left, top] = this._place(this.edges[0], this.edges[3]);
-    const [right, bottom] = this._place(this.edges[2], this.edges[1]);
-    context.fillStyle = colours.plate;
-    context.fillRect(left, top, right - left, bottom - top);
-    context.lineWidth = this.ratio;
-    context.strokeStyle = colours.plateEdge;
-    context.strokeRect(left, top, right - left, bottom - top);
+    const [left, top, right, bottom] = this._box(this.edges);
+    context.beginPath();
+    context.rect(left, top, right - left, bottom - top);
+    fillPath(context, colours.plate);
+    strokePath(context, colours.plateEdge, this.ratio);
     const marks = surface.marks ?? [];
     for (const mark of marks) if (mark.kind === "zone") this._paintMark(context, mark);
-    if (surface.rotor) this._paintSupports(context);
+    this._paintSupports(context);
     for (const mark of marks) if (mark.kind !== "zone") this._paintMark(context, mark);
     this.modules.getContext("2d").drawImage(this.ground, 0, 0);
     this.drawn = new Int16Array(surface.rows * surface.columns).fill(-1);
@@ -184,17 +230,15 @@ export class Picture extends View {
   }
 
   _paintSupports(context) {
-    const { rotor } = this.surface;
     const radius = Math.max(0.07 * this._cell, 0.6);
-    context.fillStyle = this.colours.support;
-    for (let k = 0; k < rotor.length; k++) {
-      if (rotor[k]) continue;
-      const [x, y] = this._place(...this.placeOf(k));
-      if (x < 0 || y < 0 || x > this.ground.width || y > this.ground.height) continue;
-      context.beginPath();
+    context.beginPath();
+    this.surface.rotor.forEach((isRotor, k) => {
+      if (isRotor) return;
+      const [x, y] = this._place(...placeOf(this.surface, k));
+      context.moveTo(x + radius, y);
       context.arc(x, y, radius, 0, 2 * Math.PI);
-      context.fill();
-    }
+    });
+    fillPath(context, this.colours.support);
   }
 
   _paintMark(context, mark) {
@@ -203,42 +247,26 @@ export class Picture extends View {
     const colour = this._colour(mark.colour, colours.goal);
     const isArea = mark.kind !== "line" && mark.kind !== "path";
     this._trace(context, mark.points, isArea);
-    context.lineWidth = 0.75 * stroke;
     if (mark.kind === "zone") {
-      context.fillStyle = colours.zone;
-      context.fill();
-      context.strokeStyle = colours.zoneEdge;
-      context.stroke();
+      fillPath(context, colours.zone);
+      strokePath(context, colours.zoneEdge, 0.75 * stroke);
     } else if (isArea) {
-      context.fillStyle = mixed(
-        colour,
-        colours.plate,
-        mark.kind === "inlet" ? 0.75 : mark.colour === null ? 0.8 : 0.55,
-      );
-      context.fill();
-      context.strokeStyle = colour;
-      context.stroke();
+      const pale = mark.kind === "inlet" ? 0.75 : mark.colour === null ? 0.8 : 0.55;
+      fillPath(context, mixed(colour, colours.plate, pale));
+      strokePath(context, colour, 0.75 * stroke);
     } else {
-      context.lineWidth = 1.4 * stroke;
-      context.setLineDash([4 * stroke, 3 * stroke]);
-      context.strokeStyle = colour;
-      context.stroke();
-      context.setLineDash([]);
+      this._strokeDashed(context, colour, 1.4);
     }
-    if (mark.label && mark.kind !== "exit") {
-      const at = isArea ? middle(mark.points) : mark.points[mark.points.length - 1];
-      const [x, y] = this._place(...at);
-      const size = this._letters();
-      const look = { colour: isArea ? colours.ink : colour, rim: colours.paper, size };
-      const room = isArea ? this._room(mark.points) : Infinity;
-      writeText(context, mark.label, x, isArea ? y : y - 0.8 * size, { ...look, room });
+    if (!mark.label || mark.kind === "exit") return;
+    const look = { colour: colours.ink, rim: colours.paper, size: this._letters() };
+    if (isArea) {
+      const [left, top, right, bottom] = this._box(boundsOf(mark.points));
+      look.room = right - left;
+      writeText(context, mark.label, (left + right) / 2, (top + bottom) / 2, look);
+    } else {
+      const [x, y] = this._place(...mark.points.at(-1));
+      writeText(context, mark.label, x, y - 0.8 * look.size, { ...look, colour, room: Infinity });
     }
-  }
-
-  /** Compute the width [device px] of an area. */
-  _room(points) {
-    const [left, , right] = boundsOf(points);
-    return (right - left) * this.scale;
   }
 
   /** Write the labels of exits and what has left there, clear of modules where there is room. */
@@ -268,14 +296,14 @@ export class Picture extends View {
 
   /** Draw again the modules whose axes or drives have changed, on their layer. */
   _turnModules(axes, drives) {
-    const { columns, rotor, obeys, origin } = this.surface;
+    const { columns, rotor, obeys, origin, pitch } = this.surface;
     const context = this.modules.getContext("2d");
     const size = this._cell;
     const [left, top] = this._place(...origin);
-    const [across, up] = [this.pitch[0] * this.scale, this.pitch[1] * this.scale];
+    const [across, up] = pitch.map((each) => each * this.scale);
     const [width, height] = [this.modules.width, this.modules.height];
     for (let k = 0; k < this.drawn.length; k++) {
-      if (rotor && !rotor[k]) continue;
+      if (!rotor[k]) continue;
       const step = moduleStep(axes[k], drives?.[k]);
       if (step === this.drawn[k]) continue;
       const x = Math.round(left + (k % columns) * across - size / 2);
@@ -310,140 +338,74 @@ export class Picture extends View {
       [fromX, fromY] = [x, y];
     });
     context.lineJoin = "bevel"; // round ones take twice the time
-    if (own === colours.ink) {
-      context.strokeStyle = colours.paper;
-      context.lineWidth = 2 * stroke;
-      context.stroke();
-    }
-    context.strokeStyle = own;
-    context.lineWidth = own === colours.ink ? stroke : 1.5 * stroke;
-    context.stroke();
+    if (own === colours.ink) strokePath(context, colours.paper, 2 * stroke);
+    strokePath(context, own, own === colours.ink ? stroke : 1.5 * stroke);
     context.lineJoin = "round";
   }
 
   _drawParcel(parcel, isChosen) {
     const { context, colours } = this;
-    const [cosine, sine] = [Math.cos(parcel.theta), Math.sin(parcel.theta)];
-    const at = ([x, y]) =>
-      this._place(parcel.x + cosine * x - sine * y, parcel.y + sine * x + cosine * y);
+    const { x, y, theta, outline, radius, label, asked, sensed, opacity = 1 } = parcel;
     const isCoded = parcel.colour !== undefined && parcel.colour !== null;
     const colour = this._colour(parcel.colour, colours.parcel);
     const stroke = this._stroke();
     context.lineJoin = "miter";
-    const front = parcel.outline ? Math.max(...parcel.outline.map(([x]) => x)) : parcel.radius;
-    const trace = (share) => {
-      context.beginPath();
-      if (parcel.outline) {
-        for (const [x, y] of parcel.outline) context.lineTo(...at([share * x, share * y]));
-        context.closePath();
-      } else {
-        context.arc(...at([0, 0]), share * parcel.radius * this.scale, 0, 2 * Math.PI);
-      }
-    };
-    context.globalAlpha = (isCoded ? 0.6 : 0.45) * (parcel.opacity ?? 1);
-    context.fillStyle = colour;
-    trace(1);
-    context.fill();
-    context.globalAlpha = parcel.opacity ?? 1;
+    const front = outline ? Math.max(...outline.map(([ahead]) => ahead)) : radius;
+    context.globalAlpha = (isCoded ? 0.6 : 0.45) * opacity;
+    this._traceBase(parcel);
+    fillPath(context, colour);
+    context.globalAlpha = opacity;
     if (isCoded) {
-      trace(Math.max(0, 1 - (1.4 * stroke) / (front * this.scale)));
-      context.strokeStyle = colour;
-      context.lineWidth = 2 * stroke;
-      context.stroke();
-      trace(1);
+      this._traceBase(parcel, Math.max(0, 1 - (1.4 * stroke) / (front * this.scale)));
+      strokePath(context, colour, 2 * stroke);
+      this._traceBase(parcel);
     }
-    context.strokeStyle = isChosen ? colours.goal : colours.ink;
-    context.lineWidth = (isChosen ? 2 : 1) * stroke;
-    context.stroke();
-    const tip = 0.86 * front;
-    context.beginPath();
-    context.moveTo(...at([tip, 0]));
-    context.lineTo(...at([tip - 0.3 * front, 0.22 * front]));
-    context.lineTo(...at([tip - 0.3 * front, -0.22 * front]));
-    context.closePath();
-    context.fillStyle = isCoded ? textOn(colour) : colours.ink;
-    context.fill();
-    if (parcel.asked !== undefined)
-      this._drawDashed(parcel, [parcel.x, parcel.y, parcel.asked], colours.goal);
-    if (parcel.sensed) this._drawDashed(parcel, parcel.sensed, colours.sensed);
+    strokePath(context, isChosen ? colours.goal : colours.ink, (isChosen ? 2 : 1) * stroke);
+    const arrow = [
+      [0.86 * front, 0],
+      [0.56 * front, 0.22 * front],
+      [0.56 * front, -0.22 * front],
+    ];
+    this._traceAt([x, y, theta], arrow);
+    fillPath(context, isCoded ? textOn(colour) : colours.ink);
+    if (asked !== undefined) this._drawDashed(parcel, [x, y, asked], colours.goal);
+    if (sensed) this._drawDashed(parcel, sensed, colours.sensed);
     const size = Math.min(this._letters(), 0.8 * front * this.scale);
-    if (parcel.label && size > 6 * this.ratio) {
-      writeBadge(context, parcel.label, at([0, 0]), colour, size);
-    }
+    if (label && size > 6 * this.ratio) writeBadge(context, label, this._place(x, y), colour, size);
     context.globalAlpha = 1;
   }
 
   /** Draw the base dashed, at a pose: as it is asked to turn, or as it is sensed. */
-  _drawDashed(parcel, [left, up, theta], colour) {
-    const { context } = this;
-    const stroke = this._stroke();
-    const [cosine, sine] = [Math.cos(theta), Math.sin(theta)];
-    const radius = parcel.radius ?? 0;
-    const outline = parcel.outline ?? [
+  _drawDashed({ outline, radius }, pose, colour) {
+    const diameter = [
       [-radius, 0],
       [radius, 0],
     ];
-    const turned = outline.map(([x, y]) => [
-      left + cosine * x - sine * y,
-      up + sine * x + cosine * y,
-    ]);
-    this._trace(context, turned, true);
-    context.setLineDash([4 * stroke, 3 * stroke]);
-    context.strokeStyle = colour;
-    context.lineWidth = stroke;
-    context.stroke();
-    context.setLineDash([]);
+    this._traceAt(pose, outline ?? diameter);
+    this._strokeDashed(this.context, colour, 1);
   }
 
   /** Draw forces as arrows, all of them in two strokes. */
   _drawForces(forces) {
     if (forces.length === 0) return;
-    const { context } = this;
-    context.lineJoin = "round";
-    traceArrows(context, forces, (x, y) => this._place(x, y), {
+    const { context, colours, surface } = this;
+    const size = {
       scale: this.forceScale,
       longest: this.longestForce,
-      least: (LEAST_FORCE * this.ratio) / this.scale,
-      head: 0.35 * this.pitch[0],
-    });
-    context.strokeStyle = this.colours.paper;
-    context.lineWidth = 1.9 * this._stroke();
-    context.stroke();
-    context.strokeStyle = this.colours.force;
-    context.lineWidth = 0.9 * this._stroke();
-    context.stroke();
+      head: 0.35 * surface.pitch[0],
+    };
+    context.lineJoin = "round";
+    this._traceArrows(forces, size);
+    strokePath(context, colours.paper, 1.9 * this._stroke());
+    strokePath(context, colours.force, 0.9 * this._stroke());
   }
 
   _drawRing(module) {
+    const place = this._place(...placeOf(this.surface, module));
     this.context.beginPath();
-    this.context.arc(...this._place(...this.placeOf(module)), 0.5 * this._cell, 0, 2 * Math.PI);
-    this.context.strokeStyle = this.colours.goal;
-    this.context.lineWidth = 1.5 * this._stroke();
-    this.context.stroke();
+    this.context.arc(...place, 0.5 * this._cell, 0, 2 * Math.PI);
+    strokePath(this.context, this.colours.goal, 1.5 * this._stroke());
   }
-}
-
-/** Find the least x and y and the greatest of some points. */
-function boundsOf(points) {
-  const [across, up] = [0, 1].map((k) => points.map((point) => point[k]));
-  return [Math.min(...across), Math.min(...up), Math.max(...across), Math.max(...up)];
-}
-
-/** Compute the middle of the box round some points. */
-function middle(points) {
-  const [left, low, right, high] = boundsOf(points);
-  return [(left + right) / 2, (low + high) / 2];
-}
-
-/** Return whether a point in a parcel's own frame lies within its base. */
-function isWithin(parcel, x, y) {
-  if (!parcel.outline) return Math.hypot(x, y) <= parcel.radius;
-  let inside = false;
-  parcel.outline.forEach(([x1, y1], k) => {
-    const [x2, y2] = parcel.outline[(k + 1) % parcel.outline.length];
-    if (y1 > y !== y2 > y && x < x1 + ((y - y1) * (x2 - x1)) / (y2 - y1)) inside = !inside;
-  });
-  return inside;
 }
 
 /** Choose points of a way to draw, not too many, from its motion. */

@@ -24,9 +24,10 @@ function showHint() {
   find("hint").textContent = chosenTool().dataset.hint;
 }
 
-/** Fill a list of choices. */
-function fill(select, names, chosen = names[0]) {
-  select.replaceChildren(...names.map((name) => new Option(name, name, false, name === chosen)));
+/** Fill a list of choices, of which "" is nobody. */
+function fill(id, names, chosen) {
+  const options = names.map((each) => new Option(each || "nobody", each, false, each === chosen));
+  find(id).replaceChildren(...options);
 }
 
 let idleAngles = null; // the options of idle modules, as in the page
@@ -127,16 +128,11 @@ export function firstScene() {
   const scene = emptyTable();
   scene.axis = packed(layoutAngles("funnel", scene.rows, scene.columns));
   const own = { mass: 10, com_height: 0.1, com_offset: [0, 0], step: 0 };
+  const pentagon = { polygon: regular(5, 0.15) };
   scene.parcels = [
     { ...own, base: { rectangle: [0.3, 0.25] }, pose: [0.25, 0.25, 0], velocity: [2.2, 0, 0] },
     { ...own, base: { disc: 0.13 }, pose: [0.25, 0.75, 0], velocity: [2, 0, 0] },
-    {
-      ...own,
-      base: { polygon: regular(5, 0.15) },
-      pose: [0.25, 0.5, 0.3],
-      velocity: [2.4, 0, 2],
-      step: 80,
-    },
+    { ...own, base: pentagon, pose: [0.25, 0.5, 0.3], velocity: [2.4, 0, 2], step: 80 },
   ];
   return scene;
 }
@@ -177,20 +173,12 @@ export function fillForm(page) {
     find("across").value = scene.friction[1];
     find("size").value = `${scene.rows} ${scene.columns}`;
   } else {
-    const { machine } = page.shown[0].run;
-    fill(
-      find("seed"),
-      Array.from({ length: machine.seeds }, (_, k) => String(k)),
-      String(scene.seed),
-    );
+    const seeds = Array.from({ length: page.shown[0].run.machine.seeds }, (_, k) => String(k));
     const names = isDriven(scene) ? [YOU] : page.agents.names(scene.task);
-    fill(find("kind"), page.kinds(scene.task), scene.modules ?? "idle");
-    fill(find("agent"), names, names.includes(scene.agent) ? scene.agent : YOU);
-    const beside = page.shown[1]?.name;
-    find("beside").replaceChildren(
-      new Option("nobody", ""),
-      ...names.slice(1).map((name) => new Option(name, name, false, name === beside)),
-    );
+    fill("seed", seeds, String(scene.seed));
+    fill("kind", page.kinds(scene.task), scene.modules ?? "idle");
+    fill("agent", names, names.includes(scene.agent) ? scene.agent : YOU);
+    fill("beside", ["", ...names.slice(1)], page.shown[1]?.name ?? "");
     find("late").value = String(scene.late);
     find("camera").checked = scene.camera;
     find("camera").disabled = isDriven(scene) || !page.hasCamera(scene.task);
@@ -212,10 +200,7 @@ export function connect(page) {
     for (const { picture } of page.shown) picture.fit();
   });
   for (const id of ["forces", "traces"]) on(id, "change", () => {});
-  on("theme", "change", ({ target }) => {
-    paintPage(document.documentElement, target.value);
-    for (const { picture } of page.shown) picture.setTheme(target.value);
-  });
+  on("theme", "change", ({ target }) => paintPage(target.value, page.shown));
   on("task", "change", ({ target }) =>
     page.open(target.value === "table" ? emptyTable() : taskScene(target.value)),
   );
@@ -235,12 +220,8 @@ export function connect(page) {
   });
   on("size", "change", ({ target }) => {
     const [rows, columns] = target.value.split(" ").map(Number);
-    return page.open({
-      ...emptyTable({ rows, columns }),
-      tilt: page.scene.tilt,
-      tilt_direction: page.scene.tilt_direction,
-      friction: page.scene.friction,
-    });
+    const { tilt, tilt_direction, friction } = page.scene;
+    return page.open({ ...emptyTable({ rows, columns }), tilt, tilt_direction, friction });
   });
   on("all", "click", () => page.turnAll());
   on("layout", "change", ({ target }) => {
@@ -305,9 +286,7 @@ function takeKey(page, event) {
 
 /** Offer a file to be saved. */
 function save(name, text, kind) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([text], { type: kind }));
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  const href = URL.createObjectURL(new Blob([text], { type: kind }));
+  Object.assign(document.createElement("a"), { href, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(href), 10000);
 }

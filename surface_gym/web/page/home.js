@@ -5,7 +5,7 @@
 
 import { Picture } from "./draw.js";
 import { catchUp, explain, get, Machine, Obeying, passedSince } from "./machine.js";
-import { paintPage } from "./palette.js";
+import { AskedTheme, paintPage } from "./palette.js";
 import { CompiledRule } from "./rule.js";
 import { TaskRun } from "./task.js";
 
@@ -71,7 +71,7 @@ class LineRun extends TaskRun {
       const look = this._look(row);
       const half = Math.max(...look.outline.map(([x]) => x));
       rear -= APART + 2 * half;
-      const y = machine.view("parcels.truth")[6 * row + 1];
+      const [, y] = machine.row("parcels.truth", row);
       frame.parcels.push({ x: rear + half, y, theta: 0, ...look });
     }
     const more = this.count().waiting - shown;
@@ -184,8 +184,7 @@ class Home {
   }
 
   setTheme(theme) {
-    paintPage(document.documentElement, theme);
-    for (const { picture } of this.lines) picture.setTheme(theme);
+    paintPage(theme, this.lines);
     this.draw();
   }
 
@@ -250,45 +249,30 @@ async function loadLines() {
     get("home.bin", "arrayBuffer"),
     get("flow.wasm", "arrayBuffer"),
   ]);
-  const obeyingCode = await get(`${layout.obeying.code}.wasm`, "arrayBuffer");
   const figures = document.querySelectorAll("figure");
   return Promise.all(
     layout.lines.map(async (card, k) => {
       const machine = await Machine.make("home", layout, block, code, new ArrayBuffer(0));
       const scene = { seed: 0, late: 0, stuck: [], commands: [] };
-      const obeying = await Obeying.make(layout.obeying, obeyingCode, machine);
-      const own = await Machine.load(card.machine, "", card.code);
+      const obeying = await Obeying.load(layout.obeying, machine);
+      const own = await Machine.load(card.machine, card.code);
       const run = new LineRun(machine, scene, new Scheduler(card, { machine: own, obeying }));
       return new Line(run, figures[k]);
     }),
   );
 }
 
-/** Follow the page around this one, which writes its theme here; alone, the reader's system. */
-function followTheme(home) {
-  const root = document.documentElement;
-  const follow = () => home.setTheme(root.dataset.theme ?? "auto");
-  new MutationObserver(follow).observe(root, { attributeFilter: ["data-theme"] });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", follow);
-  follow();
-}
-
-/** Give each line its readings, before their numbers are known. */
-function addReadings() {
-  for (const figure of document.querySelectorAll("figure")) {
-    figure.append(find("readings").content.cloneNode(true));
-  }
-}
-
 async function begin() {
-  paintPage(document.documentElement, "auto");
-  addReadings();
+  const asked = new AskedTheme(); // the page around may ask before the lines are loaded
+  paintPage(asked.name);
+  for (const figure of document.querySelectorAll("figure"))
+    figure.append(find("readings").content.cloneNode(true)); // before their numbers are known
   try {
     const home = new Home(await loadLines());
     globalThis.home = home; // for those who want to look into it
     home.begin();
     home.write();
-    followTheme(home);
+    asked.follow(() => home.setTheme(asked.name));
     find("start").addEventListener("click", () => (home.isStarted ? home.pause() : home.start()));
     find("again").addEventListener("click", () => home.begin());
     find("rate").addEventListener("input", () => home.setRate());

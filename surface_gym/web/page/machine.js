@@ -4,6 +4,8 @@
  * needs beside it: noise of its sensors, which parcel a module obeys, and the pace of its steps.
  */
 
+import { placeOf } from "./view.js";
+
 const KINDS = {
   bool: Uint8Array,
   float32: Float32Array,
@@ -72,18 +74,17 @@ export class Machine {
   /**
    * Load the files of a task; `starts` too where it has any.
    * @param {string} name such as "sort" or "table"
-   * @param {string} [folder] where the files are, ending in "/"
    * @param {string} [code] name of the module, where several machines share one
    */
-  static async load(name, folder = "", code = name) {
+  static async load(name, code = name) {
     const hasIt = typeof WebAssembly === "object";
     ensure(hasIt, "This browser has no WebAssembly, which the physics runs in.");
     const [layout, block, module] = await Promise.all([
-      get(`${folder}${name}.json`, "json"),
-      get(`${folder}${name}.bin`, "arrayBuffer"),
-      get(`${folder}${code}.wasm`, "arrayBuffer"),
+      get(`${name}.json`, "json"),
+      get(`${name}.bin`, "arrayBuffer"),
+      get(`${code}.wasm`, "arrayBuffer"),
     ]);
-    const starts = layout.starts ? await get(`${folder}${name}.starts`, "arrayBuffer") : null;
+    const starts = layout.starts ? await get(`${name}.starts`, "arrayBuffer") : null;
     return Machine.make(name, layout, block, module, starts);
   }
 
@@ -112,11 +113,10 @@ export class Machine {
     this.block = new Uint8Array(block);
     this.starts = starts && new Uint8Array(starts);
     this.end = layout.end;
-    this.fields = new Map(); // kind, shape, address and place of the words, by name
+    this.fields = new Map(); // kind, place of the words, shape, address and room, by name
     let word = layout.base;
-    for (const [field, [kind, shape, address]] of Object.entries(layout.fields)) {
-      const room = count(shape);
-      this.fields.set(field, { kind, shape, address, word, room });
+    for (const [field, [kind, shape]] of Object.entries(layout.fields)) {
+      this.fields.set(field, { kind, word });
       word += WORD * (shape.length ? 5 + 2 * shape.length : 1);
     }
     this._grow(this.end);
@@ -161,6 +161,12 @@ export class Machine {
   view(name) {
     const { kind, shape, address } = this._field(name);
     return new KINDS[kind](this.exports.memory.buffer, address, count(shape));
+  }
+
+  /** View a row of an array: the numbers along its last dimension. */
+  row(name, index) {
+    const size = this.shape(name).at(-1);
+    return this.view(name).subarray(size * index, size * (index + 1));
   }
 
   /** The lengths of an array. */
@@ -282,8 +288,8 @@ export function frictionForces(machine, row, state, mass) {
 /** The noise of a task's sensors: parcels use it up row by row, and a function draws it as NumPy. */
 export class Noise {
   /** Load the function for a machine whose sensors draw noise. */
-  static async load(machine, folder = "") {
-    return new Noise(machine, await Machine.load("noise", folder));
+  static async load(machine) {
+    return new Noise(machine, await Machine.load("noise"));
   }
 
   constructor(machine, generator) {
@@ -326,10 +332,10 @@ export class Obeying {
   /**
    * @param {{code: string, signature: string, reads: string[]}} card with the names of the arrays
    *   that the function reads and an episode changes
-   * @param {ArrayBuffer} code
    * @param {Machine} machine of the task, whose arguments the function takes
    */
-  static async make(card, code, machine) {
+  static async load(card, machine) {
+    const code = await get(`${card.code}.wasm`, "arrayBuffer");
     const { name, layout, block } = machine;
     const isOfBuild = card.signature === layout.signature && card.reads;
     ensure(isOfBuild, `${card.code}.wasm and ${name}.json are not of one build.`);
@@ -354,7 +360,7 @@ export class Obeying {
     const sensed = machine.view("parcels.sensed");
     this.machine.view("streams.owner").forEach((row, module) => {
       if (row < 0) return;
-      const behind = run.placeOf(module)[0] < sensed[6 * row] ? 1 : 0;
+      const behind = placeOf(run.about, module)[0] < sensed[6 * row] ? 1 : 0;
       run.want(run.partOf(module), halves[2 * row + behind], false);
     });
   }

@@ -12,6 +12,19 @@ const FONT = "system-ui, sans-serif";
 const HIGH = 1.3; // [letters' size] a badge
 const GAP = 0.25; // [letters' size] between a badge and what it lies beside
 
+/** Fill the path of a context. */
+export function fillPath(context, colour) {
+  context.fillStyle = colour;
+  context.fill();
+}
+
+/** Draw a line along the path of a context. */
+export function strokePath(context, colour, width) {
+  context.strokeStyle = colour;
+  context.lineWidth = width;
+  context.stroke();
+}
+
 /** Return which picture shows a module's axis [rad], or the velocity of its driven surface. */
 export function moduleStep(angle, drive) {
   return (drive && driveStep(drive)) ?? axisStep(angle);
@@ -42,13 +55,10 @@ export function paintModule(step, cell, { plate, bar, driven }, isPale) {
   const angle = (Math.PI * step) / ANGLES;
   const isDriven = step >= ANGLES;
   const paled = (colour) => (isPale ? mixed(colour, plate, PALE) : colour);
-  context.fillStyle = paled(isDriven ? driven : axisColour(angle));
-  context.beginPath();
-  context.arc(half, half, 0.86 * half, 0, 2 * Math.PI);
-  context.fill();
-  context.strokeStyle = paled(bar);
-  context.lineWidth = Math.max((isDriven ? 0.2 : 0.26) * half, 1);
   context.translate(half, half);
+  context.beginPath();
+  context.arc(0, 0, 0.86 * half, 0, 2 * Math.PI);
+  fillPath(context, paled(isDriven ? driven : axisColour(angle)));
   context.beginPath();
   if (isDriven) traceDrive(context, step - ANGLES, half);
   else {
@@ -56,7 +66,7 @@ export function paintModule(step, cell, { plate, bar, driven }, isPale) {
     context.moveTo(-x, -y);
     context.lineTo(x, y);
   }
-  context.stroke();
+  strokePath(context, paled(bar), Math.max((isDriven ? 0.2 : 0.26) * half, 1));
   return picture;
 }
 
@@ -107,7 +117,7 @@ export function traceArrows(context, forces, place, { scale, longest, least, hea
 
 /** @typedef {number[]} Box [px] left, top, right, bottom */
 
-function setFont(context, size) {
+export function setFont(context, size) {
   context.font = `600 ${size}px ${FONT}`;
   context.textAlign = "center";
   context.textBaseline = "middle";
@@ -137,10 +147,9 @@ export function badgeSize(context, text, size) {
 /** Write text on a patch of its colour, about a place. */
 export function writeBadge(context, text, [x, y], colour, size) {
   const [width, height] = badgeSize(context, text, size);
-  context.fillStyle = colour;
   context.beginPath();
   context.roundRect(x - width / 2, y - height / 2, width, height, 0.3 * size);
-  context.fill();
+  fillPath(context, colour);
   context.fillStyle = textOn(colour);
   context.fillText(text, x, y + 0.05 * size);
 }

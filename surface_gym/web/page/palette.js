@@ -53,16 +53,16 @@ export function themeName(theme) {
   return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 }
 
-/** Set a theme's colours as CSS variables: `--plate-edge` and so on. */
-export function paintPage(root, theme) {
+/** Set a theme's colours, as CSS variables `--plate-edge` and so on, and of pictures shown. */
+export function paintPage(theme, shown = []) {
+  const { style } = document.documentElement;
   const name = themeName(theme);
   for (const [key, colour] of Object.entries(THEMES[name])) {
-    root.style.setProperty(
-      `--${key.replace(/[A-Z]/g, (letter) => `-${letter.toLowerCase()}`)}`,
-      colour,
-    );
+    const kebab = key.replace(/[A-Z]/g, (letter) => `-${letter.toLowerCase()}`);
+    style.setProperty(`--${kebab}`, colour);
   }
-  root.style.colorScheme = name;
+  style.colorScheme = name;
+  for (const { picture } of shown) picture.setTheme(name);
 }
 
 /** Return the colour of an exit or a group; colours repeat where there are more of them. */

@@ -67,7 +67,7 @@ class Player {
     this.read = 0; // [ms] when readings were written
     this.theme = "auto";
     this.asked = asked;
-    paintPage(document.documentElement, asked.name);
+    paintPage(asked.name);
     shareView(runs.map((run) => run.recording.surface));
     this.runs = runs.map((run) => this._addRun(run));
     element("runs").classList.toggle("several", runs.length > 1);
@@ -127,11 +127,9 @@ class Player {
 
   /** Go on by that many speeds to choose from, to slower ones where negative. */
   stepSpeed(count) {
-    const { options, selectedIndex } = element("speed");
-    element("speed").selectedIndex = Math.min(
-      Math.max(selectedIndex + count, 0),
-      options.length - 1,
-    );
+    const speed = element("speed");
+    const last = speed.options.length - 1;
+    speed.selectedIndex = Math.min(Math.max(speed.selectedIndex + count, 0), last);
   }
 
   /**
@@ -151,8 +149,7 @@ class Player {
   setTheme(theme) {
     this.theme = theme;
     const name = theme === "auto" ? this.asked.name : theme;
-    paintPage(document.documentElement, name);
-    for (const { picture } of this.runs) picture.setTheme(name);
+    paintPage(name, this.runs);
     this.show();
   }
 

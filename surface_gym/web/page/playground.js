@@ -15,7 +15,7 @@ import {
 } from "./form.js";
 import { catchUp, ensure, explain, get, Machine, Noise, passedSince } from "./machine.js";
 import { paintPage } from "./palette.js";
-import { drawAim, listen } from "./pointer.js";
+import { listen } from "./pointer.js";
 import { PLAYER } from "./rule.js";
 import { fromFragment, isDriven, toFragment } from "./scene.js";
 import { TableRun } from "./table.js";
@@ -68,14 +68,9 @@ class Playground {
     ensure(!camera || this.hasCamera(task), `The page has no camera for the task ${task}.`);
     const hasKind = !isDriven(scene) || (!camera && this.kinds(task).includes(modules));
     ensure(hasKind, `The page has no such task with ${modules} modules.`);
-    const names = isTable
-      ? [null]
-      : [
-          isDriven(scene) ? YOU : scene.agent,
-          ...(find("beside").value && this.scene?.task === scene.task && !isDriven(scene)
-            ? [find("beside").value]
-            : []),
-        ];
+    const names = isTable ? [null] : [isDriven(scene) ? YOU : scene.agent];
+    const beside = find("beside").value;
+    if (beside && this.scene?.task === task && !isTable && !isDriven(scene)) names.push(beside);
     const [agents, ...loaded] = await Promise.all([
       isTable ? this.agents : this.loadAgents(),
       ...names.map((_, k) => this._load(scene, k)),
@@ -248,7 +243,7 @@ class Playground {
     if (this.aim) {
       const { picture, from, to } = this.aim;
       const speed = DRAG_SPEED * Math.hypot(to[0] - from[0], to[1] - from[1]);
-      drawAim(picture, from, to, `${speed.toFixed(1)} m/s`);
+      picture.drawAim(from, to, `${speed.toFixed(1)} m/s`);
     }
   }
 
@@ -358,7 +353,7 @@ function readingOf([what, value]) {
 }
 
 async function begin() {
-  paintPage(document.documentElement, "auto");
+  paintPage("auto");
   const page = new Playground([], new Agents(null, null));
   globalThis.playground = page; // for those who want to look into it
   await page.try(async () => {

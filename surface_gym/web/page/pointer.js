@@ -1,6 +1,7 @@
 /** What pointer and keys do on a picture: a tool used at places, a drag, zoom by wheel and pinch. */
 
 import { followPointers } from "./gestures.js";
+import { placeOf } from "./view.js";
 
 const STILL = 6; // [px] that a pointer may move in a click
 const STEP = 1.25; // zoom of a key
@@ -74,7 +75,7 @@ export function listen(picture, does) {
     } else if (event.key === "Enter" && picture.chosen.module >= 0) {
       const ring = picture.chosen.module;
       const tool = does.tool();
-      if (tool === "throw") does.throw(picture.placeOf(ring), null);
+      if (tool === "throw") does.throw(placeOf(picture.surface, ring), null);
       else if (tool !== "pan") does.paint(ring, true);
     } else if (event.key === "+" || event.key === "-") {
       picture.zoom(event.key === "+" ? STEP : 1 / STEP);
@@ -85,30 +86,4 @@ export function listen(picture, does) {
     event.stopPropagation();
     does.changed();
   });
-}
-
-/** Draw the arrow of a throw. @param {string} text at its tip */
-export function drawAim(picture, from, to, text) {
-  const { context, ratio, colours } = picture;
-  const [[x0, y0], [x1, y1]] = [from, to].map((point) =>
-    picture.toCanvas(...point).map((each) => each * ratio),
-  );
-  const length = Math.hypot(x1 - x0, y1 - y0);
-  if (length < 1) return;
-  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length];
-  const head = Math.min(14 * ratio, length);
-  context.strokeStyle = colours.goal;
-  context.fillStyle = colours.goal;
-  context.lineWidth = 3 * ratio;
-  context.beginPath();
-  context.moveTo(x0, y0);
-  context.lineTo(x1, y1);
-  context.moveTo(x1 - head * (ux + 0.5 * uy), y1 - head * (uy - 0.5 * ux));
-  context.lineTo(x1, y1);
-  context.lineTo(x1 - head * (ux - 0.5 * uy), y1 - head * (uy + 0.5 * ux));
-  context.stroke();
-  context.font = `600 ${14 * ratio}px system-ui, sans-serif`;
-  context.textAlign = "left";
-  context.textBaseline = "bottom";
-  context.fillText(text, x1 + 8 * ratio, y1 - 4 * ratio);
 }

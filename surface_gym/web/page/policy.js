@@ -1,6 +1,7 @@
 /** Trained policies: the matrices of a network, from what is observed to orientations. */
 
 import { Agent, CompiledRule, SlopeRule } from "./rule.js";
+import { placeOf } from "./view.js";
 
 /**
  * @typedef {number[]} Layer inputs, outputs, and where its weights (outputs, inputs) begin
@@ -71,7 +72,7 @@ export class Policy extends Agent {
     const sensed = run.machine.view("parcels.sensed");
     const axes = choices.length > 2 ? [0, 1] : [0];
     for (const module of run.modules()) {
-      const place = run.placeOf(module);
+      const place = placeOf(run.about, module);
       const part = axes.reduce((sum, axis) => 2 * sum + (place[axis] < sensed[axis] ? 1 : 0), 0);
       run.wanted[run.partOf(module)] = choices[part];
     }
@@ -92,11 +93,10 @@ export class EachParcel extends Agent {
   /** Write what is chosen for each module that obeys a parcel. */
   act(run) {
     const { present, waits, side, own, roll } = this.card;
-    const [rows, features] = run.machine.shape("parcels.observation");
-    const table = run.machine.view("parcels.observation");
+    const [rows] = run.machine.shape("parcels.observation");
     const halves = new Array(2 * rows).fill(roll);
     for (let k = 0; k < rows; k++) {
-      const row = table.subarray(features * k, features * (k + 1));
+      const row = run.machine.row("parcels.observation", k);
       if (row[present] > 0.5 && row[waits] < 0.5 && row[side])
         halves.splice(2 * k, 2, ...this.policy.choose(row.subarray(0, own)));
     }
@@ -171,11 +171,10 @@ export class ParcelPolicy extends SlopeRule {
     const { present, time } = this.card;
     const { options, orientations, due, since } = this;
     const rule = super.choose(run);
-    const [, rows, features] = this.machine.shape("tables");
-    const tables = this.machine.view("tables");
+    const [, rows] = this.machine.shape("tables");
     const here = [];
     for (let row = 0; row < rows; row++) {
-      const own = tables.subarray(features * row, features * (row + 1));
+      const own = this.machine.row("tables", row);
       const stays = own[time] > since[row] && own[present] > 0.5;
       if (!stays) due.fill(0, options * row, options * (row + 1));
       since[row] = own[time];
@@ -260,19 +259,15 @@ export class ModulesPolicy extends Agent {
     const { machine } = this;
     machine.view("tables").set(run.machine.view("parcels.observation"));
     machine.step();
-    const [owner, own, passed] = ["owner", "own", "passed"].map((name) => machine.view(name));
-    const [, , ownSize] = machine.shape("own");
-    const [, , passedSize] = machine.shape("passed");
     const { most } = this.card;
-    const seen = new Float32Array(passedSize + ownSize);
     const numbers = this.numbers();
     run.wanted.fill(this.card.rest);
-    owner.forEach((parcel, module) => {
+    machine.view("owner").forEach((parcel, module) => {
       const row = Number(parcel);
       if (row < 0) return;
-      seen.set(passed.subarray(passedSize * row, passedSize * (row + 1)));
-      seen.set(own.subarray(ownSize * module, ownSize * (module + 1)), passedSize);
-      for (let k = 0; k < seen.length; k++) seen[k] = Math.min(most, Math.max(-most, seen[k]));
+      const seen = [...machine.row("passed", row), ...machine.row("own", module)].map((value) =>
+        Math.min(most, Math.max(-most, value)),
+      );
       const shares = softmax(perceptron(this.weights, this.card.actor, seen));
       run.want(module, choose(shares, numbers[row]), false);
     });
@@ -282,10 +277,10 @@ export class ModulesPolicy extends Agent {
   numbers() {
     const { numbers, hold, apart, period, time } = this.card;
     const { fround } = Math;
-    const [, rows, features] = this.machine.shape("tables");
-    const tables = this.machine.view("tables");
+    const [, rows] = this.machine.shape("tables");
     return Array.from({ length: rows }, (_, row) => {
-      const since = fround(fround(4 * tables[features * row + time]) / fround(period));
+      const entered = this.machine.row("tables", row)[time];
+      const since = fround(fround(4 * entered) / fround(period));
       const held = fround(fround(since / hold) + fround(1e-3));
       return this.weights[numbers[0] + ((Math.trunc(held) + apart * row) % numbers[1])];
     });

@@ -1,5 +1,7 @@
 /** Reading a recording, as `surface_gym/recording.py` encodes it, and its frames. */
 
+import { placeOf } from "./view.js";
+
 const GLIDE = 0.5; // [s] for which a parcel that has left is shown
 const LARGE = 0.99; // of contacts have less friction than a large one
 const TRAIL = 1.2; // [s] shown of the way of a stream's parcel
@@ -151,12 +153,10 @@ export class Recording {
   /** Collect contacts in a frame: the parcel, x, y [m], the friction [N] and the normal force [N]. */
   contactsAt(index) {
     const [elements, normal, fx, fy] = this.contacts;
-    const { columns, pitch, origin } = this.surface;
     const found = [];
     for (let k = this.firstContact[index]; k < this.firstContact[index + 1]; k++) {
-      const [row, column] = [Math.floor(elements[k] / columns), elements[k] % columns];
-      const [x, y] = [origin[0] + column * pitch[0], origin[1] + row * pitch[1]];
-      found.push([this.bearer[k], x, y, fx[k], fy[k], normal[k]]);
+      const place = placeOf(this.surface, elements[k]);
+      found.push([this.bearer[k], ...place, fx[k], fy[k], normal[k]]);
     }
     return found;
   }

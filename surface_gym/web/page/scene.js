@@ -252,14 +252,15 @@ export async function toFragment(scene) {
 export async function fromFragment(fragment, tasks) {
   const text = fragment.replace(/^#/, "");
   ensure(text.startsWith(MARK), `The address holds no scene: after "#" it must begin with ${MARK}`);
-  let bytes;
+  let json;
   try {
     const plain = atob(text.slice(MARK.length).replaceAll("-", "+").replaceAll("_", "/"));
-    bytes = Uint8Array.from(plain, (letter) => letter.charCodeAt(0));
-  } catch {
+    json = await unzipped(Uint8Array.from(plain, (letter) => letter.charCodeAt(0)));
+  } catch (error) {
+    if (error instanceof PlainError) throw error;
     throw new PlainError("The scene in the address is cut short or damaged.");
   }
-  return readJson(await unzipped(bytes), tasks);
+  return readJson(json, tasks);
 }
 
 /** Unpack bytes, but no more than a scene has. */
@@ -271,14 +272,9 @@ async function unzipped(bytes) {
   const decoder = new TextDecoder();
   let text = "";
   for (;;) {
-    let part;
-    try {
-      part = await reader.read();
-    } catch {
-      throw new PlainError("The scene in the address is cut short or damaged.");
-    }
-    if (part.done) return text + decoder.decode();
-    text += decoder.decode(part.value, { stream: true });
+    const { done, value } = await reader.read();
+    if (done) return text + decoder.decode();
+    text += decoder.decode(value, { stream: true });
     if (text.length > MOST_BYTES) {
       reader.cancel().catch(() => {});
       throw new PlainError(

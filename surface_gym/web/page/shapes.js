@@ -131,12 +131,8 @@ function readPolygon(vertices, name) {
   let turned = 0;
   for (const [k, [x, y]] of outline.entries()) {
     const [after, beyond] = [next(outline, k), next(outline, (k + 1) % outline.length)];
-    const [ax, ay, bx, by] = [
-      after[0] - x,
-      after[1] - y,
-      beyond[0] - after[0],
-      beyond[1] - after[1],
-    ];
+    const [ax, ay] = [after[0] - x, after[1] - y];
+    const [bx, by] = [beyond[0] - after[0], beyond[1] - after[1]];
     const turn = Math.atan2(ax * by - ay * bx, ax * bx + ay * by);
     turned += turn > -1e-9 && hypot(ax, ay) > 0 ? turn : Number.NaN;
   }
@@ -217,19 +213,13 @@ export function outlineOf({ edges, corners, centre, row }) {
 export function distance(one, onePose, other, otherPose) {
   const [a, b] = [place(one, onePose), place(other, otherPose)];
   const between = [b.middle[0] - a.middle[0], b.middle[1] - a.middle[1]];
-  const apart = hypot(...between);
+  const corners = [...(a.corners ?? []), ...(b.corners ?? [])];
+  const discs = [a, b].filter((each) => !each.corners);
+  const toCorners = ({ middle }) => corners.map(([x, y]) => [x - middle[0], y - middle[1]]);
   const normals = [...a.normals, ...b.normals];
-  if (apart > 0) normals.push([between[0] / apart, between[1] / apart]);
-  for (const [disc, base] of [
-    [a, b],
-    [b, a],
-  ]) {
-    if (disc.corners) continue;
-    for (const [x, y] of base.corners ?? []) {
-      const [dx, dy] = [x - disc.middle[0], y - disc.middle[1]];
-      const length = hypot(dx, dy);
-      if (length > 0) normals.push([dx / length, dy / length]);
-    }
+  for (const [dx, dy] of [between, ...discs.flatMap(toCorners)]) {
+    const length = hypot(dx, dy);
+    if (length > 0) normals.push([dx / length, dy / length]);
   }
   return Math.max(...normals.map(([nx, ny]) => Math.max(gap(a, b, nx, ny), gap(b, a, nx, ny))));
 }

@@ -112,9 +112,8 @@ export class TableRun {
     const present = machine.view("world.present");
     scene.parcels.forEach((parcel, k) => {
       if (this.tracks[k] || (parcel.step ?? 0) > this.stepped) return;
-      machine
-        .view("world.state")
-        .set(toCentre(this.bodies[k], parcel.pose, parcel.velocity), 8 * k);
+      const state = toCentre(this.bodies[k], parcel.pose, parcel.velocity);
+      machine.row("world.state", k).set(state);
       present[k] = 1;
       machine.set("turned", 1);
       this.tracks[k] = { number: k + 1, times: [this.time], motion: this._motion(k) };
@@ -183,10 +182,8 @@ export class TableRun {
       const outline = outlineOf(body);
       const look = outline ? { outline } : { radius: body.radius };
       const parcel = { ...named(this._motion(k)), ...look, label: String(k + 1) };
-      if (forces && this.stepped > track.times[0] / this.scene.dt) {
-        const state = machine.view("world.state").subarray(8 * k, 8 * k + 6);
-        parcel.forces = frictionForces(machine, k, state, body.mass);
-      }
+      if (forces && this.stepped > track.times[0] / this.scene.dt)
+        parcel.forces = frictionForces(machine, k, machine.row("world.state", k), body.mass);
       parcels.push(parcel);
     });
     return { time: this.time, axes: this.axes, parcels, traces: ways };
@@ -207,7 +204,7 @@ export class TableRun {
   }
 
   _motion(k) {
-    return toFrame(this.bodies[k], this.machine.view("world.state").subarray(8 * k, 8 * k + 6));
+    return toFrame(this.bodies[k], this.machine.row("world.state", k));
   }
 
   _isOver(x, y) {

@@ -32,7 +32,7 @@ export class TaskRun {
     this.body = this.about.stream ? 0 : machine.get("parcels.body");
     const modules = this.rows * this.columns;
     const row = machine.shape("bodies.rotor")[0] > 1 ? this.body : 0;
-    this.zone = [...machine.view("bodies.zone").subarray(4 * row, 4 * row + 4)].map(Number);
+    this.zone = Array.from(machine.row("bodies.zone", row), Number);
     this._stick();
     this.rotor = machine.view("bodies.rotor").slice(modules * row, modules * (row + 1));
     this.obeys = machine.view("bodies.obeys").slice(modules * row, modules * (row + 1));
@@ -117,13 +117,6 @@ export class TaskRun {
     const [row, column] = [Math.floor(module / this.columns), module % this.columns];
     const margin = this.about.stream ? 0 : (this.about.zoneRows - rows) / 2;
     return (margin + row - firstRow) * columns + column - firstColumn;
-  }
-
-  /** Where a module is, x and y [m]. */
-  placeOf(module) {
-    const { origin, pitch } = this.about;
-    const [row, column] = [Math.floor(module / this.columns), module % this.columns];
-    return [origin[0] + pitch[0] * column, origin[1] + pitch[1] * row];
   }
 
   /** Modules that obey, by index. */
@@ -218,13 +211,12 @@ export class TaskRun {
   /** Collect motion and look of the parcels there are, by number, and where a camera has them. */
   _motions() {
     const { machine } = this;
-    const [truth, sensed] = ["truth", "sensed"].map((name) => machine.view(`parcels.${name}`));
     const found = new Map();
     const collect = (number, row) =>
       found.set(number, {
         row,
-        motion: [...truth.subarray(6 * row, 6 * row + 6)],
-        sensed: this.noise && [...sensed.subarray(6 * row, 6 * row + 3)],
+        motion: [...machine.row("parcels.truth", row)],
+        sensed: this.noise && [...machine.row("parcels.sensed", row)].slice(0, 3),
         look: this._look(row),
       });
     if (!this.about.stream) return collect(0, 0);
@@ -247,20 +239,18 @@ export class TaskRun {
       if (k && corners[2 * k] === corners[0] && corners[2 * k + 1] === corners[1]) break;
       outline.push([corners[2 * k], corners[2 * k + 1]]);
     }
-    const look =
-      outline.length > 2 ? { outline } : { radius: machine.view("bodies.body")[7 * body] };
-    if (this.about.stream)
-      look.colour = machine.view("parcels.goal")[machine.shape("parcels.goal")[1] * row];
+    const [radius] = machine.row("bodies.body", body);
+    const look = outline.length > 2 ? { outline } : { radius };
+    if (this.about.stream) [look.colour] = machine.row("parcels.goal", row);
     return look;
   }
 
   _forces(row) {
     const { machine } = this;
+    if (!this.period) return [];
     const body = Number(machine.view("parcels.body")[row]);
-    const state = machine.view("parcels.state").subarray(8 * row, 8 * row + 6);
-    return this.period
-      ? frictionForces(machine, row, state, machine.view("bodies.body")[7 * body + 6])
-      : [];
+    const mass = machine.row("bodies.body", body).at(-1);
+    return frictionForces(machine, row, machine.row("parcels.state", row), mass);
   }
 
   _record() {

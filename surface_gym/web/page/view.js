@@ -3,50 +3,48 @@
 const MOST_SCALE = 4000; // [device px/m]
 const MARGIN = 0.25; // [pitch] round the view
 
+/** Find the least x and y and the greatest of some points. */
+export function boundsOf(points) {
+  return points.reduce(
+    ([left, low, right, high], [x, y]) => [
+      Math.min(left, x),
+      Math.min(low, y),
+      Math.max(right, x),
+      Math.max(high, y),
+    ],
+    [Infinity, Infinity, -Infinity, -Infinity],
+  );
+}
+
+/** Make bounds larger on all sides. */
+function grown([left, low, right, high], dx, dy) {
+  return [left - dx, low - dy, right + dx, high + dy];
+}
+
+/** Where a module of a surface is, x and y [m]. */
+export function placeOf({ columns, origin, pitch }, module) {
+  const [row, column] = [Math.floor(module / columns), module % columns];
+  return [origin[0] + column * pitch[0], origin[1] + row * pitch[1]];
+}
+
 /** A canvas that shows a surface, or a part of it; `stale` once that has changed. */
 export class View {
   /** @param {HTMLCanvasElement} canvas @param {import("./draw.js").Surface} surface */
   constructor(canvas, surface) {
     this.canvas = canvas;
     this.fitted = true;
-    this.setSurface(surface);
-  }
-
-  /** Show another surface, all of it. */
-  setSurface(surface) {
     this.surface = surface;
-    const { rows, columns, pitch, origin } = surface;
-    this.pitch = typeof pitch === "number" ? [pitch, pitch] : pitch;
-    const [px, py] = this.pitch;
-    this.edges = [
-      origin[0] - px / 2,
-      origin[1] - py / 2,
-      origin[0] + (columns - 0.5) * px,
-      origin[1] + (rows - 0.5) * py,
-    ];
-    this.rotorEdges = this._findRotorEdges();
-    const margin = MARGIN * Math.min(px, py);
-    const [left, low, right, high] = surface.view ?? this.edges;
-    this.view = [left - margin, low - margin, right + margin, high + margin];
+    const { rotor, pitch } = surface;
+    const [halfX, halfY] = pitch.map((each) => each / 2);
+    const edgesOf = (some) => grown(boundsOf(some.map((k) => placeOf(surface, k))), halfX, halfY);
+    const modules = [...rotor.keys()];
+    const rotors = modules.filter((k) => rotor[k]);
+    this.edges = edgesOf(modules);
+    this.rotorEdges = rotors.length ? edgesOf(rotors) : this.edges;
+    const margin = MARGIN * Math.min(...pitch);
+    this.view = grown(surface.view ?? this.edges, margin, margin);
     this.resize();
     this.fit();
-  }
-
-  /** Find the least x and y and the greatest [m] of all modules, or of the surface without any. */
-  _findRotorEdges() {
-    const { columns, rotor } = this.surface;
-    const [left, low] = this.edges;
-    const [px, py] = this.pitch;
-    const found = [Infinity, Infinity, -Infinity, -Infinity];
-    rotor?.forEach((isRotor, k) => {
-      if (!isRotor) return;
-      const [x, y] = [left + (k % columns) * px, low + Math.floor(k / columns) * py];
-      found[0] = Math.min(found[0], x);
-      found[1] = Math.min(found[1], y);
-      found[2] = Math.max(found[2], x + px);
-      found[3] = Math.max(found[3], y + py);
-    });
-    return Number.isFinite(found[0]) ? found : this.edges;
   }
 
   /** Width over height of what `fit` shows. */
@@ -116,19 +114,12 @@ export class View {
   /** Find the module at a place [CSS px]: row times columns plus column; -1: none. */
   moduleAt(px, py) {
     const [x, y] = this.toSurface(px, py);
-    const { rows, columns, rotor } = this.surface;
-    const column = Math.floor((x - this.edges[0]) / this.pitch[0]);
-    const row = Math.floor((y - this.edges[1]) / this.pitch[1]);
+    const { rows, columns, rotor, pitch } = this.surface;
+    const column = Math.floor((x - this.edges[0]) / pitch[0]);
+    const row = Math.floor((y - this.edges[1]) / pitch[1]);
     if (column < 0 || column >= columns || row < 0 || row >= rows) return -1;
     const index = row * columns + column;
-    return rotor && !rotor[index] ? -1 : index;
-  }
-
-  /** Where a module is, x and y [m]. */
-  placeOf(module) {
-    const { columns, origin } = this.surface;
-    const [row, column] = [Math.floor(module / columns), module % columns];
-    return [origin[0] + column * this.pitch[0], origin[1] + row * this.pitch[1]];
+    return rotor[index] ? index : -1;
   }
 
   /** Convert x, y [m] to device pixels. */
@@ -141,7 +132,7 @@ export class View {
 
   /** Compute the size [device px] of a module's picture. */
   get _cell() {
-    return Math.max(1, Math.floor(Math.min(...this.pitch) * this.scale));
+    return Math.max(1, Math.floor(Math.min(...this.surface.pitch) * this.scale));
   }
 
   _stroke() {
