@@ -243,7 +243,7 @@ def drive_tables(task: str, results: Results, turn_energy: float = 0.0) -> list[
     if _is_before_take_away(task):
         caption += " Idle rotors are on the slope, driven modules are level. Lab: " + LAB.meaning
     elif is_on_streams(task):
-        caption += " Rates are the highest sustained ones with 99.9 % right deliveries."
+        caption += " Rates are the highest sustained ones with 99.9 % correct deliveries."
     return tabulate(f"{task_label(task)}, kinds of modules", caption, rows, keys=2)
 
 
@@ -282,7 +282,7 @@ def _hardware(method: Method) -> dict[str, str]:
 
 
 def _rate(sample: Sample) -> float:
-    """Return the right deliveries per hour, mean over streams."""
+    """Return the correct deliveries per hour, mean over streams."""
     return float((HOUR * sample.values("correct") / sample.values("counted")).mean())
 
 
