@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from scipy import stats
 
 from surface_gym.agents.base import Integers, Numbers, Singles
 from surface_gym.agents.evaluation.method import all_methods
+from surface_gym.agents.evaluation.results import half_interval
 from surface_gym.agents.evaluation.scenario import WHOLE
 from surface_gym.agents.evaluation.streams import StreamScenario, measure_stream
 from surface_gym.agents.learning import slopes
@@ -152,10 +152,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         play(network, options.streams) for network in (None, learner.network)
     )
     change = learned - rule
-    margin = stats.sem(change) * stats.t.ppf(0.975, len(change) - 1)
     print(
         f"patterns {rule.mean():.0f} an hour, {jams} jams; with PPO {learned.mean():.0f}, {more} "
-        f"jams, {share:.1%} of decisions corrected; difference {change.mean():.0f} ±{margin:.0f}"
+        f"jams, {share:.1%} of decisions corrected; difference {change.mean():.0f} "
+        f"±{half_interval(change):.0f}"
     )
 
 

@@ -299,7 +299,9 @@ class _Recorder:
         """Return the frames so far as a `Recording`."""
         scene, axes = self._scene, np.array(self._axes)
         angles, axis = index_axes(axes)
-        driven = _record_drives(np.array(self._velocities)) if self._velocities else {}
+        driven: dict[str, Any] = {}
+        if self._velocities:
+            driven["velocities"], driven["drive"] = index_drives(np.array(self._velocities))
         names = dict.fromkeys(name for each in self._metrics for name in each)
         return Recording(
             title=scene.title,
@@ -328,12 +330,6 @@ class _Recorder:
         )
 
 
-def _record_drives(velocity: Array) -> dict[str, Any]:
-    """Return the fields of a recording for velocities of modules (T, rows, columns, 2) [m/s]."""
-    velocities, drive = index_drives(velocity)
-    return {"velocities": velocities, "drive": drive}
-
-
 def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recording:
     """Record a trajectory with its forces, about one frame per `period` [s]."""
     run = trajectory.run
@@ -348,8 +344,8 @@ def record_trajectory(trajectory: "Trajectory", period: float = PERIOD) -> Recor
     angles, axis = index_axes(surface.axis)
     driven: dict[str, Any] = {}
     if surface.surface_velocity is not None:
-        shape = (len(rows), *surface.surface_velocity.shape)
-        driven = _record_drives(np.broadcast_to(surface.surface_velocity, shape))
+        driven["velocities"], drive = index_drives(surface.surface_velocity)
+        driven["drive"] = np.broadcast_to(drive, (len(rows), *drive.shape))
     first, last = (np.searchsorted(contacts.step, rows, side=side) for side in ("left", "right"))
     chosen = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
     each = contacts.element @ (surface.columns, 1)

@@ -370,12 +370,14 @@ def keep_rows(
     if (old.source, old.version) != (entry.source, entry.version):
         return entry
     new = {(test.task, job.seed) for job in jobs for test in job.tests}
-    kept = []
-    for row in old.rows:
-        now = digest_source(find_source(source, row.task, row.seed))
-        is_same = not row.source_digest or now in ("", row.source_digest)
-        if is_same and (row.task, row.seed) not in new:
-            kept.append(row)
+    others = {(row.task, row.seed) for row in old.rows} - new
+    now = {each: digest_source(find_source(source, *each)) for each in others}
+    kept = (
+        row
+        for row in old.rows
+        if (digest := now.get((row.task, row.seed))) is not None
+        and (not row.source_digest or digest in ("", row.source_digest))
+    )
     return replace(entry, rows=(*entry.rows, *kept))
 
 
