@@ -120,7 +120,7 @@ class ValueLower(Lower):
 
     @property
     def call_conv(self) -> FlatArguments:
-        return self.library.convention(self.context)  # type: ignore[no-any-return]
+        return self.library.convention(self.context)
 
     def setup_function(self, described: Any) -> None:
         """Declare the function in its calling convention, and begin its code."""
