@@ -7,6 +7,7 @@ edit to one of them changes the digest; an edit of a docstring or of another fun
 
 import gc
 import hashlib
+import inspect
 import platform
 import sys
 import time
@@ -26,8 +27,9 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
-from surface_gym.compiler import linking
+from surface_gym.compiler import linking, lowering
 from surface_gym.compiler.linking import KernelCompiler, LinkedCacheImpl, LinkedFunction
+from surface_gym.compiler.lowering import QuickFlags
 
 if sys.platform != "win32":
     import fcntl
@@ -343,7 +345,7 @@ def _warn(why: str) -> None:
 @lru_cache
 def _compiler() -> str:
     """Return the source of the compiler, on which code in the cache and its form depend."""
-    return Path(linking.__file__).read_text()
+    return "".join(map(inspect.getsource, (linking, lowering)))
 
 
 def _fields(kind: Any) -> Any:
@@ -366,7 +368,9 @@ def compiled(function: Callable[..., Any], label: str = "") -> Any:
         function: function to compile.
         label: name of its files in the cache; the default is the function's name.
     """
-    return _cached(njit(pipeline_class=KernelCompiler, **_OPTIONS)(function), label)
+    kernel = njit(pipeline_class=KernelCompiler, **_OPTIONS)(function)
+    kernel._compiler._customize_flags = QuickFlags
+    return _cached(kernel, label)
 
 
 def linked(function: Callable[..., Any]) -> Any:

@@ -19,7 +19,10 @@ from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
+from numba.core.sigutils import normalize_signature
 from numba.core.typed_passes import NativeLowering
+
+from surface_gym.compiler.lowering import FlatArguments, QuickFlags, ValueLower, WholeArguments
 
 
 def _optimize(library: CPUCodeLibrary) -> None:
@@ -29,6 +32,8 @@ def _optimize(library: CPUCodeLibrary) -> None:
 
 class _Kernel(JITCodeLibrary):
     """Machine code of a function called by Python."""
+
+    convention = FlatArguments
 
     def _optimize_final_module(self) -> None:
         _optimize(self)
@@ -42,6 +47,8 @@ class LinkedCode(CPUCodeLibrary):
         name: name of the function.
         inlined: whether its callers contain its code. Otherwise they call it by name.
     """
+
+    convention: type[FlatArguments] = WholeArguments
 
     def __init__(self, codegen: Any, name: str, inlined: bool) -> None:
         super().__init__(codegen, name)
@@ -130,6 +137,7 @@ class _LowerToKernel(NativeLowering):
     """Numba's lowering of a function to machine code."""
 
     _name = "lower_to_kernel"
+    lowering_class = ValueLower
 
     def run_pass(self, state: Any) -> bool:
         state.library = _Kernel(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -142,6 +150,7 @@ class LowerToLinkedCode(NativeLowering):
     """Numba's lowering of a function to LLVM code, which is linked into its callers' code later."""
 
     _name = "lower_to_linked_code"
+    lowering_class = ValueLower
     code: type[LinkedCode] = LinkedCode
 
     def run_pass(self, state: Any) -> bool:
@@ -154,7 +163,6 @@ class LowerToLinkedCode(NativeLowering):
         library.symbol = lowered.fndesc.llvm_func_name
         library.finalize()
         entry = library.make_entry(lowered.fndesc, lowered.env)
-        state.targetctx.insert_user_function(entry, lowered.fndesc, [library])
         state.reload_init.extend(library._reload_init)
         state["cr"] = lowered._replace(cfunc=entry)
         return True
@@ -224,6 +232,22 @@ class LinkedFunction(CPUDispatcher):
     def __init__(self, function: Any, **options: Any) -> None:
         options = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, **options}
         super().__init__(function, targetoptions=options, pipeline_class=self.compiler)
+        self._compiler._customize_flags = QuickFlags
+
+    def add_overload(self, result: CompileResult) -> None:
+        """Add a version; callers find it in Numba's tables by its library."""
+        super().add_overload(result)
+        library, described = result.library, result.fndesc
+
+        def call(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return library.convention(context).call(builder, described, signature, values)
+
+        call.libs = (library,)  # type: ignore[attr-defined]
+        self.targetctx.insert_func_defn([(call, library, result.signature.args)])
+
+    def get_overload(self, signature: Any) -> Any:
+        """Return the key of a version in Numba's tables."""
+        return self.overloads[tuple(normalize_signature(signature)[0])].library
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return self.py_func(*arguments, **named)

@@ -21,7 +21,7 @@ import numba
 from numba import float64, typeof
 from numba.core.compiler_machinery import register_pass
 
-from surface_gym.compiler import exact, wasm_linker
+from surface_gym.compiler import exact, lowering, wasm_linker
 from surface_gym.compiler.jit import collecting_nothing, compute_digest, locked
 from surface_gym.compiler.linking import (
     LinkedCode,
@@ -29,6 +29,7 @@ from surface_gym.compiler.linking import (
     LowerToLinkedCode,
     PassesCompiler,
 )
+from surface_gym.compiler.lowering import FlatArguments
 from surface_gym.compiler.translator import Translator
 from surface_gym.compiler.wasm_image import WORD, compute_signature, name_arguments
 from surface_gym.compiler.wasm_linker import link, make_note
@@ -63,6 +64,12 @@ class PortableCode(LinkedCode):
         module.data_layout = self._codegen._data_layout
 
 
+class _PortableKernelCode(PortableCode):
+    """Unoptimised LLVM code of a kernel, whose arguments a page writes one by one."""
+
+    convention = FlatArguments
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LowerToPortableCode(LowerToLinkedCode):
     """Numba's lowering of a function to unoptimised LLVM code."""
@@ -71,23 +78,44 @@ class _LowerToPortableCode(LowerToLinkedCode):
     code = PortableCode
 
 
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LowerToPortableKernel(_LowerToPortableCode):
+    """Numba's lowering of a kernel to unoptimised LLVM code."""
+
+    _name = "lower_to_portable_kernel"
+    code = _PortableKernelCode
+
+
 class _PortableCompiler(PassesCompiler):
     """Compiler of functions for WebAssembly."""
 
     lowering = _LowerToPortableCode
 
 
+class _PortableKernelCompiler(PassesCompiler):
+    """Compiler of kernels for WebAssembly."""
+
+    lowering = _LowerToPortableKernel
+
+
 class PortableFunction(LinkedFunction):
     """A function that becomes part of a WebAssembly module."""
 
-    compiler = _PortableCompiler
+    compiler: type[PassesCompiler] = _PortableCompiler
+
+
+class PortableKernel(PortableFunction):
+    """A kernel of a WebAssembly module."""
+
+    compiler = _PortableKernelCompiler
 
 
 def _wrap(copy: FunctionType, original: Any) -> PortableFunction:
     options = {
         name: original.targetoptions[name] for name in _KEPT if name in original.targetoptions
     }
-    return PortableFunction(copy, no_cfunc_wrapper=True, **options)
+    kind = PortableFunction if isinstance(original, LinkedFunction) else PortableKernel
+    return kind(copy, no_cfunc_wrapper=True, **options)
 
 
 @lru_cache(maxsize=1)
@@ -128,7 +156,8 @@ def compile_module(
 @lru_cache(maxsize=1)
 def _compiler() -> tuple[Any, ...]:
     """Return the dependencies of a module besides its kernel."""
-    sources = [Path(each).read_bytes() for each in (__file__, wasm_linker.__file__)]
+    files = (__file__, wasm_linker.__file__, lowering.__file__)
+    sources = [Path(each).read_bytes() for each in files]
     return numba.__version__, llvmlite.__version__, *sources
 
 
